@@ -1,0 +1,71 @@
+"""What enters the system: one RGB-D frame, and who may watch it work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One RGB-D image of a sequence. It holds no ground-truth pose, on purpose.
+
+    Attributes:
+        index: position in the sequence, from 0.
+        timestamp_s: seconds, increasing with the index.
+        rgb: [H, W, 3] float32, RGB in [0, 1].
+        depth_m: [H, W] float32 z-depth in metres, 0 where missing.
+        camera: intrinsics of both images.
+        labels: [H, W] int32 class ids, 0 void, or None.
+
+    Raises:
+        ValueError: shapes or types disagree with the camera.
+    """
+
+    index: int
+    timestamp_s: float
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    camera: Camera
+    labels: NDArray[np.int32] | None = None
+
+    def __post_init__(self) -> None:
+        height, width = self.camera.height, self.camera.width
+        for name, image, shape, dtype in (
+            ("rgb", self.rgb, (height, width, 3), np.float32),
+            ("depth_m", self.depth_m, (height, width), np.float32),
+            ("labels", self.labels, (height, width), np.int32),
+        ):
+            if image is None:
+                continue
+            if image.shape != shape or image.dtype != dtype:
+                raise ValueError(
+                    f"{name} must be {np.dtype(dtype)} of shape {list(shape)}, "
+                    f"got {image.dtype} {list(image.shape)}"
+                )
+
+
+class Recorder(Protocol):
+    """Receives times and numbers of the running system; never changes it."""
+
+    def timed(self, stage: str): ...  # a context manager around one piece of work
+
+    def count(self, name: str, value: float) -> None: ...
+
+
+class NullRecorder:
+    """Records nothing: the default, so that no caller needs an `if`."""
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        yield
+
+    def count(self, name: str, value: float) -> None:
+        pass

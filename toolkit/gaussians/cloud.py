@@ -1,0 +1,120 @@
+"""A set of isotropic Gaussians (H-18): the map and every part of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class GaussianCloud:
+    """N isotropic Gaussians with view-independent colour and S semantic channels.
+
+    Radius and opacity are stored as logarithm and logit, so that any real value is
+    valid and optimisation needs no bounds.
+
+    Attributes:
+        means: [N, 3] float32, centres in the map's frame, metres.
+        log_radii: [N] float32, natural logarithm of the standard deviation in metres.
+        opacity_logits: [N] float32.
+        colours: [N, 3] float32, RGB in [0, 1] (clamped only when shown or saved).
+        features: [N, S] float32, S >= 0.
+
+    Raises:
+        ValueError: shapes disagree.
+    """
+
+    means: Tensor
+    log_radii: Tensor
+    opacity_logits: Tensor
+    colours: Tensor
+    features: Tensor
+
+    def __post_init__(self) -> None:
+        n = self.means.shape[0]
+        expected = {
+            "means": (n, 3),
+            "log_radii": (n,),
+            "opacity_logits": (n,),
+            "colours": (n, 3),
+            "features": (n, self.features.shape[-1]),
+        }
+        for name, shape in expected.items():
+            actual = tuple(getattr(self, name).shape)
+            if actual != shape:
+                raise ValueError(f"{name} must have shape {list(shape)}, got {list(actual)}")
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def __str__(self) -> str:
+        return f"{len(self)} Gaussians, {self.features.shape[1]} feature channels"
+
+    @property
+    def radii_m(self) -> Tensor:
+        """Standard deviations [N] in metres."""
+        return self.log_radii.exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        """Opacities [N] in (0, 1)."""
+        return self.opacity_logits.sigmoid()
+
+    @classmethod
+    def empty(cls, feature_channels: int = 0, device: str | torch.device = "cpu") -> GaussianCloud:
+        """A cloud without Gaussians."""
+        return cls.from_values(
+            means=torch.zeros(0, 3, device=device),
+            radii_m=torch.zeros(0, device=device),
+            opacities=torch.zeros(0, device=device),
+            colours=torch.zeros(0, 3, device=device),
+            features=torch.zeros(0, feature_channels, device=device),
+        )
+
+    @classmethod
+    def from_values(
+        cls,
+        means: Tensor,
+        radii_m: Tensor,
+        opacities: Tensor,
+        colours: Tensor,
+        features: Tensor | None = None,
+    ) -> GaussianCloud:
+        """A cloud from radii in metres (> 0) and opacities in (0, 1)."""
+        if features is None:
+            features = means.new_zeros(means.shape[0], 0)
+        return cls(means, radii_m.log(), torch.logit(opacities), colours, features)
+
+    @classmethod
+    def concatenate(cls, clouds: list[GaussianCloud]) -> GaussianCloud:
+        """All Gaussians of several clouds, in order."""
+        return cls(
+            *(torch.cat([getattr(c, f.name) for c in clouds]) for f in fields(cls))
+        )
+
+    def select(self, index: Tensor) -> GaussianCloud:
+        """The Gaussians of a boolean mask [N] or of integer indices [M]."""
+        if index.dtype == torch.bool:
+            index = index.nonzero().squeeze(1)
+        return GaussianCloud(
+            *(getattr(self, f.name).index_select(0, index) for f in fields(self))
+        )
+
+    def transformed(self, T_new_old: np.ndarray) -> GaussianCloud:
+        """The cloud moved rigidly by a motion [4, 4]; isotropy spares the shapes."""
+        R = torch.as_tensor(T_new_old[:3, :3], dtype=self.means.dtype, device=self.means.device)
+        t = torch.as_tensor(T_new_old[:3, 3], dtype=self.means.dtype, device=self.means.device)
+        return GaussianCloud(
+            self.means @ R.T + t,
+            self.log_radii,
+            self.opacity_logits,
+            self.colours,
+            self.features,
+        )
+
+    def detached(self) -> GaussianCloud:
+        """The same values without gradient history."""
+        return GaussianCloud(*(getattr(self, f.name).detach() for f in fields(self)))

@@ -1,0 +1,1 @@
+"""Rigid motions, cameras, trajectories, frusta and point clouds."""

@@ -1,0 +1,99 @@
+"""The pinhole camera: x right, y down, z forward, pixel centres at integers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import SettingsError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of an undistorted pinhole camera.
+
+    Attributes:
+        fx, fy: focal lengths in pixels, > 0.
+        cx, cy: principal point in pixels; the centre of the first pixel is (0, 0).
+        width, height: image size in pixels, > 0.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy)
+        if not all(math.isfinite(n) for n in numbers) or self.fx <= 0 or self.fy <= 0:
+            raise SettingsError(
+                f"camera intrinsics must be finite with fx, fy > 0, got fx={self.fx} "
+                f"fy={self.fy} cx={self.cx} cy={self.cy}"
+            )
+        if self.width < 1 or self.height < 1:
+            raise SettingsError(f"camera size must be positive, got {self.width}x{self.height}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.width, self.height
+
+    @property
+    def focal(self) -> float:
+        """Geometric mean of the focal lengths in pixels, sqrt(fx fy)."""
+        return math.sqrt(self.fx * self.fy)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Intrinsic matrix K [3, 3]."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def scaled(self, scale_x: float, scale_y: float, width: int, height: int) -> Camera:
+        """The camera of the image resized by these factors to width x height.
+
+        With area-averaged pixels and centres at integers, c' = (c + 0.5) s - 0.5.
+        """
+        return Camera(
+            fx=self.fx * scale_x,
+            fy=self.fy * scale_y,
+            cx=(self.cx + 0.5) * scale_x - 0.5,
+            cy=(self.cy + 0.5) * scale_y - 0.5,
+            width=width,
+            height=height,
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The camera of the sub-image that starts at pixel (left, top)."""
+        return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
+
+    def halved(self) -> Camera:
+        """The camera of the next pyramid level (2x2 pixel averages, odd rests cut)."""
+        return self.scaled(0.5, 0.5, max(1, self.width // 2), max(1, self.height // 2))
+
+    def rays(self) -> NDArray[np.float64]:
+        """Points [height, width, 3] on the plane z = 1, one per pixel centre."""
+        x = (np.arange(self.width) - self.cx) / self.fx
+        y = (np.arange(self.height) - self.cy) / self.fy
+        grid_x, grid_y = np.meshgrid(x, y)
+        return np.stack([grid_x, grid_y, np.ones_like(grid_x)], axis=-1)
+
+    def unproject(self, depth_m: NDArray) -> NDArray[np.float64]:
+        """Points [height, width, 3] in camera coordinates (m) of a z-depth image."""
+        if depth_m.shape != (self.height, self.width):
+            raise ValueError(
+                f"depth must have shape [{self.height}, {self.width}], got {list(depth_m.shape)}"
+            )
+        return self.rays() * depth_m[..., None]
+
+    def project(self, points: NDArray) -> NDArray[np.float64]:
+        """Pixel coordinates [..., 2] (x, y) of points [..., 3] with z > 0."""
+        z = points[..., 2]
+        return np.stack(
+            [self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy],
+            axis=-1,
+        )

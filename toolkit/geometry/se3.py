@@ -1,0 +1,184 @@
+"""Rigid motions SE(3) as 4x4 float64 matrices.
+
+`T_a_b` maps coordinates of b into a. Tangent vectors are ordered
+(translation, rotation), as in most of the literature; GTSAM and SciPy put the
+rotation first, and only the modules that call them may reorder.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Below this angle the closed forms lose digits and their series take over.
+_SMALL_ANGLE_RAD = 1e-4
+
+
+def hat(vector: Array) -> Array:
+    """Skew-symmetric matrix [3, 3] of a vector [3], so that hat(a) @ b = a x b."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp_so3(rotation_rad: Array) -> Array:
+    """Rotation matrix [3, 3] of a rotation vector [3] in radians (Rodrigues)."""
+    angle = float(np.linalg.norm(rotation_rad))
+    K = hat(rotation_rad)
+    if angle < _SMALL_ANGLE_RAD:
+        a, b = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
+    else:
+        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
+    return np.eye(3) + a * K + b * (K @ K)
+
+
+def log_so3(R: Array) -> Array:
+    """Rotation vector [3] in radians, of length at most pi, of a matrix [3, 3]."""
+    # Through the quaternion: well conditioned at 0 and at pi alike.
+    x, y, z, w = quaternion_xyzw(R)
+    vector = np.array([x, y, z])
+    sine = float(np.linalg.norm(vector))
+    if w < 0.0:
+        vector, w = -vector, -w
+    if sine < 1e-12:
+        return 2.0 * vector
+    return vector * (2.0 * np.arctan2(sine, w) / sine)
+
+
+def _left_jacobian_so3(rotation_rad: Array) -> Array:
+    angle = float(np.linalg.norm(rotation_rad))
+    K = hat(rotation_rad)
+    if angle < _SMALL_ANGLE_RAD:
+        b, c = 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
+    else:
+        b = (1.0 - np.cos(angle)) / angle**2
+        c = (angle - np.sin(angle)) / angle**3
+    return np.eye(3) + b * K + c * (K @ K)
+
+
+def from_rotation_translation(R: Array, t: Array) -> Array:
+    """Rigid motion [4, 4] from a rotation [3, 3] and a translation [3]."""
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = t
+    return T
+
+
+def exp(tangent: Array) -> Array:
+    """Rigid motion [4, 4] of a tangent vector [6] (translation m, rotation rad)."""
+    tangent = np.asarray(tangent, dtype=np.float64)
+    rho, phi = tangent[:3], tangent[3:]
+    return from_rotation_translation(exp_so3(phi), _left_jacobian_so3(phi) @ rho)
+
+
+def log(T: Array) -> Array:
+    """Tangent vector [6] (translation m, rotation rad) of a rigid motion [4, 4]."""
+    phi = log_so3(T[:3, :3])
+    rho = np.linalg.solve(_left_jacobian_so3(phi), T[:3, 3])
+    return np.concatenate([rho, phi])
+
+
+def inverse(T: Array) -> Array:
+    """Inverse of rigid motions [..., 4, 4], exact in form: (R^T, -R^T t)."""
+    T = np.asarray(T, dtype=np.float64)
+    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+    out = np.zeros_like(T)
+    out[..., :3, :3] = R_transposed
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", R_transposed, T[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def adjoint(T: Array) -> Array:
+    """Adjoint [6, 6]: exp(adjoint(T) @ x) = T @ exp(x) @ inverse(T)."""
+    R, t = T[:3, :3], T[:3, 3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = R
+    out[:3, 3:] = hat(t) @ R
+    out[3:, 3:] = R
+    return out
+
+
+def rotation_angle_rad(R: Array) -> Array:
+    """Angle in [0, pi] of rotations [..., 3, 3], accurate near zero as well."""
+    R = np.asarray(R, dtype=np.float64)
+    sine = 0.5 * np.linalg.norm(
+        np.stack(
+            [
+                R[..., 2, 1] - R[..., 1, 2],
+                R[..., 0, 2] - R[..., 2, 0],
+                R[..., 1, 0] - R[..., 0, 1],
+            ],
+            axis=-1,
+        ),
+        axis=-1,
+    )
+    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    return np.asarray(np.arctan2(sine, cosine))
+
+
+def interpolate(T_a: Array, T_b: Array, fraction: float) -> Array:
+    """Motion on the geodesic from T_a (fraction 0) to T_b (fraction 1)."""
+    return T_a @ exp(fraction * log(inverse(T_a) @ T_b))
+
+
+def orthonormalise(T: Array) -> Array:
+    """The rigid motion nearest to T [4, 4]: products of many drift slowly."""
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return from_rotation_translation(R, T[:3, 3])
+
+
+def is_rigid(T: Array, tolerance: float = 1e-3) -> bool:
+    """Whether T [4, 4] is finite and a rigid motion to within the tolerance."""
+    T = np.asarray(T)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return False
+    R = T[:3, :3]
+    return bool(
+        np.abs(R @ R.T - np.eye(3)).max() < tolerance
+        and np.linalg.det(R) > 0
+        and np.abs(T[3] - [0, 0, 0, 1]).max() < tolerance
+    )
+
+
+def quaternion_xyzw(R: Array) -> Array:
+    """Unit quaternion [4] (x, y, z, w), w >= 0, of a rotation [3, 3]."""
+    m = np.asarray(R, dtype=np.float64)
+    # Shepperd: divide by the largest of the four components.
+    squares = np.array(
+        [
+            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
+            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
+        ]
+    )
+    largest = int(np.argmax(squares))
+    rows = {
+        0: [squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
+        1: [m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
+        2: [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]],
+        3: [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
+    }
+    q = np.array(rows[largest])
+    q /= np.linalg.norm(q)
+    return -q if q[3] < 0 else q
+
+
+def rotation_from_quaternion_xyzw(q: Array) -> Array:
+    """Rotation [3, 3] of a quaternion [4] (x, y, z, w) of any non-zero length."""
+    x, y, z, w = np.asarray(q, dtype=np.float64) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def transform_points(T_a_b: Array, points_b: NDArray) -> Array:
+    """Points [..., 3] of frame b in frame a."""
+    return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]

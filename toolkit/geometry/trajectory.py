@@ -1,0 +1,82 @@
+"""A camera's path: time stamps and poses that check themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import FormatError
+from toolkit.geometry import se3
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of a camera over time.
+
+    Attributes:
+        timestamps_s: [N] float64, strictly increasing, seconds.
+        T_world_camera: [N, 4, 4] float64, camera to world, metres.
+
+    Raises:
+        FormatError: shapes disagree, times do not increase or a pose is not rigid.
+    """
+
+    timestamps_s: NDArray[np.float64]
+    T_world_camera: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        times = np.asarray(self.timestamps_s, dtype=np.float64).reshape(-1)
+        poses = np.asarray(self.T_world_camera, dtype=np.float64).reshape(-1, 4, 4)
+        object.__setattr__(self, "timestamps_s", times)
+        object.__setattr__(self, "T_world_camera", poses)
+        if len(times) != len(poses):
+            raise FormatError(f"trajectory has {len(times)} times but {len(poses)} poses")
+        if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+            raise FormatError("trajectory times must be finite and strictly increasing")
+        for time, pose in zip(times, poses, strict=True):
+            if not se3.is_rigid(pose):
+                raise FormatError(f"trajectory pose at {time:.6f} s is not a rigid motion")
+
+    def __len__(self) -> int:
+        return len(self.timestamps_s)
+
+    def __str__(self) -> str:
+        return f"{len(self)} poses, {self.path_length_m:.3f} m"
+
+    @property
+    def positions_m(self) -> NDArray[np.float64]:
+        """Camera centres [N, 3]."""
+        return self.T_world_camera[:, :3, 3]
+
+    @property
+    def path_length_m(self) -> float:
+        """Sum of the steps between neighbouring camera centres."""
+        return float(np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1).sum())
+
+    def at(self, timestamp_s: float, max_difference_s: float = 1e-4) -> NDArray[np.float64] | None:
+        """The pose [4, 4] whose time is nearest, or None beyond the difference."""
+        if len(self) == 0:
+            return None
+        right = int(np.searchsorted(self.timestamps_s, timestamp_s))
+        candidates = [i for i in (right - 1, right) if 0 <= i < len(self)]
+        nearest = min(candidates, key=lambda i: abs(self.timestamps_s[i] - timestamp_s))
+        if abs(self.timestamps_s[nearest] - timestamp_s) > max_difference_s:
+            return None
+        return self.T_world_camera[nearest]
+
+    def transformed(self, T_new_world: NDArray[np.float64]) -> Trajectory:
+        """The same path in another world frame."""
+        return Trajectory(self.timestamps_s, T_new_world @ self.T_world_camera)
+
+    def associated_to(self, timestamps_s: NDArray[np.float64], max_difference_s: float) -> Trajectory:
+        """The path at other times: the nearest pose, given the asked time's stamp.
+
+        Times without a pose within the difference are left out.
+        """
+        found = [(t, self.at(float(t), max_difference_s)) for t in timestamps_s]
+        kept = [(t, pose) for t, pose in found if pose is not None]
+        if not kept:
+            return Trajectory(np.empty(0), np.empty((0, 4, 4)))
+        return Trajectory(np.array([t for t, _ in kept]), np.stack([p for _, p in kept]))
