@@ -1,0 +1,189 @@
+"""What a data set offers, and the one class that loads frames from files.
+
+A format module only describes a recording: which files belong together, when they were
+taken and by which camera. Loading, undistortion and resizing happen here, once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.resize import ImageGrid, resize_colour
+from toolkit.datasets.undistortion import Undistortion
+from toolkit.errors import DatasetError
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import images
+
+
+class Dataset(Protocol):
+    """A sequence of RGB-D frames that are read when asked for.
+
+    Attributes:
+        name: a short name for reports.
+        camera: intrinsics of every frame, after resizing.
+        ground_truth: camera-to-world poses at the frames' own timestamps; frames without
+            truth are absent. None where there is no truth at all.
+        label_names: class names by id, or None where there are no labels.
+    """
+
+    name: str
+    camera: Camera
+    ground_truth: Trajectory | None
+    label_names: dict[int, str] | None
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int) -> Frame: ...
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """The files of one frame.
+
+    Attributes:
+        timestamp_s: seconds, increasing along the recording.
+        rgb: the colour image.
+        depth: the depth image.
+        labels: the image of class ids, or None.
+    """
+
+    timestamp_s: float
+    rgb: Path
+    depth: Path
+    labels: Path | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a format's module found in a folder; nothing is loaded yet.
+
+    Attributes:
+        name: a short name for reports.
+        camera: intrinsics of the images as they lie on disk.
+        files: one entry a frame, timestamps strictly increasing.
+        depth_scale: depth image values per metre.
+        ground_truth: poses at the frames' timestamps, or None.
+        label_names: class names by id, or None.
+        saturated_is_missing: whether the depth value 65535 means "no depth".
+        distortion: OpenCV's (k1, k2, p1, p2, k3) of both images, or None.
+        colour_may_be_larger: whether colour of another size is brought to the depth's.
+        flaws: one line each about what was found wrong and worked around.
+    """
+
+    name: str
+    camera: Camera
+    files: tuple[FrameFiles, ...]
+    depth_scale: float
+    ground_truth: Trajectory | None = None
+    label_names: dict[int, str] | None = None
+    saturated_is_missing: bool = False
+    distortion: tuple[float, ...] | None = None
+    colour_may_be_larger: bool = False
+    flaws: tuple[str, ...] = field(default=())
+
+
+class RecordedDataset:
+    """The data set of a recording: frames loaded one by one, at the size asked for.
+
+    Args:
+        recording: the description of the files.
+        image_size: (width, height) in pixels, or None for the native size.
+        max_frames: keep this many frames from the start, >= 1, or None for all.
+
+    Raises:
+        DatasetError: there are no frames, or the size or number is not positive.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        image_size: tuple[int, int] | None = None,
+        max_frames: int | None = None,
+    ) -> None:
+        if max_frames is not None and max_frames < 1:
+            raise DatasetError(f"max_frames must be at least 1, got {max_frames}")
+        if not recording.files:
+            raise DatasetError(f"{recording.name} holds no frame; check the path and its layout")
+        self.recording = recording
+        self.name = recording.name
+        self.label_names = recording.label_names
+        self._files = recording.files[:max_frames]
+        self._undistortion = (
+            Undistortion(recording.camera, recording.distortion) if recording.distortion else None
+        )
+        self._grid = ImageGrid(recording.camera, image_size) if image_size else None
+        self.camera = self._grid.camera if self._grid else recording.camera
+        self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @property
+    def timestamps_s(self) -> NDArray[np.float64]:
+        """Times [N] of the frames in seconds."""
+        return np.array([files.timestamp_s for files in self._files])
+
+    def files(self, index: int) -> FrameFiles:
+        """The files of frame `index`."""
+        return self._files[index]
+
+    def __getitem__(self, index: int) -> Frame:
+        """Load frame `index`, 0 <= index < len.
+
+        Raises:
+            IndexError: there is no such frame.
+            DatasetError: one of its files is missing, corrupt or of the wrong size.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)} in {self.name}")
+        files = self._files[index]
+        rgb, depth_m, labels = self._load(files)
+        if self._undistortion:
+            rgb = self._undistortion.colour(rgb)
+            depth_m = self._undistortion.nearest(depth_m)
+            labels = None if labels is None else self._undistortion.nearest(labels)
+        if self._grid:
+            rgb = self._grid.colour(rgb)
+            depth_m = self._grid.nearest(depth_m)
+            labels = None if labels is None else self._grid.nearest(labels)
+        return Frame(index, files.timestamp_s, rgb, depth_m, self.camera, labels)
+
+    def _load(self, files: FrameFiles) -> tuple[NDArray, NDArray, NDArray | None]:
+        """Colour, depth and labels as they lie on disk, of the native camera's size."""
+        recording = self.recording
+        depth_m = images.read_depth_m(
+            files.depth, recording.depth_scale, recording.saturated_is_missing
+        )
+        _check_size(depth_m, recording.camera, files.depth)
+        rgb = images.read_rgb(files.rgb)
+        if recording.colour_may_be_larger and rgb.shape[:2] != depth_m.shape:
+            rgb = resize_colour(rgb, recording.camera.size)
+        _check_size(rgb, recording.camera, files.rgb)
+        labels = None
+        if files.labels is not None:
+            labels = images.read_labels(files.labels)
+            _check_size(labels, recording.camera, files.labels)
+        return rgb, depth_m, labels
+
+
+def _check_size(image: NDArray, camera: Camera, path: Path) -> None:
+    height, width = image.shape[:2]
+    if (width, height) != camera.size:
+        raise DatasetError(
+            f"{path} is {width}x{height} but the camera of this data set is "
+            f"{camera.width}x{camera.height}; colour, depth and intrinsics must be of one size"
+        )
+
+
+def _truth_until(trajectory: Trajectory | None, last_s: float) -> Trajectory | None:
+    if trajectory is None:
+        return None
+    kept = trajectory.timestamps_s <= last_s
+    return Trajectory(trajectory.timestamps_s[kept], trajectory.T_world_camera[kept])

@@ -1,0 +1,147 @@
+"""The toolkit's own plain layout: rgb/, depth/, intrinsics.yaml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import FrameFiles, Recording
+from toolkit.datasets.pairing import (
+    attach_poses,
+    folder_holding,
+    pairing_flaws,
+    read_class_names,
+)
+from toolkit.errors import DatasetError, SettingsError
+from toolkit.geometry.camera import Camera
+from toolkit.io.trajectories import read_tum_lines
+
+DEFAULT_FPS = 30.0
+_REQUIRED = ("fx", "fy", "cx", "cy", "width", "height", "depth_scale")
+_OPTIONAL = ("distortion", "fps")
+_COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """The content of `intrinsics.yaml`: camera, depth values per metre, lens, frame rate."""
+
+    camera: Camera
+    depth_scale: float
+    distortion: tuple[float, ...] | None
+    fps: float
+
+
+def describe(path: Path) -> Recording:
+    """Describe `rgb/STEM.*`, `depth/STEM.png`, `intrinsics.yaml` and optional files.
+
+    Frames are in the order of their stems, by number where all stems are numbers; frame i
+    was taken at i / fps. Optional: `labels/STEM.png` with `labels/classes.json`, and
+    `trajectory.txt` in TUM's form with the same times.
+
+    Raises:
+        DatasetError: the layout is not this one, or `intrinsics.yaml` is not of its form.
+        FormatError: `trajectory.txt` is not of its form.
+    """
+    folder = folder_holding(path, ("rgb", "depth", "intrinsics.yaml"), "folder")
+    intrinsics = read_intrinsics(folder / "intrinsics.yaml")
+    rgb = _by_stem(folder / "rgb", _COLOUR_SUFFIXES)
+    depth = _by_stem(folder / "depth", (".png",))
+    labels = _by_stem(folder / "labels", (".png",))
+    stems = [stem for stem in rgb if stem in depth]
+    files = tuple(
+        FrameFiles(i / intrinsics.fps, rgb[stem], depth[stem], labels.get(stem))
+        for i, stem in enumerate(stems)
+    )
+    trajectory, flaws = None, pairing_flaws(rgb, depth, labels)
+    if (folder / "trajectory.txt").exists():
+        truth = attach_poses(files, _poses(folder / "trajectory.txt", files, intrinsics.fps))
+        trajectory, flaws = truth.trajectory, flaws + truth.flaws
+    return Recording(
+        name=folder.resolve().name,
+        camera=intrinsics.camera,
+        files=files,
+        depth_scale=intrinsics.depth_scale,
+        ground_truth=trajectory,
+        label_names=read_class_names(folder / "labels" / "classes.json") if labels else None,
+        distortion=intrinsics.distortion,
+        flaws=flaws,
+    )
+
+
+def read_intrinsics(path: Path) -> Intrinsics:
+    """Read `intrinsics.yaml`; unknown keys are errors.
+
+    Raises:
+        DatasetError: a key is missing, unknown, of the wrong type or out of range.
+    """
+    values = _load_mapping(path)
+    for key in _REQUIRED:
+        if key not in values:
+            raise DatasetError(f"{path} lacks the key {key}; it needs {', '.join(_REQUIRED)}")
+    for key in values:
+        if key not in _REQUIRED + _OPTIONAL:
+            raise DatasetError(
+                f"{path} has the unknown key {key!r}; known are {', '.join(_REQUIRED + _OPTIONAL)}"
+            )
+    try:
+        numbers = {key: float(values[key]) for key in _REQUIRED}
+        fps = float(values.get("fps", DEFAULT_FPS))
+        distortion = tuple(float(k) for k in values.get("distortion") or ())
+        camera = Camera(
+            numbers["fx"],
+            numbers["fy"],
+            numbers["cx"],
+            numbers["cy"],
+            int(numbers["width"]),
+            int(numbers["height"]),
+        )
+    except (TypeError, ValueError, SettingsError) as error:
+        raise DatasetError(f"{path}: {error}; mend the value") from error
+    if len(distortion) not in (0, 5) or not np.isfinite(distortion).all():
+        raise DatasetError(f"{path}: distortion must be the 5 numbers [k1, k2, p1, p2, k3]")
+    for key, value in (("depth_scale", numbers["depth_scale"]), ("fps", fps)):
+        if not 0 < value < float("inf"):
+            raise DatasetError(f"{path}: {key} must be positive, got {value}")
+    return Intrinsics(camera, numbers["depth_scale"], distortion or None, fps)
+
+
+def _load_mapping(path: Path) -> dict:
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise DatasetError(f"cannot read {path}: {reason}; it must be YAML") from error
+    if not isinstance(values, dict):
+        raise DatasetError(f"{path} must hold `key: value` lines: {', '.join(_REQUIRED)}")
+    return values
+
+
+def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Files by stem, in the order of their numbers if all are numbers, else of their names."""
+    found = (
+        {f.stem: f for f in folder.iterdir() if f.suffix.lower() in suffixes}
+        if folder.is_dir()
+        else {}
+    )
+    by_number = all(_is_number(stem) for stem in found)
+    return dict(sorted(found.items(), key=lambda item: float(item[0]) if by_number else item[0]))
+
+
+def _is_number(text: str) -> bool:
+    return text.replace(".", "", 1).isdigit()
+
+
+def _poses(
+    path: Path, files: tuple[FrameFiles, ...], fps: float
+) -> list[NDArray[np.float64] | None]:
+    """The pose of each frame: the one whose time is nearest to index / fps, if within half."""
+    poses = read_tum_lines(path)
+    found: dict[int, NDArray[np.float64]] = {}
+    for time, pose in zip(poses.timestamps_s, poses.T_world_camera, strict=True):
+        found.setdefault(round(float(time) * fps), pose)
+    return [found.get(i) for i in range(len(files))]

@@ -1,0 +1,58 @@
+"""Read frames ahead of their use, in one background thread."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterable, Iterator
+
+from toolkit.datasets.base import Dataset
+from toolkit.frame import Frame
+
+_END = object()
+# How long a blocked reader waits before it looks whether anyone still wants frames.
+_POLL_S = 0.05
+
+
+def prefetched(dataset: Dataset, indices: Iterable[int], ahead: int = 4) -> Iterator[Frame]:
+    """The frames of these indices in order, up to `ahead` of them read in advance.
+
+    Errors of reading are raised here, in place of the frame. The thread ends when the
+    iterator is exhausted or closed.
+
+    Args:
+        dataset: where the frames come from; used by the thread alone meanwhile.
+        indices: the frames wanted.
+        ahead: frames held in memory beside the one in use, >= 1.
+    """
+    waiting: queue.Queue = queue.Queue(maxsize=ahead)
+    closed = threading.Event()
+
+    def put(item: object) -> bool:
+        while not closed.is_set():
+            try:
+                waiting.put(item, timeout=_POLL_S)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+    def read() -> None:
+        try:
+            for index in indices:
+                if not put(dataset[index]):
+                    return
+            put(_END)
+        except BaseException as error:  # handed to the consumer, whatever it is
+            put(error)
+
+    reader = threading.Thread(target=read, name="prefetch", daemon=True)
+    reader.start()
+    try:
+        while (item := waiting.get()) is not _END:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        closed.set()
+        reader.join()

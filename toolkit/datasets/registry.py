@@ -1,0 +1,68 @@
+"""Open a data set by the name of its kind."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from toolkit.datasets import folder, replica, scannet, seven_scenes, tum
+from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.errors import DatasetError
+
+_log = logging.getLogger(__name__)
+
+KINDS: dict[str, Callable[[Path], Recording]] = {
+    "synthetic": replica.describe,
+    "tum": tum.describe,
+    "replica": replica.describe,
+    "seven-scenes": seven_scenes.describe,
+    "scannet": scannet.describe,
+    "folder": folder.describe,
+}
+
+
+def open_dataset(
+    kind: str,
+    path: str | os.PathLike[str],
+    image_size: tuple[int, int] | None = None,
+    max_frames: int | None = None,
+) -> RecordedDataset:
+    """Open a data set; frames are read when they are asked for.
+
+    The first frame is loaded at once, so that a wrong path, size or scale is told before
+    any work begins.
+
+    Args:
+        kind: one of `KINDS`; synthetic rooms are written in Replica's layout.
+        path: its folder.
+        image_size: (width, height) in pixels to scale and crop to, or None for native size.
+        max_frames: keep this many frames from the start, or None for all.
+
+    Raises:
+        DatasetError: the kind is unknown, or the data set is missing or inconsistent.
+        FormatError: a text file of it is not of its form.
+    """
+    dataset = RecordedDataset(describe(kind, path), image_size, max_frames)
+    first = dataset[0]
+    if not first.depth_m.any():
+        raise DatasetError(
+            f"{dataset.files(0).depth} holds no depth at all; remove the first frame or "
+            f"check how its depth was saved"
+        )
+    for flaw in dataset.recording.flaws:
+        _log.warning("%s: %s", dataset.name, flaw)
+    return dataset
+
+
+def describe(kind: str, path: str | os.PathLike[str]) -> Recording:
+    """Describe the recording in a folder without loading its frames.
+
+    Raises:
+        DatasetError: the kind is unknown, or the data set is missing or inconsistent.
+        FormatError: a text file of it is not of its form.
+    """
+    if kind not in KINDS:
+        raise DatasetError(f"unknown data set kind {kind!r}; known are {', '.join(KINDS)}")
+    return KINDS[kind](Path(path))

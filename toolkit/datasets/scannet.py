@@ -1,0 +1,76 @@
+"""ScanNet as frames exported from its .sens files (data_tools/export_sens.py)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from toolkit.datasets.base import Recording
+from toolkit.datasets.pairing import (
+    attach_poses,
+    camera_of_matrix,
+    folder_holding,
+    numbered,
+    pair_numbered,
+    pairing_flaws,
+    read_class_names,
+)
+from toolkit.errors import DatasetError
+from toolkit.geometry.camera import Camera
+from toolkit.io.images import read_depth_m, read_rgb
+from toolkit.io.trajectories import read_matrix
+
+FPS = 30.0
+DEPTH_SCALE = 1000.0
+
+
+def describe(path: Path) -> Recording:
+    """Describe `color/N.jpg`, `depth/N.png`, `pose/N.txt`, `intrinsic/intrinsic_depth.txt`.
+
+    Without the depth camera's matrix `intrinsic/intrinsic_color.txt` is scaled to the depth
+    image, which ScanNet registers to colour; colour is brought to the depth's size. Poses
+    that are not finite are gaps in the truth. `labels/N.png` with `labels/classes.json`
+    are optional.
+
+    Raises:
+        DatasetError: the layout is not this one.
+        FormatError: a pose or the intrinsics are not a matrix.
+    """
+    folder = folder_holding(path, ("color", "depth"), "ScanNet")
+    rgb = numbered(folder / "color", r"(\d+)\.(?:jpg|png)")
+    depth = numbered(folder / "depth", r"(\d+)\.png")
+    labels = numbered(folder / "labels", r"(\d+)\.png")
+    pose_files = numbered(folder / "pose", r"(\d+)\.txt")
+    files = pair_numbered(rgb, depth, labels, FPS)
+    if not files:
+        raise DatasetError(f"{folder} holds no color/N.jpg with its depth/N.png; export them again")
+    poses = [read_matrix(pose_files[n]) if n in pose_files else None for n in rgb if n in depth]
+    truth = attach_poses(files, poses) if pose_files else None
+    return Recording(
+        name=folder.resolve().name,
+        camera=_camera(folder, files[0].rgb, files[0].depth),
+        files=files,
+        depth_scale=DEPTH_SCALE,
+        ground_truth=truth.trajectory if truth else None,
+        label_names=read_class_names(folder / "labels" / "classes.json") if labels else None,
+        colour_may_be_larger=True,
+        flaws=pairing_flaws(rgb, depth, labels) + (truth.flaws if truth else ()),
+    )
+
+
+def _camera(folder: Path, rgb_file: Path, depth_file: Path) -> Camera:
+    """The depth image's camera."""
+    height, width = read_depth_m(depth_file, DEPTH_SCALE).shape
+    own, colours = (
+        folder / "intrinsic" / name for name in ("intrinsic_depth.txt", "intrinsic_color.txt")
+    )
+    file = own if own.exists() else colours
+    if not file.exists():
+        raise DatasetError(
+            f"{folder} has no intrinsic/intrinsic_depth.txt nor intrinsic_color.txt; export "
+            f"the .sens file again (data_tools/export_sens.py)"
+        )
+    if file == own:
+        return camera_of_matrix(own, width, height)
+    colour_height, colour_width = read_rgb(rgb_file).shape[:2]
+    colour = camera_of_matrix(colours, colour_width, colour_height)
+    return colour.scaled(width / colour_width, height / colour_height, width, height)

@@ -1,0 +1,94 @@
+"""7-Scenes: one sequence folder of colour, depth and pose files."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import Recording
+from toolkit.datasets.pairing import (
+    attach_poses,
+    camera_of_matrix,
+    numbered,
+    pair_numbered,
+    pairing_flaws,
+)
+from toolkit.errors import DatasetError
+from toolkit.geometry.camera import Camera
+from toolkit.io.images import read_rgb
+from toolkit.io.trajectories import read_matrix
+
+FPS = 30.0
+DEPTH_SCALE = 1000.0
+_STANDARD_FOCAL = 585.0
+
+_log = logging.getLogger(__name__)
+
+
+def describe(path: Path) -> Recording:
+    """Describe `frame-N.color.png|jpg`, `frame-N.depth.png`, `frame-N.pose.txt`.
+
+    The camera is that of `camera-intrinsics.txt` (a 3x3 matrix) where present, else the
+    standard 585 pixels, with a warning. Depth 0 and 65535 are missing.
+
+    Raises:
+        DatasetError: the layout is not this one.
+        FormatError: the intrinsics are not a matrix.
+    """
+    if not path.is_dir():
+        raise DatasetError(f"{path} is not a folder; give the folder of a 7-Scenes sequence")
+    folder = _sequence_folder(path)
+    rgb = numbered(folder, r"frame-(\d+)\.color\.(?:png|jpg)")
+    depth = numbered(folder, r"frame-(\d+)\.depth\.png")
+    pose_files = numbered(folder, r"frame-(\d+)\.pose\.txt")
+    files = pair_numbered(rgb, depth, {}, FPS)
+    if not files:
+        raise DatasetError(
+            f"{folder} holds no frame-N.color.png (or .jpg) with its frame-N.depth.png; "
+            f"check the path and the data set's kind"
+        )
+    flaws = pairing_flaws(rgb, depth, {})
+    height, width = read_rgb(files[0].rgb).shape[:2]
+    poses = [_pose(pose_files.get(n)) for n in rgb if n in depth]
+    truth = attach_poses(files, poses) if pose_files else None
+    return Recording(
+        name=folder.resolve().name,
+        camera=_camera(folder, width, height),
+        files=files,
+        depth_scale=DEPTH_SCALE,
+        ground_truth=truth.trajectory if truth else None,
+        saturated_is_missing=True,
+        flaws=flaws + (truth.flaws if truth else ()),
+    )
+
+
+def _sequence_folder(path: Path) -> Path:
+    """`path`, or its only child with frames."""
+    if any(path.glob("frame-*.color.*")):
+        return path
+    children = [c for c in sorted(path.iterdir()) if c.is_dir() and any(c.glob("frame-*.color.*"))]
+    if len(children) > 1:
+        raise DatasetError(
+            f"{path} holds {len(children)} sequences; give the path of one, for example "
+            f"{children[0]}"
+        )
+    return children[0] if children else path
+
+
+def _camera(folder: Path, width: int, height: int) -> Camera:
+    file = folder / "camera-intrinsics.txt"
+    if not file.exists():
+        _log.warning(
+            "%s has no camera-intrinsics.txt: taking 7-Scenes' standard focal length %g",
+            folder,
+            _STANDARD_FOCAL,
+        )
+        return Camera(_STANDARD_FOCAL, _STANDARD_FOCAL, width / 2, height / 2, width, height)
+    return camera_of_matrix(file, width, height)
+
+
+def _pose(file: Path | None) -> NDArray[np.float64] | None:
+    return None if file is None else read_matrix(file)

@@ -1,0 +1,156 @@
+"""TUM RGB-D: colour, depth and motion capture, each with times of its own."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import FrameFiles, Recording
+from toolkit.datasets.pairing import attach_poses, folder_holding, listed, unpaired
+from toolkit.errors import DatasetError
+from toolkit.geometry.camera import Camera
+from toolkit.io.trajectories import read_tum_lines, text_lines
+
+# The benchmark's own association tool allows this much between images of one frame.
+MAX_DIFFERENCE_S = 0.02
+DEPTH_SCALE = 5000.0
+
+
+@dataclass(frozen=True)
+class _Calibration:
+    camera: Camera
+    distortion: tuple[float, ...] | None
+
+
+# The benchmark's calibration of each Kinect's colour camera; depth is registered to it.
+# The images of freiburg3 are published undistorted.
+CALIBRATIONS = {
+    1: _Calibration(
+        Camera(517.3, 516.5, 318.6, 255.3, 640, 480), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    ),
+    2: _Calibration(
+        Camera(520.9, 521.0, 325.1, 249.7, 640, 480), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+    ),
+    3: _Calibration(Camera(535.4, 539.2, 320.1, 247.6, 640, 480), None),
+}
+
+
+def describe(path: Path) -> Recording:
+    """Describe a sequence folder, or the folder whose only child it is.
+
+    Colour and depth are paired one to one by the smallest difference in time, at most
+    20 ms; a frame has the time of its colour image and the nearest pose in time.
+
+    Raises:
+        DatasetError: the layout is not TUM's or the camera is not told by the name.
+        FormatError: a list file holds a line that is not of its form.
+    """
+    folder = folder_holding(path, ("rgb.txt", "depth.txt"), "TUM")
+    calibration = _calibration(folder, path)
+    rgb, rgb_flaws = _read_list(folder / "rgb.txt")
+    depth, depth_flaws = _read_list(folder / "depth.txt")
+    pairs = associate(rgb.times_s, depth.times_s, MAX_DIFFERENCE_S)
+    files = tuple(FrameFiles(float(rgb.times_s[i]), rgb.files[i], depth.files[j]) for i, j in pairs)
+    alone = sorted(set(range(len(rgb.files))) - {i for i, _ in pairs})
+    trajectory = None
+    truth_flaws: tuple[str, ...] = ()
+    if (folder / "groundtruth.txt").exists():
+        truth = attach_poses(files, _poses_at(folder / "groundtruth.txt", files))
+        trajectory, truth_flaws = truth.trajectory, truth.flaws
+    return Recording(
+        name=folder.name,
+        camera=calibration.camera,
+        files=files,
+        depth_scale=DEPTH_SCALE,
+        ground_truth=trajectory,
+        distortion=calibration.distortion,
+        flaws=(
+            *rgb_flaws,
+            *depth_flaws,
+            *unpaired(
+                "colour image(s) without depth within 20 ms", [rgb.files[i].name for i in alone]
+            ),
+            *truth_flaws,
+        ),
+    )
+
+
+def associate(
+    times_a: NDArray[np.float64], times_b: NDArray[np.float64], max_difference: float
+) -> list[tuple[int, int]]:
+    """Index pairs (a, b), one to one, the smallest differences first, ordered by a.
+
+    Both arrays are ascending.
+    """
+    candidates = []
+    for i, time in enumerate(times_a):
+        low, high = np.searchsorted(times_b, [time - max_difference, time + max_difference])
+        candidates += [(abs(times_b[j] - time), i, int(j)) for j in range(low, high)]
+    used_a: set[int] = set()
+    used_b: set[int] = set()
+    pairs = []
+    for _, i, j in sorted(candidates):
+        if i not in used_a and j not in used_b:
+            used_a.add(i)
+            used_b.add(j)
+            pairs.append((i, j))
+    return sorted(pairs)
+
+
+@dataclass(frozen=True)
+class _ImageList:
+    times_s: NDArray[np.float64]
+    files: list[Path]
+
+
+def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
+    """The `time file` lines of rgb.txt or depth.txt in order of time, and flaws found."""
+    entries = []
+    for number, line in text_lines(path):
+        words = line.split(maxsplit=1)
+        try:
+            entries.append((float(words[0]), path.parent / words[1]))
+        except (ValueError, IndexError) as error:
+            raise DatasetError(
+                f"{path}, line {number}: expected `time file`, got {line!r}; mend the line"
+            ) from error
+    times = [time for time, _ in entries]
+    late = [
+        file.name
+        for (time, file), before in zip(entries[1:], times, strict=False)
+        if time <= before
+    ]
+    flaws = (f"{path.name}: timestamps out of order at {listed(late)}",) if late else ()
+    ordered = dict(sorted(entries, key=lambda entry: entry[0]))
+    return _ImageList(np.array(list(ordered)), list(ordered.values())), flaws
+
+
+def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.float64] | None]:
+    """The pose nearest in time to each frame, None beyond 20 ms."""
+    poses = read_tum_lines(path)
+    if len(poses.timestamps_s) == 0:
+        return [None] * len(files)
+    order = np.argsort(poses.timestamps_s, kind="stable")
+    times = poses.timestamps_s[order]
+    found: list[NDArray[np.float64] | None] = []
+    for frame in files:
+        right = int(np.clip(np.searchsorted(times, frame.timestamp_s), 1, len(times) - 1))
+        nearest = min((right - 1, right), key=lambda i: abs(times[i] - frame.timestamp_s))
+        close = abs(times[nearest] - frame.timestamp_s) <= MAX_DIFFERENCE_S
+        found.append(poses.T_world_camera[order[nearest]] if close else None)
+    return found
+
+
+def _calibration(folder: Path, path: Path) -> _Calibration:
+    for name in (folder.resolve().name, path.resolve().name):
+        match = re.search(r"freiburg(\d)", name)
+        if match and int(match.group(1)) in CALIBRATIONS:
+            return CALIBRATIONS[int(match.group(1))]
+    raise DatasetError(
+        f"{folder}: the folder's name does not tell the camera; name it as TUM does "
+        f"(...freiburg1..., 2 or 3), or lay it out as a `folder` data set with intrinsics.yaml"
+    )

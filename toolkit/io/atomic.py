@@ -1,0 +1,73 @@
+"""Files that are either whole or not there, also after `kill -9`."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from toolkit.errors import RunFolderError
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary sibling to write into, which becomes `path` when the block ends well.
+
+    The sibling keeps the suffix of `path`, since some writers choose the format by it.
+
+    Raises:
+        RunFolderError: the file cannot be written (disk full, no permission, no folder).
+    """
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=".writing-", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes private files; results are as readable as any other file.
+        temporary.chmod(0o666 & ~_umask())
+        sync(temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a whole file or nothing.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file or a folder's list of names is on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def cannot_write(path: Path, error: OSError) -> RunFolderError:
+    """The one-line error for a file or folder that could not be written."""
+    return RunFolderError(
+        f"cannot write {path}: {error.strerror or error}; free space there, "
+        f"allow writing, or choose another place"
+    )
+
+
+def _umask() -> int:
+    # Python can only read the mask by setting it.
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

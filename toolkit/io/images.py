@@ -1,0 +1,189 @@
+"""Colour, depth and label images: files on one side, plain arrays on the other.
+
+Decoders accept images that end early (a JPEG's rest turns grey, a PNG's tail goes
+unnoticed) and only mutter on stderr, so a file's structure is checked first.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import DatasetError, DependencyError
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.io.atomic import write_bytes
+
+PathLike = str | os.PathLike[str]
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+SATURATED_DEPTH = 65535
+
+
+def read_rgb(path: PathLike) -> NDArray[np.float32]:
+    """Read a colour image as [H, W, 3] float32 RGB in [0, 1]; grey becomes RGB, alpha goes.
+
+    Raises:
+        DatasetError: the file is missing, truncated, corrupt or not an image.
+    """
+    image = _read(Path(path))
+    if image.dtype not in (np.uint8, np.uint16):
+        raise DatasetError(f"{path} holds {image.dtype} pixels; colour must have 8 or 16 bits")
+    if image.shape[2] < 3:
+        image = np.repeat(image[..., :1], 3, axis=2)
+    return image[..., :3].astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+
+
+def read_depth_m(
+    path: PathLike, scale: float, saturated_is_missing: bool = False
+) -> NDArray[np.float32]:
+    """Read a 16-bit depth PNG as [H, W] float32 metres, 0 where missing.
+
+    Args:
+        path: the image file; its value 0 means "no depth".
+        scale: values per metre, > 0 (metres = value / scale).
+        saturated_is_missing: whether 65535 means "no depth" as well (7-Scenes).
+
+    Raises:
+        DatasetError: the file is missing, truncated, corrupt or not 16-bit grey.
+    """
+    raw = _read(Path(path))
+    if raw.dtype != np.uint16 or raw.shape[2] != 1:
+        raise DatasetError(
+            f"{path} is no depth image: {raw.shape[2]} channel(s) of {raw.dtype}; "
+            f"save depth as a 16-bit PNG with one channel"
+        )
+    raw = raw[..., 0]
+    depth_m = raw.astype(np.float32) / np.float32(scale)
+    if saturated_is_missing:
+        depth_m[raw == SATURATED_DEPTH] = 0.0
+    return depth_m
+
+
+def read_labels(path: PathLike) -> NDArray[np.int32]:
+    """Read an 8- or 16-bit grey PNG of class ids as [H, W] int32.
+
+    Raises:
+        DatasetError: the file is missing, truncated, corrupt or not a grey image.
+    """
+    raw = _read(Path(path))
+    if raw.dtype not in (np.uint8, np.uint16) or raw.shape[2] != 1:
+        raise DatasetError(
+            f"{path} is no label image: {raw.shape[2]} channel(s) of {raw.dtype}; "
+            f"save class ids as an 8- or 16-bit PNG with one channel"
+        )
+    return raw[..., 0].astype(np.int32)
+
+
+def write_rgb(path: PathLike, rgb: NDArray[np.floating]) -> None:
+    """Write [H, W, 3] RGB in [0, 1] (clamped) as the format of the suffix, 8 bits a channel.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    values = np.clip(np.asarray(rgb, dtype=np.float32), 0.0, 1.0) * 255.0
+    _write(Path(path), cv2.cvtColor(np.rint(values).astype(np.uint8), cv2.COLOR_RGB2BGR))
+
+
+def write_depth_png(path: PathLike, depth_m: NDArray[np.floating], scale: float) -> None:
+    """Write [H, W] metres as a 16-bit PNG of round(depth * scale), 0 where missing.
+
+    Depth beyond 65535 / scale metres is written as missing: a clamped wall would lie.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    values = np.rint(np.nan_to_num(np.asarray(depth_m, dtype=np.float64), posinf=0.0) * scale)
+    values[(values < 0) | (values > SATURATED_DEPTH)] = 0
+    _write(Path(path), values.astype(np.uint16))
+
+
+def write_png(path: PathLike, image: NDArray[np.integer]) -> None:
+    """Write [H, W] or [H, W, 3] (RGB) uint8 or uint16 values as they are.
+
+    Raises:
+        ValueError: another type of values.
+        RunFolderError: the file cannot be written.
+    """
+    if image.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"PNG values must be uint8 or uint16, got {image.dtype}")
+    _write(Path(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)
+
+
+def check_whole(path: PathLike) -> None:
+    """Check that an image file is there and structurally whole, without decoding it.
+
+    Raises:
+        DatasetError: missing, empty, truncated, or a PNG whose checksums do not fit.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise DatasetError(
+            f"cannot read image {path}: {error.strerror}; check the path and its permissions"
+        ) from error
+    if content.startswith(_PNG_SIGNATURE):
+        fault = _png_fault(content)
+    elif content.startswith(_JPEG_START):
+        # Inside a scan 0xFF is always stuffed, so an end marker after the last scan is real.
+        whole = content.rfind(_JPEG_END) > content.rfind(_JPEG_SCAN)
+        fault = None if whole else "is truncated"
+    else:
+        fault = "is empty" if not content else "is neither PNG nor JPEG"
+    if fault:
+        raise DatasetError(f"image {path} {fault}; copy or convert it again, or remove the frame")
+
+
+def _png_fault(content: bytes) -> str | None:
+    """What is wrong with a PNG's chain of chunks, if anything."""
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, position)
+        end = position + 12 + length
+        if end > len(content):
+            break
+        (checksum,) = struct.unpack_from(">I", content, end - 4)
+        if zlib.crc32(content[position + 4 : end - 4]) != checksum:
+            return "is corrupt (a checksum does not fit)"
+        if kind == b"IEND":
+            return None
+        position = end
+    return "is truncated"
+
+
+def _read(path: Path) -> NDArray:
+    """The pixels [H, W, C] of an image file, channels in RGB(A) order, in its own type."""
+    check_whole(path)
+    try:
+        image = open3d().t.io.read_image(str(path)).as_tensor().numpy()
+    except DependencyError:
+        image = _read_with_opencv(path)
+    except RuntimeError as error:
+        raise DatasetError(f"image {path} cannot be decoded ({error}); convert it again") from error
+    if image.size == 0:
+        raise DatasetError(f"image {path} cannot be decoded; copy or convert it again")
+    return image
+
+
+def _read_with_opencv(path: Path) -> NDArray:
+    """The same pixels by OpenCV, for machines without Open3D's system libraries."""
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        return np.empty((0, 0, 1), np.uint8)
+    if image.ndim == 2:
+        return image[..., None]
+    to_rgb = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return cv2.cvtColor(image, to_rgb)
+
+
+def _write(path: Path, image: NDArray) -> None:
+    done, content = cv2.imencode(path.suffix or ".png", image)
+    if not done:
+        raise ValueError(f"OpenCV cannot encode {path.name}")
+    write_bytes(path, content.tobytes())

@@ -1,0 +1,196 @@
+"""Trajectory files: TUM, Replica (NICE-SLAM) and Open3D's logs."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import DatasetError, FormatError
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.atomic import write_bytes
+
+PathLike = str | os.PathLike[str]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class TimedPoses:
+    """Poses as they stand in a file: unsorted, and NaN where the file has no finite pose.
+
+    Attributes:
+        timestamps_s: [N] float64, seconds.
+        T_world_camera: [N, 4, 4] float64, camera to world, metres.
+    """
+
+    timestamps_s: NDArray[np.float64]
+    T_world_camera: NDArray[np.float64]
+
+
+def read_tum(path: PathLike) -> Trajectory:
+    """Read `time tx ty tz qx qy qz qw` lines (seconds, metres, camera to world).
+
+    Of lines that repeat a time the first counts; TUM's own fr2/desk truth has such a pair.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: a line is not eight finite numbers, or times run backwards.
+    """
+    poses = read_tum_lines(path)
+    first = np.diff(poses.timestamps_s, prepend=-np.inf) != 0
+    if not first.all():
+        _log.warning("%s: %d line(s) repeat a time and are left out", path, (~first).sum())
+    return _checked(path, poses.timestamps_s[first], poses.T_world_camera[first])
+
+
+def read_tum_lines(path: PathLike) -> TimedPoses:
+    """Read a TUM file as `read_tum`, but forgive order and poses that are not finite.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: a line does not hold eight numbers, or its time is not finite.
+    """
+    times: list[float] = []
+    poses: list[NDArray[np.float64]] = []
+    for number, values in number_lines(path):
+        if len(values) != 8 or not np.isfinite(values[0]):
+            raise FormatError(
+                f"{path}, line {number}: expected 8 numbers (time tx ty tz qx qy qz qw), "
+                f"got {len(values)}; mend or remove the line"
+            )
+        times.append(float(values[0]))
+        poses.append(_pose(values[1:4], values[4:8]))
+    return TimedPoses(np.array(times), np.array(poses).reshape(-1, 4, 4))
+
+
+def write_tum(path: PathLike, trajectory: Trajectory) -> None:
+    """Write `time tx ty tz qx qy qz qw` lines, the same bytes for the same values.
+
+    Nine decimals (nanometres) keep a pose to about 1e-9 in a round trip.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    lines = ["# timestamp_s tx ty tz qx qy qz qw (camera to world, metres)\n"]
+    for time, T in zip(trajectory.timestamps_s, trajectory.T_world_camera, strict=True):
+        values = [*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3])]
+        # Adding zero turns -0.0 into 0.0, which would print its sign.
+        lines.append(f"{time:.6f} " + " ".join(f"{v + 0.0:.9f}" for v in values) + "\n")
+    write_bytes(path, "".join(lines).encode("ascii"))
+
+
+def read_matrix_lines(path: PathLike) -> NDArray[np.float64]:
+    """Poses [N, 4, 4] of a file with 16 numbers (row by row) a line, as Replica's `traj.txt`.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: a line does not hold 16 numbers.
+    """
+    rows = []
+    for number, values in number_lines(path):
+        if len(values) != 16:
+            raise FormatError(
+                f"{path}, line {number}: expected 16 numbers (a 4x4 matrix, row by row), "
+                f"got {len(values)}; mend or remove the line"
+            )
+        rows.append(values)
+    return np.array(rows, dtype=np.float64).reshape(-1, 4, 4)
+
+
+def read_replica_traj(path: PathLike, fps: float = 30.0) -> Trajectory:
+    """Read Replica's `traj.txt`: camera-to-world matrices, one a line, at index / fps seconds.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: a line is not 16 numbers, or a pose is not a rigid motion.
+    """
+    poses = read_matrix_lines(path)
+    return _checked(path, np.arange(len(poses)) / fps, poses)
+
+
+def read_matrix(path: PathLike) -> NDArray[np.float64]:
+    """The 4x4 or 3x3 matrix that fills a text file; infinite entries are allowed.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: it holds no such matrix.
+    """
+    rows = [values for _, values in number_lines(path)]
+    side = len(rows)
+    if side not in (3, 4) or any(len(row) != side for row in rows):
+        raise FormatError(f"{path} must hold a 4x4 or 3x3 matrix, one row a line; export it again")
+    return np.array(rows)
+
+
+def read_open3d_log(path: PathLike, fps: float = 30.0) -> Trajectory:
+    """Read Open3D's `.log`: a line of three integers, then a 4x4 matrix, for each frame.
+
+    The format has no times; frame i gets i / fps seconds.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: the lines do not come in such groups of five.
+    """
+    rows = [values for _, values in number_lines(path)]
+    groups = [rows[i : i + 5] for i in range(0, len(rows), 5)]
+    if any([len(row) for row in group] != [3, 4, 4, 4, 4] for group in groups):
+        raise FormatError(
+            f"{path} is no Open3D log: expected groups of one line with 3 integers and "
+            f"4 lines with 4 numbers; save the trajectory again"
+        )
+    poses = np.array([group[1:] for group in groups]).reshape(-1, 4, 4)
+    return _checked(path, np.arange(len(poses)) / fps, poses)
+
+
+def text_lines(path: PathLike) -> Iterator[tuple[int, str]]:
+    """The lines of a text file that hold something, with their numbers from 1; # comments go.
+
+    Raises:
+        DatasetError: the file cannot be read.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise DatasetError(f"cannot read {path}: {reason}; check the path") from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        content = line.split("#", 1)[0].strip()
+        if content:
+            yield number, content
+
+
+def number_lines(path: PathLike) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """The numbers of each line that holds any, with its line number from 1.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: a word is not a number.
+    """
+    for number, line in text_lines(path):
+        try:
+            values = np.array([float(word) for word in line.replace(",", " ").split()])
+        except ValueError as error:
+            raise FormatError(f"{path}, line {number}: {error}; mend or remove the line") from error
+        yield number, values
+
+
+def _pose(translation_m: NDArray, quaternion_xyzw: NDArray) -> NDArray[np.float64]:
+    finite = np.isfinite(translation_m).all() and np.isfinite(quaternion_xyzw).all()
+    if not finite or np.linalg.norm(quaternion_xyzw) < 1e-6:
+        return np.full((4, 4), np.nan)
+    R = se3.rotation_from_quaternion_xyzw(quaternion_xyzw)
+    return se3.from_rotation_translation(R, translation_m)
+
+
+def _checked(path: PathLike, times_s: NDArray, poses: NDArray) -> Trajectory:
+    try:
+        return Trajectory(times_s, poses)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}; mend the file") from error
