@@ -1,0 +1,15 @@
+"""Splat rendering: one call, several backends."""
+
+from toolkit.rendering.backend import TILE, GaussianGradients, region_of_pixels, tile_counts
+from toolkit.rendering.output import RenderOutput
+from toolkit.rendering.render import backend, render
+
+__all__ = [
+    "TILE",
+    "GaussianGradients",
+    "RenderOutput",
+    "backend",
+    "region_of_pixels",
+    "render",
+    "tile_counts",
+]

@@ -1,0 +1,84 @@
+"""What every rendering backend offers: a forward pass and, later, its backward pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+
+TILE = 16  # pixels; regions are masks of tiles
+NEAR_M = 0.01  # nothing closer to the camera is drawn
+ALPHA_CUT = 1.0 / 255.0  # weaker contributions are dropped
+ALPHA_MAX = 0.999  # keeps 1 / (1 - alpha) finite
+TRANSMITTANCE_CUT = 1e-4  # native stops a 4x4 block of pixels below it
+
+
+@dataclass(frozen=True)
+class GaussianGradients:
+    """Gradients of the V Gaussians that a view shows, and of the view's pose.
+
+    Attributes:
+        ids: [V] int64, ascending indices into the cloud; all others have gradient zero.
+        means: [V, 3]. log_radii: [V]. opacity_logits: [V].
+        colours: [V, 3], or None where nobody asked.
+        features: [V, S].
+        T_camera_map: [3, 4] float64, derivative by each matrix entry.
+    """
+
+    ids: Tensor
+    means: Tensor
+    log_radii: Tensor
+    opacity_logits: Tensor
+    colours: Tensor | None
+    features: Tensor
+    T_camera_map: Tensor
+
+
+class ForwardPass(Protocol):
+    """One drawn view."""
+
+    images: Tensor  # [5 + S, H, W], detached
+
+    def backward(self, image_gradients: Tensor, colours: bool = True) -> GaussianGradients:
+        """Gradients of a scalar whose derivative by the images [5 + S, H, W] is given.
+
+        May be called once. `colours=False` skips the colour gradients (pose-only tracking).
+        """
+        ...
+
+
+class Backend(Protocol):
+    """Draws views."""
+
+    name: str
+
+    def forward(
+        self,
+        gaussians: GaussianCloud,
+        camera: Camera,
+        T_camera_map: NDArray[np.float64],
+        features: Tensor | None,
+        region: Tensor | None,
+    ) -> ForwardPass:
+        """Draw the Gaussians as seen from the camera; see `toolkit.rendering.render`."""
+        ...
+
+
+def tile_counts(camera: Camera) -> tuple[int, int]:
+    """(rows, columns) of tiles that cover the camera's image."""
+    return -(-camera.height // TILE), -(-camera.width // TILE)
+
+
+def region_of_pixels(mask: Tensor) -> Tensor:
+    """Tiles [rows, columns] that hold at least one marked pixel of a mask [H, W]."""
+    height, width = mask.shape
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    padded = torch.nn.functional.pad(mask, (0, columns * TILE - width, 0, rows * TILE - height))
+    return padded.view(rows, TILE, columns, TILE).any(dim=3).any(dim=1)

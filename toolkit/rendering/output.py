@@ -1,0 +1,57 @@
+"""What a rendering is made of, whichever backend drew it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+# Channel order of the one image tensor that backends exchange, [5 + S, H, W].
+COLOUR = slice(0, 3)
+DEPTH_SUM = 3
+SILHOUETTE = 4
+FEATURES = slice(5, None)
+BASE_CHANNELS = 5
+
+# Pixels emptier than this have no depth worth the name.
+_LEAST_SILHOUETTE = 1e-4
+
+
+@dataclass(frozen=True)
+class RenderOutput:
+    """One rendering, differentiable where its inputs were.
+
+    Attributes:
+        images: [5 + S, H, W] float32: red, green, blue, depth sum, silhouette, features,
+            each the sum over Gaussians of weight times value (H-19, H-20, G-1).
+    """
+
+    images: Tensor
+
+    @property
+    def colour(self) -> Tensor:
+        """RGB [H, W, 3], premultiplied by the silhouette (black background)."""
+        return self.images[COLOUR].permute(1, 2, 0)
+
+    @property
+    def depth_sum_m(self) -> Tensor:
+        """Weighted sum of depths [H, W] in metres: not a surface where it is translucent."""
+        return self.images[DEPTH_SUM]
+
+    @property
+    def silhouette(self) -> Tensor:
+        """Accumulated opacity [H, W] in [0, 1]."""
+        return self.images[SILHOUETTE]
+
+    @property
+    def depth_m(self) -> Tensor:
+        """Depth of the surface [H, W] in metres: the depth sum over the silhouette, 0 if empty."""
+        drawn = self.silhouette > _LEAST_SILHOUETTE
+        safe = torch.where(drawn, self.silhouette, torch.ones_like(self.silhouette))
+        return torch.where(drawn, self.depth_sum_m / safe, torch.zeros_like(safe))
+
+    @property
+    def features(self) -> Tensor:
+        """Feature channels [H, W, S], weighted sums like the colour."""
+        return self.images[FEATURES].permute(1, 2, 0)

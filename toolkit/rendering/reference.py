@@ -1,0 +1,155 @@
+"""The renderer in plain torch: obvious, differentiable by autograd, any float type.
+
+Every other backend is tested against it, and it takes over where nothing was compiled.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.backend import (
+    ALPHA_CUT,
+    ALPHA_MAX,
+    NEAR_M,
+    TILE,
+    GaussianGradients,
+    tile_counts,
+)
+
+
+def composite(
+    gaussians: GaussianCloud,
+    camera: Camera,
+    T_camera_map: Tensor,
+    features: Tensor | None = None,
+    region: Tensor | None = None,
+) -> Tensor:
+    """Images [5 + S, H, W] of the Gaussians (H-19, H-20, G-1), differentiable in all of them.
+
+    Args:
+        T_camera_map: [3, 4] or [4, 4] tensor of the clouds' type, may require gradients.
+        features: [N, S] or None.
+        region: [rows, columns] bool, tiles to draw; the rest stays zero.
+    """
+    points = gaussians.means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
+    visible = (points[:, 2] > NEAR_M).nonzero().squeeze(1)
+    # Front to back; equal depths keep the order of the map.
+    order = visible[torch.sort(points[visible, 2].detach(), stable=True).indices]
+    x, y, z = points[order].unbind(1)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    sigma = camera.focal * gaussians.log_radii[order].exp() / z
+    opacity = gaussians.opacity_logits[order].sigmoid()
+    values = [gaussians.colours[order], z[:, None], torch.ones_like(z)[:, None]]
+    if features is not None:
+        values.append(features[order])
+    value = torch.cat(values, dim=1)
+
+    with torch.no_grad():
+        reach = sigma * (2.0 * torch.log((opacity / ALPHA_CUT).clamp(min=1.0))).sqrt() + 1e-3
+    rows, columns = tile_counts(camera)
+    strips = []
+    for row in range(rows):
+        tiles = []
+        for column in range(columns):
+            left, top = column * TILE, row * TILE
+            right = min(left + TILE, camera.width)
+            bottom = min(top + TILE, camera.height)
+            near = (u + reach >= left) & (u - reach <= right - 1)
+            near &= (v + reach >= top) & (v - reach <= bottom - 1)
+            if region is not None and not region[row, column]:
+                near = torch.zeros_like(near)
+            inside = near.nonzero().squeeze(1)
+            gridded = torch.meshgrid(
+                torch.arange(top, bottom, dtype=u.dtype),
+                torch.arange(left, right, dtype=u.dtype),
+                indexing="ij",
+            )
+            weights = _weights(gridded, u[inside], v[inside], sigma[inside], opacity[inside])
+            tiles.append(torch.einsum("nyx,nc->cyx", weights, value[inside]))
+        strips.append(torch.cat(tiles, dim=2))
+    return torch.cat(strips, dim=1)
+
+
+def _weights(
+    grid: tuple[Tensor, ...], u: Tensor, v: Tensor, sigma: Tensor, opacity: Tensor
+) -> Tensor:
+    """Compositing weights [n, y, x]: alpha times what all nearer Gaussians let through."""
+    squared = (grid[1] - u[:, None, None]) ** 2 + (grid[0] - v[:, None, None]) ** 2
+    alpha = opacity[:, None, None] * torch.exp(-0.5 * squared / sigma[:, None, None] ** 2)
+    alpha = torch.where(alpha >= ALPHA_CUT, alpha.clamp(max=ALPHA_MAX), torch.zeros_like(alpha))
+    passed = torch.cumprod(1.0 - alpha, dim=0)
+    passed = torch.cat([torch.ones_like(passed[:1]), passed[:-1]])
+    return alpha * passed
+
+
+class ReferenceForwardPass:
+    """A view drawn by autograd."""
+
+    def __init__(
+        self, cloud: GaussianCloud, T_camera_map: Tensor, features: Tensor, images: Tensor
+    ):
+        self._cloud, self._T, self._features = cloud, T_camera_map, features
+        self._images = images
+        self.images = images.detach()
+
+    def backward(self, image_gradients: Tensor, colours: bool = True) -> GaussianGradients:
+        """See ForwardPass.backward."""
+        cloud = self._cloud
+        inputs = [cloud.means, cloud.log_radii, cloud.opacity_logits, cloud.colours]
+        inputs += [self._features, self._T]
+        if self._images.requires_grad:
+            grads = torch.autograd.grad(self._images, inputs, image_gradients, allow_unused=True)
+        else:  # nothing was drawn
+            grads = (None,) * len(inputs)
+        full = [
+            g if g is not None else torch.zeros_like(x) for g, x in zip(grads, inputs, strict=True)
+        ]
+        return GaussianGradients(
+            ids=torch.arange(len(cloud)),
+            means=full[0],
+            log_radii=full[1],
+            opacity_logits=full[2],
+            colours=full[3] if colours else None,
+            features=full[4],
+            T_camera_map=full[5].to(torch.float64),
+        )
+
+
+class ReferenceBackend:
+    """Plain torch behind the interface of the compiled backends."""
+
+    name = "reference"
+
+    def forward(
+        self,
+        gaussians: GaussianCloud,
+        camera: Camera,
+        T_camera_map: NDArray[np.float64],
+        features: Tensor | None,
+        region: Tensor | None,
+    ) -> ReferenceForwardPass:
+        """See Backend.forward."""
+        if features is None:
+            features = gaussians.means.new_zeros(len(gaussians), 0)
+        with torch.enable_grad():
+            cloud = GaussianCloud(
+                *(
+                    t.detach().requires_grad_()
+                    for t in (
+                        gaussians.means,
+                        gaussians.log_radii,
+                        gaussians.opacity_logits,
+                        gaussians.colours,
+                        gaussians.features,
+                    )
+                )
+            )
+            features = features.detach().requires_grad_()
+            T = torch.as_tensor(T_camera_map[:3], dtype=gaussians.means.dtype).requires_grad_()
+            images = composite(cloud, camera, T, features, region)
+        return ReferenceForwardPass(cloud, T, features, images)

@@ -1,0 +1,153 @@
+"""`render`: one call, one output type, every backend."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.errors import DependencyError, SettingsError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.backend import Backend, tile_counts
+from toolkit.rendering.native import NativeBackend, kernels
+from toolkit.rendering.output import RenderOutput
+from toolkit.rendering.reference import ReferenceBackend
+
+BACKENDS = ("auto", "native", "reference", "cuda")
+
+
+@functools.cache
+def backend(name: str = "auto") -> Backend:
+    """The backend of a name; "auto" is native where it was built, else plain torch.
+
+    Raises:
+        SettingsError: unknown name.
+        DependencyError: the backend cannot run here.
+    """
+    if name == "auto":
+        name = "native" if kernels() is not None else "reference"
+    if name == "native":
+        return NativeBackend()
+    if name == "reference":
+        return ReferenceBackend()
+    if name == "cuda":
+        raise DependencyError("the cuda backend is not part of this version; use --backend native")
+    raise SettingsError(f"unknown rendering backend '{name}'; choose one of {', '.join(BACKENDS)}")
+
+
+def render(
+    gaussians: GaussianCloud,
+    camera: Camera,
+    T_camera_map: Tensor | NDArray[np.float64],
+    *,
+    features: Tensor | None = None,
+    region: Tensor | None = None,
+    backend_name: str = "auto",
+) -> RenderOutput:
+    """Draw Gaussians as a camera sees them (H-19, H-20, G-1).
+
+    Differentiable in every Gaussian parameter, the features and the pose.
+
+    Args:
+        gaussians: N Gaussians in the map's frame.
+        camera: intrinsics and image size H, W.
+        T_camera_map: [4, 4], map to camera; a tensor may require gradients.
+        features: [N, S] channels to composite beside the colour, or None for none.
+        region: [ceil(H / 16), ceil(W / 16)] bool; only these tiles are drawn, others stay 0.
+        backend_name: "auto", "native", "reference" or "cuda".
+
+    Returns:
+        Colour, depth, silhouette and features, [H, W, ...].
+
+    Raises:
+        ValueError: a shape is wrong.
+    """
+    _check(gaussians, camera, T_camera_map, features, region)
+    chosen = backend(backend_name)
+    if features is None:
+        features = gaussians.means.new_zeros(len(gaussians), 0)
+    images = _Render.apply(
+        chosen,
+        camera,
+        region,
+        torch.as_tensor(T_camera_map),
+        gaussians.means,
+        gaussians.log_radii,
+        gaussians.opacity_logits,
+        gaussians.colours,
+        features,
+    )
+    return RenderOutput(images)
+
+
+def _check(
+    gaussians: GaussianCloud,
+    camera: Camera,
+    T_camera_map: Tensor | NDArray[np.float64],
+    features: Tensor | None,
+    region: Tensor | None,
+) -> None:
+    if tuple(T_camera_map.shape) != (4, 4):
+        raise ValueError(f"T_camera_map must have shape [4, 4], got {list(T_camera_map.shape)}")
+    if features is not None and (features.ndim != 2 or len(features) != len(gaussians)):
+        raise ValueError(
+            f"features must have shape [{len(gaussians)}, S], got {list(features.shape)}"
+        )
+    if region is not None and tuple(region.shape) != tile_counts(camera):
+        raise ValueError(
+            f"region must have shape {list(tile_counts(camera))}, got {list(region.shape)}"
+        )
+
+
+class _Render(torch.autograd.Function):
+    """Hands a backend's two passes to autograd, compact gradients made dense."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any,
+        chosen: Backend,
+        camera: Camera,
+        region: Tensor | None,
+        T_camera_map: Tensor,
+        means: Tensor,
+        log_radii: Tensor,
+        opacity_logits: Tensor,
+        colours: Tensor,
+        features: Tensor,
+    ) -> Tensor:
+        cloud = GaussianCloud(means, log_radii, opacity_logits, colours, features)
+        pose = T_camera_map.detach().to(torch.float64).cpu().numpy()
+        ctx.drawn = chosen.forward(cloud, camera, pose, features, region)
+        ctx.pose_type = T_camera_map
+        ctx.parameters = (means, log_radii, opacity_logits, colours, features)
+        return ctx.drawn.images
+
+    @staticmethod
+    def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        needed = ctx.needs_input_grad
+        compact = ctx.drawn.backward(image_gradients, colours=needed[7])
+        parts = (
+            compact.means,
+            compact.log_radii,
+            compact.opacity_logits,
+            compact.colours,
+            compact.features,
+        )
+        dense: list[Tensor | None] = []
+        for parameter, part, need in zip(ctx.parameters, parts, needed[4:], strict=True):
+            if not need or part is None:
+                dense.append(None)
+                continue
+            gradient = torch.zeros_like(parameter)
+            gradient[compact.ids] = part.to(gradient)
+            dense.append(gradient)
+        pose = None
+        if needed[3]:
+            pose = torch.zeros_like(ctx.pose_type)
+            pose[:3] = compact.T_camera_map.to(pose)
+        return (None, None, None, pose, *dense)
