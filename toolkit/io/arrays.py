@@ -1,0 +1,127 @@
+"""Named arrays with JSON metadata in one folder that is either whole or not there.
+
+No pickle: arrays go into an `.npz`, everything else into JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import FormatError, RunFolderError
+from toolkit.io.atomic import cannot_write, sync
+
+PathLike = str | os.PathLike[str]
+
+_ARRAYS, _METADATA = "arrays.npz", "metadata.json"
+
+
+@dataclass(frozen=True)
+class ArrayTree:
+    """What a folder holds.
+
+    Attributes:
+        arrays: by name; a slash in a name is just a character.
+        metadata: JSON values.
+    """
+
+    arrays: dict[str, NDArray]
+    metadata: dict[str, Any]
+
+
+def write_array_tree(
+    folder: PathLike, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]
+) -> None:
+    """Write arrays and metadata as one folder, the same bytes for the same values.
+
+    The content is written beside `folder`, synced, and renamed. An older `folder` is moved
+    away just before, so for a moment neither is there: a caller that must survive a kill
+    at any time writes to a new name and keeps the old one until this returns.
+
+    Args:
+        folder: the folder to make or replace; its parent must be there.
+        arrays: numeric or boolean arrays by name.
+        metadata: JSON values; NaN and infinity are not JSON.
+
+    Raises:
+        ValueError: an array holds objects, or metadata are not JSON.
+        RunFolderError: the folder cannot be written.
+    """
+    folder = Path(folder)
+    for name, array in arrays.items():
+        if np.asarray(array).dtype.hasobject:
+            raise ValueError(f"array {name!r} holds Python objects; only plain numbers are stored")
+    text = json.dumps(dict(metadata), indent=1, sort_keys=True, allow_nan=False)
+    temporary: Path | None = None
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder.parent))
+        _write_arrays(temporary / _ARRAYS, arrays)
+        (temporary / _METADATA).write_text(text + "\n", encoding="utf-8")
+        sync(temporary / _METADATA)
+        sync(temporary)
+        temporary.chmod(0o755)
+        _put_in_place(temporary, folder)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    finally:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def read_array_tree(folder: PathLike) -> ArrayTree:
+    """Read a folder that `write_array_tree` wrote; checksums are compared on the way.
+
+    Raises:
+        RunFolderError: the folder or one of its files is missing.
+        FormatError: a file is damaged.
+    """
+    folder = Path(folder)
+    try:
+        metadata = json.loads((folder / _METADATA).read_text(encoding="utf-8"))
+        arrays = _read_arrays(folder / _ARRAYS)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot read {folder}: {error.strerror or error}; use an older checkpoint, "
+            f"or start again"
+        ) from error
+    except (ValueError, zipfile.BadZipFile, KeyError, EOFError) as error:
+        raise FormatError(
+            f"{folder} is damaged ({error}); use an older checkpoint, or start again"
+        ) from error
+    return ArrayTree(arrays, metadata)
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
+    """An npz of sorted names; numpy stamps its members with a fixed date."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(arrays):
+            member = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            with archive.open(member, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asanyarray(arrays[name]), allow_pickle=False)
+    sync(path)
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def _put_in_place(temporary: Path, folder: Path) -> None:
+    old: Path | None = None
+    if folder.exists():
+        old = Path(tempfile.mkdtemp(prefix=".replaced-", dir=folder.parent))
+        os.replace(folder, old / folder.name)
+    os.replace(temporary, folder)
+    sync(folder.parent)
+    if old is not None:
+        shutil.rmtree(old, ignore_errors=True)

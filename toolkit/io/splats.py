@@ -1,0 +1,232 @@
+"""Gaussian splat files (.ply, .splat, .spz) in the layout that 3DGS viewers read.
+
+In a file opacity is a logit, scale a logarithm, rotation a quaternion wxyz and colour the
+constant harmonic, 0.5 + 0.28209479 f_dc. Open3D keeps the scale linear in memory and takes
+its logarithm when it writes.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import DatasetError, FormatError, RunFolderError
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.io.atomic import replacing
+
+PathLike = str | os.PathLike[str]
+
+SUFFIXES = (".ply", ".splat", ".spz")
+# The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
+CONSTANT_HARMONIC = 0.28209479
+# Beyond this ratio of the largest to the smallest axis a splat is no ball.
+_ISOTROPY = 1.01
+_OWN_ATTRIBUTES = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
+
+_PLY_BYTES = {
+    name: size
+    for size, names in {
+        1: "char uchar int8 uint8",
+        2: "short ushort int16 uint16",
+        4: "int uint float int32 uint32 float32",
+        8: "double float64",
+    }.items()
+    for name in names.split()
+}
+
+_log = logging.getLogger(__name__)
+
+
+class SplatLike(Protocol):
+    """What is written: `GaussianCloud` has these, as tensors; `Splats` has them as arrays."""
+
+    @property
+    def means(self) -> Any: ...
+
+    @property
+    def log_radii(self) -> Any: ...
+
+    @property
+    def opacity_logits(self) -> Any: ...
+
+    @property
+    def colours(self) -> Any: ...
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Isotropic splats as read from a file.
+
+    Attributes:
+        means: [N, 3] float32, metres.
+        log_radii: [N] float32, natural logarithm of the standard deviation in metres.
+        opacity_logits: [N] float32.
+        colours: [N, 3] float32, RGB.
+        extra: further columns [N] by name, such as `label` (int32) or `confidence`.
+    """
+
+    means: NDArray[np.float32]
+    log_radii: NDArray[np.float32]
+    opacity_logits: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    extra: dict[str, NDArray] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def write_splat_ply(
+    path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None = None
+) -> None:
+    """Write a splat PLY, the same bytes for the same values, whole or not at all.
+
+    Args:
+        path: the file, ending in `.ply`.
+        splats: the Gaussians; colours are clamped to [0, 1].
+        extra: further columns [N] by name: integers become int32, others float32.
+
+    Raises:
+        ValueError: a column has the wrong length, or the suffix is not `.ply`.
+        RunFolderError: the file cannot be written, or there is nothing to write.
+    """
+    if Path(path).suffix != ".ply":
+        raise ValueError(f"{path} must end in .ply")
+    cloud = _open3d_cloud(path, splats)
+    tensor = open3d().core.Tensor
+    for name, column in sorted((extra or {}).items()):
+        values = np.asarray(column)
+        if values.shape != (len(splats.means),):
+            raise ValueError(
+                f"{name} must have shape [{len(splats.means)}], got {list(values.shape)}"
+            )
+        dtype = np.int32 if np.issubdtype(values.dtype, np.integer) else np.float32
+        cloud.point[name] = tensor(np.ascontiguousarray(values.astype(dtype)[:, None]))
+    _write(path, cloud)
+
+
+def export_splats(path: PathLike, splats: SplatLike) -> None:
+    """Write splats for viewers as `.ply`, `.splat` or `.spz`, chosen by the suffix.
+
+    `.splat` and `.spz` quantise colour, opacity and scale to 8 bits or so.
+
+    Raises:
+        ValueError: another suffix.
+        RunFolderError: the file cannot be written, or there is nothing to write.
+    """
+    if Path(path).suffix not in SUFFIXES:
+        raise ValueError(f"{path} must end in one of {', '.join(SUFFIXES)}")
+    _write(path, _open3d_cloud(path, splats))
+
+
+def read_splats(path: PathLike) -> Splats:
+    """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
+
+    A splat that is not a ball gets the geometric mean of its axes as its radius; harmonics
+    beyond the constant one are dropped.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is no splat file, or is truncated.
+    """
+    if not Path(path).is_file():
+        raise DatasetError(f"splat file {path} does not exist; check the path")
+    if Path(path).suffix not in SUFFIXES:
+        raise FormatError(f"{path} must end in one of {', '.join(SUFFIXES)}")
+    if Path(path).suffix == ".ply":
+        _check_ply_length(Path(path))
+    try:
+        point = open3d().t.io.read_point_cloud(str(path)).point
+        columns = {name: point[name].numpy() for name in point}
+    except RuntimeError as error:
+        raise FormatError(
+            f"{path} cannot be read ({_first_line(error)}); write it again"
+        ) from error
+    for name in ("positions", "f_dc", "opacity", "scale"):
+        if name not in columns or len(columns[name]) == 0:
+            raise FormatError(
+                f"{path} is no splat file, or is truncated: it has no {name}; write it again"
+            )
+    log_scales = np.log(columns["scale"])
+    if (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
+        _log.warning("%s: stretched splats become balls of the same volume", path)
+    return Splats(
+        means=columns["positions"].astype(np.float32),
+        log_radii=log_scales.mean(axis=1).astype(np.float32),
+        opacity_logits=columns["opacity"][:, 0],
+        colours=(0.5 + CONSTANT_HARMONIC * columns["f_dc"]).astype(np.float32),
+        extra={
+            name: column[:, 0]
+            for name, column in columns.items()
+            if name not in _OWN_ATTRIBUTES and column.shape[1:] == (1,)
+        },
+    )
+
+
+def _open3d_cloud(path: PathLike, splats: SplatLike) -> Any:
+    """The splats as an Open3D tensor point cloud."""
+    means = _array(splats.means)
+    if len(means) == 0:
+        raise RunFolderError(f"cannot write {path}: the map holds no Gaussian")
+    o3d = open3d()
+    radii_m = np.exp(_array(splats.log_radii))[:, None]
+    colours = np.clip(_array(splats.colours), 0.0, 1.0)
+    upright = np.zeros((len(means), 4), np.float32)
+    upright[:, 0] = 1.0
+    attributes = {
+        "positions": means,
+        "f_dc": (colours - np.float32(0.5)) / np.float32(CONSTANT_HARMONIC),
+        "opacity": _array(splats.opacity_logits)[:, None],
+        "scale": np.repeat(radii_m, 3, axis=1),
+        "rot": upright,
+    }
+    cloud = o3d.t.geometry.PointCloud()
+    for name, values in attributes.items():
+        cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
+    return cloud
+
+
+def _write(path: PathLike, cloud: Any) -> None:
+    with replacing(path) as temporary:
+        if not open3d().t.io.write_point_cloud(str(temporary), cloud):
+            raise RunFolderError(f"cannot write {path}: free space there, or allow writing")
+
+
+def _array(values: Any) -> NDArray[np.float32]:
+    """float32 values of an array, or of a tensor on any device."""
+    if hasattr(values, "detach"):
+        values = values.detach().cpu().numpy()
+    return np.asarray(values, dtype=np.float32)
+
+
+def _check_ply_length(path: Path) -> None:
+    """Check that a binary PLY is as long as its header says; Open3D makes up the rest.
+
+    Raises:
+        FormatError: it is shorter.
+    """
+    content = path.read_bytes()
+    header, end, body = content.partition(b"end_header\n")
+    words = [line.split() for line in header.decode("latin-1").splitlines()]
+    if not end or ["format", "binary_little_endian", "1.0"] not in words:
+        return
+    expected, count = 0, 0
+    for line in words:
+        if line[:1] == ["element"]:
+            count = int(line[2])
+        elif line[:1] == ["property"] and line[1] in _PLY_BYTES:
+            expected += count * _PLY_BYTES[line[1]]
+    if len(body) < expected:
+        raise FormatError(
+            f"{path} is truncated: {len(body)} of {expected} bytes of data; write it again"
+        )
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
