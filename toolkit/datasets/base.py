@@ -6,7 +6,7 @@ taken and by which camera. Loading, undistortion and resizing happen here, once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -75,6 +75,7 @@ class Recording:
         distortion: OpenCV's (k1, k2, p1, p2, k3) of both images, or None.
         colour_may_be_larger: whether colour of another size is brought to the depth's.
         flaws: one line each about what was found wrong and worked around.
+        notes: one line each about gaps that are usual in this format.
     """
 
     name: str
@@ -86,7 +87,8 @@ class Recording:
     saturated_is_missing: bool = False
     distortion: tuple[float, ...] | None = None
     colour_may_be_larger: bool = False
-    flaws: tuple[str, ...] = field(default=())
+    flaws: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class RecordedDataset:

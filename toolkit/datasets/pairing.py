@@ -27,11 +27,20 @@ class Truth:
 
     Attributes:
         trajectory: poses at the frames' timestamps, None where not one is usable.
-        flaws: lines about frames without a usable pose.
+        missing: a line about frames without a pose, if there are any.
+        infinite: a line about frames whose pose is not finite, if there are any.
+        bent: a line about frames whose pose is not a rigid motion, if there are any.
     """
 
     trajectory: Trajectory | None
-    flaws: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    infinite: tuple[str, ...] = ()
+    bent: tuple[str, ...] = ()
+
+    @property
+    def flaws(self) -> tuple[str, ...]:
+        """All three lines, for formats in which none of them is usual."""
+        return self.missing + self.infinite + self.bent
 
 
 def folder_holding(path: Path, names: tuple[str, ...], layout: str) -> Path:
@@ -41,7 +50,7 @@ def folder_holding(path: Path, names: tuple[str, ...], layout: str) -> Path:
         DatasetError: `path` is not there, or no such folder is.
     """
     if not path.exists():
-        raise DatasetError(f"{path} does not exist; check --dataset.path")
+        raise DatasetError(f"{path} does not exist; check the path")
     if not path.is_dir():
         raise DatasetError(f"{path} is a file; give the folder of the {layout} data set")
     if all((path / name).exists() for name in names):
@@ -119,12 +128,12 @@ def attach_poses(files: tuple[FrameFiles, ...], poses: list[NDArray[np.float64] 
             times.append(frame.timestamp_s)
             # Text files round; the nearest rotation is what was meant.
             kept.append(se3.orthonormalise(pose))
-    flaws = (
-        *unpaired("frame(s) without a ground-truth pose", missing),
-        *unpaired("frame(s) with a non-finite ground-truth pose", infinite),
-        *unpaired("frame(s) whose ground-truth pose is not a rigid motion", bent),
+    return Truth(
+        trajectory=Trajectory(np.array(times), np.array(kept)) if kept else None,
+        missing=unpaired("frame(s) without a ground-truth pose", missing),
+        infinite=unpaired("frame(s) with a non-finite ground-truth pose", infinite),
+        bent=unpaired("frame(s) whose ground-truth pose is not a rigid motion", bent),
     )
-    return Truth(Trajectory(np.array(times), np.array(kept)) if kept else None, flaws)
 
 
 def camera_of_matrix(path: Path, width: int, height: int) -> Camera:

@@ -42,15 +42,16 @@ def prefetched(dataset: Dataset, indices: Iterable[int], ahead: int = 4) -> Iter
             for index in indices:
                 if not put(dataset[index]):
                     return
-            put(_END)
-        except BaseException as error:  # handed to the consumer, whatever it is
+        except Exception as error:  # noqa: BLE001 - the consumer raises it again
             put(error)
+        finally:
+            put(_END)
 
     reader = threading.Thread(target=read, name="prefetch", daemon=True)
     reader.start()
     try:
         while (item := waiting.get()) is not _END:
-            if isinstance(item, BaseException):
+            if isinstance(item, Exception):
                 raise item
             yield item
     finally:

@@ -53,6 +53,8 @@ def open_dataset(
         )
     for flaw in dataset.recording.flaws:
         _log.warning("%s: %s", dataset.name, flaw)
+    for note in dataset.recording.notes:
+        _log.info("%s: %s", dataset.name, note)
     return dataset
 
 

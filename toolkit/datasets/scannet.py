@@ -6,6 +6,7 @@ from pathlib import Path
 
 from toolkit.datasets.base import Recording
 from toolkit.datasets.pairing import (
+    Truth,
     attach_poses,
     camera_of_matrix,
     folder_holding,
@@ -44,16 +45,17 @@ def describe(path: Path) -> Recording:
     if not files:
         raise DatasetError(f"{folder} holds no color/N.jpg with its depth/N.png; export them again")
     poses = [read_matrix(pose_files[n]) if n in pose_files else None for n in rgb if n in depth]
-    truth = attach_poses(files, poses) if pose_files else None
+    truth = attach_poses(files, poses) if pose_files else Truth(None)
     return Recording(
         name=folder.resolve().name,
         camera=_camera(folder, files[0].rgb, files[0].depth),
         files=files,
         depth_scale=DEPTH_SCALE,
-        ground_truth=truth.trajectory if truth else None,
+        ground_truth=truth.trajectory,
         label_names=read_class_names(folder / "labels" / "classes.json") if labels else None,
         colour_may_be_larger=True,
-        flaws=pairing_flaws(rgb, depth, labels) + (truth.flaws if truth else ()),
+        flaws=pairing_flaws(rgb, depth, labels) + truth.missing + truth.bent,
+        notes=truth.infinite,
     )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import Recording
 from toolkit.datasets.pairing import (
+    Truth,
     attach_poses,
     camera_of_matrix,
     numbered,
@@ -53,15 +54,15 @@ def describe(path: Path) -> Recording:
     flaws = pairing_flaws(rgb, depth, {})
     height, width = read_rgb(files[0].rgb).shape[:2]
     poses = [_pose(pose_files.get(n)) for n in rgb if n in depth]
-    truth = attach_poses(files, poses) if pose_files else None
+    truth = attach_poses(files, poses) if pose_files else Truth(None)
     return Recording(
         name=folder.resolve().name,
         camera=_camera(folder, width, height),
         files=files,
         depth_scale=DEPTH_SCALE,
-        ground_truth=truth.trajectory if truth else None,
+        ground_truth=truth.trajectory,
         saturated_is_missing=True,
-        flaws=flaws + (truth.flaws if truth else ()),
+        flaws=flaws + truth.flaws,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.pairing import attach_poses, folder_holding, listed, unpaired
+from toolkit.datasets.pairing import Truth, attach_poses, folder_holding, listed, unpaired
 from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 from toolkit.io.trajectories import read_tum_lines, text_lines
@@ -56,26 +56,21 @@ def describe(path: Path) -> Recording:
     pairs = associate(rgb.times_s, depth.times_s, MAX_DIFFERENCE_S)
     files = tuple(FrameFiles(float(rgb.times_s[i]), rgb.files[i], depth.files[j]) for i, j in pairs)
     alone = sorted(set(range(len(rgb.files))) - {i for i, _ in pairs})
-    trajectory = None
-    truth_flaws: tuple[str, ...] = ()
+    truth = Truth(None)
     if (folder / "groundtruth.txt").exists():
         truth = attach_poses(files, _poses_at(folder / "groundtruth.txt", files))
-        trajectory, truth_flaws = truth.trajectory, truth.flaws
     return Recording(
-        name=folder.name,
+        name=folder.resolve().name,
         camera=calibration.camera,
         files=files,
         depth_scale=DEPTH_SCALE,
-        ground_truth=trajectory,
+        ground_truth=truth.trajectory,
         distortion=calibration.distortion,
-        flaws=(
-            *rgb_flaws,
-            *depth_flaws,
-            *unpaired(
-                "colour image(s) without depth within 20 ms", [rgb.files[i].name for i in alone]
-            ),
-            *truth_flaws,
-        ),
+        flaws=rgb_flaws + depth_flaws + truth.infinite + truth.bent,
+        notes=unpaired(
+            "colour image(s) without depth within 20 ms", [rgb.files[i].name for i in alone]
+        )
+        + truth.missing,
     )
 
 

@@ -1,0 +1,214 @@
+"""Read a whole data set and say, in plain lines, what is wrong with it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.decoder_warnings import decoder_warning
+from toolkit.datasets.pairing import listed
+from toolkit.datasets.registration_check import measure_registration
+from toolkit.datasets.registry import describe
+from toolkit.errors import ToolkitError
+from toolkit.frame import Frame
+
+# The median depth of an indoor recording lies well within these metres.
+_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.1, 30.0
+# With depth in fewer pixels than this a frame cannot be tracked.
+_LEAST_VALID_SHARE = 0.01
+_REGISTRATION_FRAMES = 24
+# Unreadable frames named one by one; the rest are counted.
+_NAMED_FAILURES = 5
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What reading a data set brought to light.
+
+    Attributes:
+        summary: what the data set is, in a few lines.
+        faults: what is wrong, one line each; empty for a good data set.
+        notes: what is usual in this format and yet worth knowing.
+    """
+
+    summary: tuple[str, ...]
+    faults: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.faults
+
+
+@dataclass
+class _Findings:
+    """What is gathered frame by frame."""
+
+    failures: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
+    sparse: list[str] = field(default_factory=list)
+    blank: list[str] = field(default_factory=list)
+    damaged: list[str] = field(default_factory=list)
+    medians_m: list[float] = field(default_factory=list)
+    valid_shares: list[float] = field(default_factory=list)
+    label_ids: set[int] = field(default_factory=set)
+
+
+def check_dataset(
+    kind: str,
+    path: str | os.PathLike[str],
+    image_size: tuple[int, int] | None = None,
+    watch: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> CheckReport:
+    """Read every frame of a data set and report what is wrong.
+
+    Args:
+        kind: a kind of data set, as in `registry.KINDS`.
+        path: its folder.
+        image_size: (width, height) to resize to as a run would, or None.
+        watch: wraps the indices of the frames, to show progress.
+
+    Raises:
+        DatasetError: there is no such data set at all.
+        FormatError: a text file of it is not of its form.
+    """
+    dataset = RecordedDataset(describe(kind, path), image_size)
+    findings = _Findings()
+    for index in watch(range(len(dataset))):
+        _check_frame(dataset, index, findings)
+    faults = [
+        *dataset.recording.flaws,
+        *_time_faults(dataset),
+        *_frame_faults(findings),
+        *_depth_scale_faults(findings, dataset.recording.depth_scale),
+        *_label_faults(findings, dataset.label_names),
+        *_registration_faults(dataset),
+    ]
+    return CheckReport(_summary(dataset, findings), tuple(faults), dataset.recording.notes)
+
+
+def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> None:
+    files = dataset.files(index)
+    try:
+        frame = dataset[index]
+    except ToolkitError as error:
+        findings.failures.append(f"frame {index}: {error}")
+        return
+    if decoder_warning(files.rgb):
+        findings.damaged.append(files.rgb.name)
+    if float(np.ptp(frame.rgb)) == 0.0:
+        findings.blank.append(files.rgb.name)
+    valid = frame.depth_m[frame.depth_m > 0]
+    share = valid.size / frame.depth_m.size
+    findings.valid_shares.append(share)
+    if valid.size == 0:
+        findings.empty.append(files.depth.name)
+    else:
+        findings.medians_m.append(float(np.median(valid)))
+        if share < _LEAST_VALID_SHARE:
+            findings.sparse.append(files.depth.name)
+    if frame.labels is not None:
+        findings.label_ids.update(np.unique(frame.labels).tolist())
+
+
+def _time_faults(dataset: RecordedDataset) -> list[str]:
+    faults = []
+    if len(dataset) == 1:
+        faults.append("there is only one frame; tracking needs at least two")
+    backwards = np.flatnonzero(np.diff(dataset.timestamps_s) <= 0) + 1
+    if backwards.size:
+        names = [dataset.files(int(i)).rgb.name for i in backwards]
+        faults.append(f"timestamps out of order at {listed(names)}; sort the list of images")
+    return faults
+
+
+def _frame_faults(findings: _Findings) -> list[str]:
+    faults = findings.failures[:_NAMED_FAILURES]
+    rest = len(findings.failures) - len(faults)
+    if rest > 0:
+        faults.append(f"{rest} more frame(s) cannot be read")
+    for names, what in (
+        (findings.damaged, "colour image(s) are corrupt (the decoder complained); copy them again"),
+        (findings.blank, "colour image(s) are blank; remove these frames"),
+        (findings.empty, "depth image(s) are empty (every pixel missing); remove these frames"),
+        (
+            findings.sparse,
+            f"depth image(s) have depth in less than {_LEAST_VALID_SHARE:.0%} of their pixels; "
+            f"check how depth was saved",
+        ),
+    ):
+        if names:
+            faults.append(f"{len(names)} {what}: {listed(names)}")
+    return faults
+
+
+def _depth_scale_faults(findings: _Findings, depth_scale: float) -> list[str]:
+    if not findings.medians_m:
+        return []
+    median_m = float(np.median(findings.medians_m))
+    if _NEAREST_MEDIAN_M <= median_m <= _FARTHEST_MEDIAN_M:
+        return []
+    # The usual scales; the one whose median is nearest to that of a room is the likely one.
+    likely = min(
+        (1000.0, 5000.0, 6553.5), key=lambda s: abs(np.log(median_m * depth_scale / s / 2.0))
+    )
+    return [
+        f"the depth scale is wrong: the median depth is {_length(median_m)} with "
+        f"{depth_scale:g} values per metre; {likely:g} would give "
+        f"{_length(median_m * depth_scale / likely)}"
+    ]
+
+
+def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str]:
+    unknown = sorted(findings.label_ids - {0} - set(names or {}))
+    if names is None or not unknown:
+        return []
+    return [f"labels hold class ids that classes.json does not: {listed([*map(str, unknown)])}"]
+
+
+def _registration_faults(dataset: RecordedDataset) -> list[str]:
+    chosen = np.unique(
+        np.linspace(0, len(dataset) - 1, min(len(dataset), _REGISTRATION_FRAMES)).astype(int)
+    )
+    fault = measure_registration(_readable(dataset, chosen.tolist())).verdict()
+    return [fault] if fault else []
+
+
+def _readable(dataset: RecordedDataset, indices: list[int]) -> Iterable[Frame]:
+    for index in indices:
+        try:
+            yield dataset[index]
+        except ToolkitError:
+            continue  # already reported
+
+
+def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
+    camera, truth = dataset.camera, dataset.ground_truth
+    duration_s = float(np.ptp(dataset.timestamps_s))
+    lines = [
+        f"{dataset.name}: {len(dataset)} frames over {duration_s:.1f} s, "
+        f"{camera.width}x{camera.height}, f {camera.fx:.1f} {camera.fy:.1f}, "
+        f"c {camera.cx:.1f} {camera.cy:.1f}",
+        f"ground truth: {truth}" if truth else "ground truth: none",
+    ]
+    if findings.medians_m:
+        lines.append(
+            f"depth: median {_length(float(np.median(findings.medians_m)))}, "
+            f"{np.mean(findings.valid_shares):.0%} of the pixels"
+        )
+    if dataset.label_names:
+        lines.append(
+            f"labels: {len(findings.label_ids - {0})} of {len(dataset.label_names)} classes seen"
+        )
+    return tuple(lines)
+
+
+def _length(metres: float) -> str:
+    if metres < 0.1:
+        return f"{metres * 1000:.3g} mm"
+    return f"{metres:.3g} m" if metres < 1000 else f"{metres / 1000:.3g} km"
