@@ -1,0 +1,92 @@
+"""What a texture is painted on: a chart in metres, with noise and soft edges.
+
+Everything is band limited by the size of a texel: noise loses the octaves that
+texels cannot hold, and edges are as wide as a texel. A finer chart shows the
+same pattern with more of its detail.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """One chart.
+
+    Attributes:
+        size: (width, height) in texels.
+        texel_m: edge of a texel, metres.
+        rng: drawn from for all that is random on this chart.
+    """
+
+    size: tuple[int, int]
+    texel_m: float
+    rng: np.random.Generator
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """(width, height) in metres."""
+        return self.size[0] * self.texel_m, self.size[1] * self.texel_m
+
+    def coordinates(self) -> tuple[Image, Image]:
+        """Right (u) and down (v) [h, w] of the texels' centres, metres."""
+        u = (np.arange(self.size[0], dtype=np.float32) + 0.5) * self.texel_m
+        v = (np.arange(self.size[1], dtype=np.float32) + 0.5) * self.texel_m
+        return tuple(np.meshgrid(u, v))  # type: ignore[return-value]
+
+    def noise(self, wavelength_m: float | tuple[float, float], octaves: int = 1) -> Image:
+        """Smooth noise [h, w] of about unit deviation, each octave half as strong.
+
+        Args:
+            wavelength_m: of the first octave; a pair (along u, along v) stretches it.
+            octaves: how many; those below two texels are left out.
+        """
+        pair = wavelength_m if isinstance(wavelength_m, tuple) else (wavelength_m, wavelength_m)
+        total = np.zeros((self.size[1], self.size[0]), dtype=np.float32)
+        for octave, rng in enumerate(self.rng.spawn(octaves)):
+            wavelength = (pair[0] / 2**octave, pair[1] / 2**octave)
+            if max(wavelength) < 2 * self.texel_m:
+                break
+            total += self._octave(wavelength, rng) * 0.5**octave
+        return total
+
+    def _octave(self, wavelength_m: tuple[float, float], rng: np.random.Generator) -> Image:
+        # Two grid values a wavelength; a bicubic surface through them.
+        cell_u, cell_v = (max(w, 2 * self.texel_m) / 2 for w in wavelength_m)
+        columns = math.ceil(self.size_m[0] / cell_u) + 4
+        rows = math.ceil(self.size_m[1] / cell_v) + 4
+        grid = rng.standard_normal((rows, columns)).astype(np.float32)
+        scale = np.array([self.texel_m / cell_u, self.texel_m / cell_v])
+        # The matrix takes texels to grid cells; the offset keeps clear of the border.
+        offset = 1.5 + 0.5 * scale
+        matrix = np.array([[scale[0], 0.0, offset[0]], [0.0, scale[1], offset[1]]])
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        return cv2.warpAffine(grid, matrix, self.size, flags=flags, borderMode=cv2.BORDER_REFLECT)
+
+    def pulse(self, coordinate_m: Image, period_m: float, width_m: float) -> Image:
+        """Soft mask [h, w]: 1 on bands of a width, centred on multiples of the period."""
+        distance = np.abs((coordinate_m / period_m + 0.5) % 1.0 - 0.5) * period_m
+        return self.inside(width_m / 2 - distance)
+
+    def inside(self, distance_m: Image) -> Image:
+        """Soft mask [h, w] of a signed distance, positive inside, metres."""
+        return np.clip(distance_m / (1.5 * self.texel_m) + 0.5, 0.0, 1.0)
+
+    def flat(self, colour: NDArray | tuple[float, float, float]) -> Image:
+        """One colour [h, w, 3]."""
+        return np.broadcast_to(
+            np.asarray(colour, dtype=np.float32), (self.size[1], self.size[0], 3)
+        ).copy()
+
+
+def mix(under: Image, over: Image | tuple[float, float, float], mask: Image) -> Image:
+    """Colours [h, w, 3] with another image or colour laid over by a mask [h, w]."""
+    return under + (np.asarray(over, dtype=np.float32) - under) * mask[..., None]

@@ -1,0 +1,122 @@
+"""Camera paths as a person would hold the camera: smooth, with a little sway.
+
+Camera axes are x right, y down, z forward; the world is z up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+
+
+@dataclass(frozen=True)
+class WayPoint:
+    """Where the camera passes and what it looks at, in metres."""
+
+    position_m: tuple[float, float, float]
+    target_m: tuple[float, float, float]
+
+
+def look_at(position_m: NDArray, target_m: NDArray) -> NDArray[np.float64]:
+    """Pose [4, 4] at a position [3] that looks at a target [3], without roll."""
+    forward = np.asarray(target_m, float) - position_m
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right)
+    down = np.cross(forward, right)
+    return se3.from_rotation_translation(np.stack([right, down, forward], axis=1), position_m)
+
+
+def hand_held_path(
+    way_points: list[WayPoint], frames: int, share: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Poses [frames, 4, 4] along way points, evenly paced, with sway.
+
+    Args:
+        way_points: at least three.
+        frames: how many poses.
+        share: the part of the path that is walked, in (0, 1].
+        rng: for the sway.
+    """
+    dense = _spline(way_points, 2000)
+    pace = _evenly_paced(dense)
+    moments = np.interp(np.linspace(0.0, share, frames), pace, np.linspace(0.0, 1.0, len(dense)))
+    position, angles = _at(dense, moments)
+    # The sway follows the way walked, so that a shorter walk is the start of a longer one.
+    sway = _sway(np.linspace(0.0, share, frames) * pace_length(dense), rng)
+    return np.stack(
+        [_pose(p + s[:3], a + s[3:5], s[5]) for p, a, s in zip(position, angles, sway, strict=True)]
+    )
+
+
+def _spline(way_points: list[WayPoint], count: int) -> NDArray[np.float64]:
+    """Points [count, 5] on a cubic through the way points: position, yaw, pitch."""
+    positions = np.array([w.position_m for w in way_points])
+    forward = np.array([w.target_m for w in way_points]) - positions
+    yaw = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
+    pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
+    knots = np.concatenate([positions, yaw[:, None], pitch[:, None]], axis=1)
+    return _catmull_rom(knots, count)
+
+
+def _catmull_rom(knots: NDArray, count: int) -> NDArray[np.float64]:
+    padded = np.concatenate([2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]])
+    place = np.linspace(0.0, len(knots) - 1.0, count)
+    first = np.minimum(place.astype(int), len(knots) - 2)
+    s = (place - first)[:, None]
+    a, b, c, d = (padded[first + k] for k in range(4))
+    curve = b + 0.5 * s * (c - a + s * (2 * a - 5 * b + 4 * c - d + s * (3 * (b - c) + d - a)))
+    # Catmull-Rom bends abruptly at its knots; a wide average takes the jolts out.
+    width = max(3, count // (2 * len(knots)) | 1)
+    kernel = np.hanning(width + 2)[1:-1]
+    kernel /= kernel.sum()
+    ends = np.pad(curve, ((width // 2, width // 2), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.stack([np.convolve(column, kernel, mode="valid") for column in ends.T], axis=1)
+
+
+def _effort(dense: NDArray) -> NDArray[np.float64]:
+    """Length of each step, metres, where a turn counts as well: 1.2 degrees as 1.5 cm."""
+    change = np.diff(dense, axis=0)
+    turn = np.hypot(change[:, 3] * np.cos(dense[:-1, 4]), change[:, 4])
+    walk = np.linalg.norm(change[:, :3], axis=1)
+    return np.hypot(walk, turn * 0.015 / math.radians(1.2))
+
+
+def pace_length(dense: NDArray) -> float:
+    """Whole effort of a path, metres."""
+    return float(_effort(dense).sum())
+
+
+def _evenly_paced(dense: NDArray) -> NDArray[np.float64]:
+    total = np.concatenate([[0.0], np.cumsum(_effort(dense))])
+    return total / total[-1]
+
+
+def _at(dense: NDArray, moments: NDArray) -> tuple[NDArray, NDArray]:
+    grid = np.linspace(0.0, 1.0, len(dense))
+    values = np.stack([np.interp(moments, grid, column) for column in dense.T], axis=1)
+    return values[:, :3], values[:, 3:]
+
+
+def _sway(way_m: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Small smooth motion [N, 6]: x, y, z (m), yaw, pitch, roll (rad)."""
+    reach = np.array([0.012, 0.012, 0.018, 0.012, 0.012, 0.015])
+    out = np.zeros((len(way_m), 6))
+    for wavelength_m, share in ((1.3, 0.65), (0.55, 0.35)):
+        phase = rng.uniform(0.0, 2 * math.pi, 6)
+        stretch = rng.uniform(0.8, 1.25, 6)
+        out += share * np.sin(2 * math.pi * way_m[:, None] / wavelength_m * stretch + phase)
+    return out * reach
+
+
+def _pose(position: NDArray, yaw_pitch_rad: NDArray, roll_rad: float) -> NDArray[np.float64]:
+    yaw, pitch = yaw_pitch_rad
+    direction = [math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)]
+    T = look_at(position, position + np.array(direction))
+    T[:3, :3] = T[:3, :3] @ se3.exp_so3(np.array([0.0, 0.0, roll_rad]))
+    return T

@@ -1,0 +1,349 @@
+"""Procedural textures: each returns a painter of charts.
+
+Colours are RGB in [0, 1], lengths metres. Every texture has detail at several
+scales, down to about a centimetre, as real surfaces have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.synthetic.canvas import Canvas, Image, mix
+
+Colour = tuple[float, float, float]
+Texture = Callable[[Canvas], Image]
+
+
+def plaster(colour: Colour, contrast: float = 0.05) -> Texture:
+    """Painted plaster: faint clouds and fine grain."""
+
+    def paint(canvas: Canvas) -> Image:
+        clouds = canvas.noise(0.6, 4) * contrast * 0.5
+        grain = canvas.noise(0.035, 2) * contrast
+        return canvas.flat(colour) * (1.0 + clouds + grain)[..., None]
+
+    return paint
+
+
+def wood(colour: Colour, contrast: float = 0.16) -> Texture:
+    """Wood with its grain along the longer side."""
+
+    def paint(canvas: Canvas) -> Image:
+        along_u = canvas.size[0] >= canvas.size[1]
+        long, short = 0.5, 0.03
+        fibre = canvas.noise((long, short) if along_u else (short, long), 2)
+        rings = canvas.noise((1.2, 0.15) if along_u else (0.15, 1.2), 1)
+        value = 1.0 + contrast * (0.6 * fibre + 0.7 * np.sin(5.0 * rings))
+        return canvas.flat(colour) * value[..., None]
+
+    return paint
+
+
+def planks(colour: Colour, board_m: float = 0.14, length_m: float = 1.1) -> Texture:
+    """Floor boards in staggered rows."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        row = np.floor(v / board_m).astype(int)
+        shift = canvas.rng.random(row.max() + 1).astype(np.float32)[row] * length_m
+        board = np.floor((u + shift) / length_m).astype(int)
+        tones = canvas.rng.normal(1.0, 0.12, (row.max() + 1, board.max() + 1))
+        grain = canvas.noise((0.4, 0.035), 2) * 0.11
+        value = tones.astype(np.float32)[row, board] * (1.0 + grain)
+        joints = np.maximum(
+            canvas.pulse(v, board_m, 0.006), canvas.pulse(u + shift, length_m, 0.006)
+        )
+        return canvas.flat(colour) * (value * (1.0 - 0.55 * joints))[..., None]
+
+    return paint
+
+
+def brick(colour: Colour, mortar: Colour = (0.72, 0.7, 0.66)) -> Texture:
+    """Brickwork, 24 x 8 cm."""
+    width_m, height_m = 0.24, 0.08
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        row = np.floor(v / height_m).astype(int)
+        shifted = u + (row % 2) * width_m / 2
+        column = np.floor(shifted / width_m).astype(int)
+        tones = canvas.rng.normal(1.0, 0.15, (row.max() + 1, column.max() + 1))
+        value = tones.astype(np.float32)[row, column] * (1.0 + 0.08 * canvas.noise(0.05, 2))
+        joints = np.maximum(canvas.pulse(v, height_m, 0.014), canvas.pulse(shifted, width_m, 0.014))
+        return mix(canvas.flat(colour) * value[..., None], mortar, joints)
+
+    return paint
+
+
+def tiles(light: Colour, dark: Colour, size_m: float = 0.3) -> Texture:
+    """Checkered tiles with joints and marbling."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        # A soft checker: the product of two soft square waves.
+        wave_u = 2 * canvas.pulse(u - size_m / 2, 2 * size_m, size_m) - 1
+        wave_v = 2 * canvas.pulse(v - size_m / 2, 2 * size_m, size_m) - 1
+        image = mix(canvas.flat(light), dark, (1 + wave_u * wave_v) / 2)
+        image *= (1.0 + 0.1 * np.sin(3 * canvas.noise(0.3, 3)))[..., None]
+        joints = np.maximum(canvas.pulse(u, size_m, 0.008), canvas.pulse(v, size_m, 0.008))
+        return mix(image, (0.55, 0.54, 0.52), joints)
+
+    return paint
+
+
+def weave(colour: Colour, thread_m: float = 0.014, contrast: float = 0.16) -> Texture:
+    """Coarse cloth: crossing threads, uneven in tone."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        threads = np.sin(np.pi * u / thread_m) * np.sin(np.pi * v / thread_m)
+        # Below two texels a thread the weave averages out.
+        visible = float(np.clip(thread_m / canvas.texel_m - 2.0, 0.0, 1.0))
+        value = 1.0 + contrast * (0.6 * visible * threads + 0.5 * canvas.noise(0.08, 3))
+        return canvas.flat(colour) * value[..., None]
+
+    return paint
+
+
+def plaid(ground: Colour, bands: tuple[Colour, ...], period_m: float = 0.2) -> Texture:
+    """Woven checks of several band colours."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        image = canvas.flat(ground)
+        for number, colour in enumerate(bands):
+            offset = period_m * number / len(bands)
+            width = period_m * (0.32 if number == 0 else 0.12)
+            for axis in (u, v):
+                image = mix(image, colour, 0.55 * canvas.pulse(axis - offset, period_m, width))
+        return image * (1.0 + 0.06 * canvas.noise(0.03, 2))[..., None]
+
+    return paint
+
+
+def carpet(colour: Colour, second: Colour | None = None) -> Texture:
+    """Long pile: strong grain; with a second colour, a bordered diamond pattern."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        image = canvas.flat(colour)
+        if second is not None:
+            diamond = 0.12 - np.abs((u + v) % 0.36 - 0.18) - np.abs((u - v) % 0.36 - 0.18)
+            image = mix(image, second, canvas.inside(diamond))
+            width, height = canvas.size_m
+            border = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
+            image = mix(image, second, canvas.inside(0.03 - np.abs(border - 0.08)))
+        return image * (1.0 + 0.13 * canvas.noise(0.05, 3))[..., None]
+
+    return paint
+
+
+def stripes(first: Colour, second: Colour, period_m: float = 0.12) -> Texture:
+    """Vertical stripes, as on wallpaper and curtains."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, _ = canvas.coordinates()
+        image = mix(canvas.flat(first), second, canvas.pulse(u, period_m, period_m / 2))
+        thin = canvas.pulse(u - period_m / 2, period_m, period_m / 10)
+        image = mix(image, second, 0.7 * thin)
+        return image * (1.0 + 0.05 * canvas.noise(0.06, 3))[..., None]
+
+    return paint
+
+
+def speckled(colour: Colour, contrast: float = 0.07) -> Texture:
+    """Plastic, painted metal and ceramics: fine specks and faint clouds."""
+
+    def paint(canvas: Canvas) -> Image:
+        value = 1.0 + contrast * (canvas.noise(0.03, 2) + 0.7 * canvas.noise(0.25, 2))
+        return canvas.flat(colour) * value[..., None]
+
+    return paint
+
+
+def banded(colour: Colour, band: Colour, period_m: float = 0.06) -> Texture:
+    """Horizontal bands, as on vases and baskets."""
+
+    def paint(canvas: Canvas) -> Image:
+        _, v = canvas.coordinates()
+        wavy = v + 0.006 * canvas.noise(0.1, 1)
+        image = mix(canvas.flat(colour), band, canvas.pulse(wavy, period_m, period_m / 3))
+        return image * (1.0 + 0.06 * canvas.noise(0.04, 2))[..., None]
+
+    return paint
+
+
+def painting(palette: NDArray[np.float64]) -> Texture:
+    """Abstract art in a frame: layers of shapes from a palette [K, 3]."""
+
+    def paint(canvas: Canvas) -> Image:
+        rng = canvas.rng
+        image = canvas.flat(palette[0])
+        corner = np.array(canvas.size, dtype=float)
+        for _ in range(26):
+            centre = rng.random(2) * corner
+            angles = np.sort(rng.random(5)) * 2 * np.pi
+            reach = rng.uniform(0.06, 0.3) * corner.min()
+            outline = centre + reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+            colour = palette[rng.integers(len(palette))] * rng.uniform(0.7, 1.2)
+            _fill(image, outline, colour)
+        image *= (1.0 + 0.07 * canvas.noise(0.04, 2))[..., None]
+        return _framed(canvas, image, (0.16, 0.12, 0.1))
+
+    return paint
+
+
+def _fill(image: Image, outline: NDArray[np.float64], colour: NDArray[np.float64]) -> None:
+    """Fill an antialiased polygon [K, 2] (texels) in place."""
+    fixed = np.round(outline * 16).astype(np.int32)
+    mask = np.zeros(image.shape[:2], dtype=np.uint8)
+    cv2.fillPoly(mask, [fixed], 255, cv2.LINE_AA, shift=4)
+    weight = (mask / np.float32(255))[..., None]
+    image += (np.clip(colour, 0, 1).astype(np.float32) - image) * weight
+
+
+def _framed(canvas: Canvas, image: Image, colour: Colour, width_m: float = 0.025) -> Image:
+    u, v = canvas.coordinates()
+    width, height = canvas.size_m
+    border = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
+    return mix(image, colour, canvas.inside(width_m - border))
+
+
+def screen() -> Texture:
+    """A switched-on display: windows with lines of text on a dark desktop."""
+
+    def paint(canvas: Canvas) -> Image:
+        rng = canvas.rng
+        u, v = canvas.coordinates()
+        image = canvas.flat((0.1, 0.16, 0.3)) * (1.0 + 0.25 * canvas.noise(0.2, 2))[..., None]
+        width, height = canvas.size_m
+        for _ in range(3):
+            x, y = rng.uniform(0.04, 0.5) * width, rng.uniform(0.06, 0.4) * height
+            w, h = rng.uniform(0.3, 0.45) * width, rng.uniform(0.35, 0.5) * height
+            window = np.minimum(np.minimum(u - x, x + w - u), np.minimum(v - y, y + h - v))
+            image = mix(image, (0.86, 0.87, 0.88), canvas.inside(window))
+            ink = canvas.pulse(v - y, 0.026, 0.011) * (canvas.noise((0.05, 0.026)) > -0.2)
+            text = ink * canvas.inside(window - 0.015)
+            image = mix(image, tuple(rng.uniform(0.1, 0.6, 3)), text)
+        return _framed(canvas, image, (0.07, 0.07, 0.08), 0.015)
+
+    return paint
+
+
+def leaf(colour: Colour = (0.2, 0.45, 0.16)) -> Texture:
+    """A leaf with a midrib along v and veins."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        side = np.abs(u - canvas.size_m[0] / 2)
+        veins = 0.5 * canvas.pulse(v + side, 0.04, 0.008)
+        image = mix(canvas.flat(colour), (0.5, 0.68, 0.32), np.maximum(veins, side < 0.005))
+        return image * (1.0 + 0.1 * canvas.noise(0.05, 2))[..., None]
+
+    return paint
+
+
+def panels(colour: Colour, size_m: float = 0.6) -> Texture:
+    """A ceiling of square acoustic panels with dark pits."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        pits = np.clip(canvas.noise(0.03, 2) - 0.9, 0.0, 0.8)
+        image = canvas.flat(colour) * (1.0 + 0.03 * canvas.noise(0.5, 3) - 0.2 * pits)[..., None]
+        joints = np.maximum(canvas.pulse(u, size_m, 0.025), canvas.pulse(v, size_m, 0.025))
+        return mix(image, (0.5, 0.5, 0.5), 0.7 * joints)
+
+    return paint
+
+
+def landscape() -> Texture:
+    """What a window shows: sky with clouds, hills and trees, behind a cross of bars."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        width, height = canvas.size_m
+        sky = mix(canvas.flat((0.5, 0.68, 0.9)), (0.92, 0.94, 0.97), v / height)
+        sky = mix(sky, (0.97, 0.97, 0.97), np.clip(canvas.noise((0.7, 0.25), 3) * 0.5, 0, 0.9))
+        hills = v - height * (0.6 + 0.06 * np.sin(u * 5.0) + 0.03 * np.sin(u * 13.0 + 1.0))
+        image = mix(sky, (0.36, 0.5, 0.28), canvas.inside(hills))
+        image *= (1.0 + 0.12 * canvas.inside(hills) * canvas.noise(0.08, 3))[..., None]
+        bars = np.maximum(
+            canvas.inside(0.025 - np.abs(u - width / 2)),
+            canvas.inside(0.025 - np.abs(v - height * 0.4)),
+        )
+        return _framed(canvas, mix(image, (0.9, 0.9, 0.88), bars), (0.9, 0.9, 0.88), 0.05)
+
+    return paint
+
+
+def keys() -> Texture:
+    """A keyboard seen from above."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        gaps = np.maximum(canvas.pulse(u, 0.022, 0.006), canvas.pulse(v, 0.022, 0.006))
+        caps = canvas.flat((0.75, 0.75, 0.73)) * (1.0 + 0.1 * canvas.noise(0.03))[..., None]
+        return mix(caps, (0.2, 0.2, 0.22), gaps)
+
+    return paint
+
+
+def spine() -> Texture:
+    """The back of a book: two bands and a title."""
+
+    def paint(canvas: Canvas) -> Image:
+        rng = canvas.rng
+        _, v = canvas.coordinates()
+        height = canvas.size_m[1]
+        image = canvas.flat(tuple(rng.uniform(0.12, 0.85, 3)))
+        accent = tuple(rng.uniform(0.3, 0.95, 3))
+        for place in rng.uniform(0.08, 0.92, 3) * height:
+            image = mix(image, accent, canvas.inside(0.008 - np.abs(v - place)))
+        return image * (1.0 + 0.07 * canvas.noise(0.04, 2))[..., None]
+
+    return paint
+
+
+def dial() -> Texture:
+    """A clock's face, centred on the chart."""
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        x, y = u - canvas.size_m[0] / 2, v - canvas.size_m[1] / 2
+        radius, reach = np.hypot(x, y), min(canvas.size_m) / 2
+        image = canvas.flat((0.93, 0.91, 0.86)) * (1 + 0.03 * canvas.noise(0.05, 2))[..., None]
+        angle = np.arctan2(y, x)
+        tick = canvas.pulse(angle * radius, np.pi / 6 * reach * 0.8, 0.02)
+        band = canvas.inside(0.02 - np.abs(radius - 0.8 * reach))
+        hands = np.maximum(
+            canvas.inside(0.008 - np.abs(x)) * (y < 0) * (y > -0.6 * reach),
+            canvas.inside(0.01 - np.abs(y)) * (x > 0) * (x < 0.45 * reach),
+        )
+        image = mix(image, (0.1, 0.1, 0.12), np.maximum(tick * band, hands))
+        return mix(image, (0.25, 0.16, 0.1), canvas.inside(radius - 0.92 * reach))
+
+    return paint
+
+
+def damask(ground: Colour, figure: Colour) -> Texture:
+    """Wallpaper with a staggered ornament of rings and dots."""
+    period_m = 0.24
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        row = np.floor(v / period_m)
+        x = (u / period_m + 0.5 * (row % 2)) % 1.0 - 0.5
+        y = (v / period_m) % 1.0 - 0.5
+        radius, angle = np.hypot(x, y) * period_m, np.arctan2(y, x)
+        petals = 0.065 + 0.022 * np.cos(6 * angle)
+        ornament = np.maximum(
+            canvas.inside(0.009 - np.abs(radius - petals)), canvas.inside(0.022 - radius)
+        )
+        image = mix(canvas.flat(ground), figure, ornament)
+        return image * (1.0 + 0.04 * canvas.noise(0.05, 3))[..., None]
+
+    return paint

@@ -1,0 +1,103 @@
+"""Writes a synthetic sequence in Replica's layout (NICE-SLAM's), labels and mesh beside it.
+
+Colour is PNG: JPEG alone would hold a reconstruction at about 40 dB.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.synthetic.ray_casting import Scene
+from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
+from toolkit.errors import DatasetError
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.open3d_bridge import open3d
+
+DEPTH_SCALE = 6553.5
+MARKER = "room.json"
+
+
+def prepare_folder(path: Path) -> None:
+    """Make the folder; what an earlier room left there goes away.
+
+    Raises:
+        DatasetError: it holds something that is not a synthetic room.
+    """
+    if path.exists() and not path.is_dir():
+        raise DatasetError(f"{path} is a file; give a folder for the room")
+    if path.is_dir() and any(path.iterdir()) and not (path / MARKER).is_file():
+        raise DatasetError(f"{path} is not empty and not a synthetic room; give another folder")
+    try:
+        for folder in (path, path / "unseen"):
+            for name in ("results", "labels"):
+                (folder / name).mkdir(parents=True, exist_ok=True)
+                for old in (folder / name).glob("*.png"):
+                    old.unlink()
+    except OSError as error:
+        raise DatasetError(f"cannot write {path}: {error.strerror}; choose another folder") from error
+
+
+def write_sequence(
+    path: Path, frames: Iterable[Frame], camera: Camera, T_world_camera: NDArray
+) -> None:
+    """Write images, poses [N, 4, 4], intrinsics and class names into a prepared folder."""
+    for frame in frames:
+        stem = f"{frame.index:06d}.png"
+        bgr = np.round(frame.rgb[..., ::-1] * 255.0).astype(np.uint8)
+        depth = np.clip(np.round(frame.depth_m * DEPTH_SCALE), 0, 65535).astype(np.uint16)
+        _write_png(path / "results" / f"frame{stem}", bgr)
+        _write_png(path / "results" / f"depth{stem}", depth)
+        if frame.labels is not None:
+            _write_png(path / "labels" / f"label{stem}", frame.labels.astype(np.uint8))
+    rows = np.asarray(T_world_camera).reshape(-1, 16)
+    lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
+    _write_text(path / "traj.txt", "\n".join(lines) + "\n")
+    _write_json(path / "cam_params.json", {"camera": _intrinsics(camera)})
+    classes = {str(number): name for name, number in CLASS_IDS.items()}
+    _write_json(path / "labels" / "classes.json", {"void": 0, "classes": classes})
+
+
+def write_mesh(path: Path, scene: Scene) -> None:
+    """Write the true surfaces with vertex colours as PLY."""
+    o3d = open3d()
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(scene.vertices_m),
+        o3d.utility.Vector3iVector(scene.triangles.astype(np.int32)),
+    )
+    mesh.vertex_colors = o3d.utility.Vector3dVector(scene.vertex_colours().astype(np.float64))
+    if not o3d.io.write_triangle_mesh(str(path), mesh):
+        raise DatasetError(f"cannot write {path}; check free space and permission")
+
+
+def _intrinsics(camera: Camera) -> dict[str, float]:
+    return {
+        "w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy,
+        "cx": camera.cx, "cy": camera.cy, "scale": DEPTH_SCALE,
+    }  # fmt: skip
+
+
+def _write_png(path: Path, image: NDArray) -> None:
+    try:
+        written = cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    except cv2.error:
+        written = False
+    if not written:
+        raise DatasetError(f"cannot write {path}; check free space and permission")
+
+
+def _write_json(path: Path, content: dict) -> None:
+    _write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise DatasetError(f"cannot write {path}: {error.strerror}; choose another folder") from error
