@@ -82,7 +82,8 @@ def write_tum(path: PathLike, trajectory: Trajectory) -> None:
     for time, T in zip(trajectory.timestamps_s, trajectory.T_world_camera, strict=True):
         values = [*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3])]
         # Adding zero turns -0.0 into 0.0, which would print its sign.
-        lines.append(f"{time:.6f} " + " ".join(f"{v + 0.0:.9f}" for v in values) + "\n")
+        numbers = " ".join(f"{round(float(v), 9) + 0.0:.9f}" for v in values)
+        lines.append(f"{time:.6f} {numbers}\n")
     write_bytes(path, "".join(lines).encode("ascii"))
 
 

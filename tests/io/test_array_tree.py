@@ -1,0 +1,78 @@
+"""Array trees: same values, same bytes, never half a folder."""
+
+import numpy as np
+import pytest
+
+from toolkit.errors import FormatError, RunFolderError
+from toolkit.io import arrays
+from toolkit.io.arrays import read_array_tree, write_array_tree
+
+VALUES = {
+    "map/means": np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32),
+    "poses": np.eye(4)[None].repeat(3, axis=0),
+    "mask": np.array([True, False]),
+    "empty": np.zeros((0, 7), np.int32),
+    "scalar": np.float64(3.5),
+}
+META = {"frame": 12, "seed": 2**63, "names": ["a", "b"], "none": None}
+
+
+def test_round_trip_keeps_values_types_and_shapes(tmp_path):
+    write_array_tree(tmp_path / "state", VALUES, META)
+    tree = read_array_tree(tmp_path / "state")
+    assert tree.metadata == META
+    assert set(tree.arrays) == set(VALUES)
+    for name, array in VALUES.items():
+        assert tree.arrays[name].dtype == np.asarray(array).dtype
+        np.testing.assert_array_equal(tree.arrays[name], array)
+
+
+def test_same_values_same_bytes(tmp_path):
+    write_array_tree(tmp_path / "a", VALUES, META)
+    write_array_tree(tmp_path / "b", dict(reversed(VALUES.items())), META)
+    for name in ("arrays.npz", "metadata.json"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_replacing_leaves_only_the_new_folder(tmp_path):
+    write_array_tree(tmp_path / "state", VALUES, META)
+    write_array_tree(tmp_path / "state", {"x": np.ones(2)}, {})
+    assert list(read_array_tree(tmp_path / "state").arrays) == ["x"]
+    assert [p.name for p in tmp_path.iterdir()] == ["state"]
+
+
+def test_a_failed_write_leaves_the_old_folder(tmp_path, monkeypatch):
+    write_array_tree(tmp_path / "state", VALUES, META)
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(arrays, "_write_arrays", full_disk)
+    with pytest.raises(RunFolderError, match="No space left"):
+        write_array_tree(tmp_path / "state", {"x": np.ones(2)}, {})
+    assert read_array_tree(tmp_path / "state").metadata == META
+    assert [p.name for p in tmp_path.iterdir()] == ["state"]
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped"])
+def test_damage_is_noticed(tmp_path, damage):
+    write_array_tree(tmp_path / "state", VALUES, META)
+    file = tmp_path / "state" / "arrays.npz"
+    content = bytearray(file.read_bytes())
+    if damage == "truncated":
+        content = content[:-30]
+    else:
+        content[content.find(VALUES["map/means"].tobytes())] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(FormatError, match="state is damaged"):
+        read_array_tree(tmp_path / "state")
+
+
+def test_missing_folder_and_unfit_values_are_errors(tmp_path):
+    with pytest.raises(RunFolderError, match="nowhere"):
+        read_array_tree(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="Python objects"):
+        write_array_tree(tmp_path / "state", {"x": np.array([object()])}, {})
+    with pytest.raises(ValueError, match="JSON"):
+        write_array_tree(tmp_path / "state", {}, {"x": float("nan")})
+    assert list(tmp_path.iterdir()) == []

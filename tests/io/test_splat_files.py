@@ -1,0 +1,105 @@
+"""Splat files: round trips, the layout that viewers read, damage."""
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.errors import DatasetError, FormatError, RunFolderError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io import splats
+
+
+@pytest.fixture
+def cloud() -> GaussianCloud:
+    g = torch.Generator().manual_seed(0)
+    n = 50
+    return GaussianCloud.from_values(
+        means=torch.randn(n, 3, generator=g),
+        radii_m=0.001 + 0.05 * torch.rand(n, generator=g),
+        opacities=0.05 + 0.9 * torch.rand(n, generator=g),
+        colours=torch.rand(n, 3, generator=g),
+    )
+
+
+def test_ply_round_trip_with_labels(tmp_path, cloud):
+    extra = {"label": np.arange(50), "label_l0": np.arange(50) % 3, "confidence": np.ones(50) / 3}
+    splats.write_splat_ply(tmp_path / "map.ply", cloud, extra)
+    read = splats.read_splats(tmp_path / "map.ply")
+    np.testing.assert_array_equal(read.means, cloud.means.numpy())
+    np.testing.assert_allclose(read.log_radii, cloud.log_radii.numpy(), atol=1e-6)
+    np.testing.assert_array_equal(read.opacity_logits, cloud.opacity_logits.numpy())
+    np.testing.assert_allclose(read.colours, cloud.colours.numpy(), atol=1e-6)
+    np.testing.assert_array_equal(read.extra["label"], np.arange(50))
+    assert read.extra["label_l0"].dtype == np.int32
+    np.testing.assert_allclose(read.extra["confidence"], 1 / 3)
+
+
+def test_ply_has_the_names_and_meanings_that_viewers_expect(tmp_path):
+    one = GaussianCloud.from_values(
+        means=torch.tensor([[1.0, 2.0, 3.0]]),
+        radii_m=torch.tensor([0.5]),
+        opacities=torch.tensor([0.9]),
+        colours=torch.tensor([[1.0, 0.5, 0.0]]),
+    )
+    splats.write_splat_ply(tmp_path / "map.ply", one)
+    header, _, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
+    names = [
+        line.split()[2].decode() for line in header.splitlines() if line.startswith(b"property")
+    ]
+    values = dict(zip(names, np.frombuffer(body, np.float32), strict=True))
+    expected = {
+        "x": 1,
+        "y": 2,
+        "z": 3,
+        **{f"f_dc_{i}": (c - 0.5) / 0.28209479 for i, c in enumerate((1.0, 0.5, 0.0))},
+        "opacity": np.log(0.9 / 0.1),
+        **{f"scale_{i}": np.log(0.5) for i in range(3)},
+        "rot_0": 1,
+        "rot_1": 0,
+        "rot_2": 0,
+        "rot_3": 0,
+    }
+    assert set(values) == set(expected)
+    for name, value in expected.items():
+        assert values[name] == pytest.approx(value, abs=1e-5), name
+
+
+@pytest.mark.parametrize("suffix", splats.SUFFIXES)
+def test_exports_repeat_bit_by_bit_and_keep_the_map(tmp_path, cloud, suffix):
+    for name in ("a", "b"):
+        splats.export_splats(tmp_path / f"{name}{suffix}", cloud)
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    read = splats.read_splats(tmp_path / f"a{suffix}")
+    nearest = np.abs(read.means[:, None] - cloud.means.numpy()[None]).sum(axis=2)
+    matched = nearest.argmin(axis=1)
+    assert sorted(matched) == list(range(50))
+    assert nearest.min(axis=1).max() < 1e-3
+    np.testing.assert_allclose(read.colours, cloud.colours.numpy()[matched], atol=0.02)
+    np.testing.assert_allclose(read.log_radii, cloud.log_radii.numpy()[matched], atol=0.05)
+
+
+def test_truncated_ply_is_an_error(tmp_path, cloud):
+    splats.write_splat_ply(tmp_path / "map.ply", cloud)
+    content = (tmp_path / "map.ply").read_bytes()
+    (tmp_path / "map.ply").write_bytes(content[:-9])
+    with pytest.raises(FormatError, match=r"map\.ply is truncated"):
+        splats.read_splats(tmp_path / "map.ply")
+
+
+def test_other_clouds_and_missing_files_are_errors(tmp_path):
+    (tmp_path / "cloud.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n0 0 0\n"
+    )
+    with pytest.raises(FormatError, match="no splat file"):
+        splats.read_splats(tmp_path / "cloud.ply")
+    with pytest.raises(DatasetError, match="does not exist"):
+        splats.read_splats(tmp_path / "nowhere.ply")
+
+
+def test_an_empty_map_and_wrong_columns_are_refused(tmp_path, cloud):
+    with pytest.raises(RunFolderError, match="no Gaussian"):
+        splats.write_splat_ply(tmp_path / "map.ply", GaussianCloud.empty())
+    with pytest.raises(ValueError, match=r"label must have shape \[50\]"):
+        splats.write_splat_ply(tmp_path / "map.ply", cloud, {"label": np.zeros(3, int)})
+    assert list(tmp_path.iterdir()) == []
