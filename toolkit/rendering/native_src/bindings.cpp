@@ -2,8 +2,13 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <array>
+#include <tuple>
+#include <vector>
 
+#include "alignment.hpp"
+#include "optimisation.hpp"
 #include "splats.hpp"
 
 namespace py = pybind11;
@@ -28,13 +33,20 @@ Gaussians gaussians_at(int64_t count, const std::array<Address, 5>& arrays, int 
             feature_channels};
 }
 
+typedef std::array<double, 4> Intrinsics;
+typedef std::array<int, 2> Size;
+
+Pinhole pinhole(const Intrinsics& intrinsics, const Size& size) {
+    return {(float)intrinsics[0], (float)intrinsics[1], (float)intrinsics[2], (float)intrinsics[3],
+            size[0], size[1]};
+}
+
 // Sorts, bins and composites; `state` is what backward needs.
 void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays, int feature_channels,
-             const std::array<double, 4>& intrinsics, const std::array<int, 2>& size,
+             const Intrinsics& intrinsics, const Size& size,
              const std::array<double, 12>& T_camera_map, Address region, Address images) {
     const Gaussians map = gaussians_at(count, arrays, feature_channels);
-    state.camera = {(float)intrinsics[0], (float)intrinsics[1], (float)intrinsics[2],
-                    (float)intrinsics[3], size[0], size[1]};
+    state.camera = pinhole(intrinsics, size);
     for (int row = 0; row < 3; ++row) {
         for (int k = 0; k < 3; ++k) state.R[3 * row + k] = (float)T_camera_map[4 * row + k];
         state.t[row] = (float)T_camera_map[4 * row + 3];
@@ -60,6 +72,64 @@ void backward(const Rasterisation& state, int64_t count, const std::array<Addres
 void copy_visible(const Rasterisation& state, Address ids) {
     int64_t* out = at<int64_t>(ids);
     for (size_t i = 0; i < state.splats.size(); ++i) out[i] = state.splats[i].id;
+}
+
+// images: [5, H, W] of a rendering; intensity and depth: [H, W].
+void align_prepare(const Size& size, Address images, double least_silhouette, Address intensity, Address depth) {
+    const py::gil_scoped_release release;
+    prepare_model(pinhole({1, 1, 0, 0}, size), at<const float>(images), (float)least_silhouette,
+                  at<float>(intensity), at<float>(depth));
+}
+
+void align_level(const Intrinsics& intrinsics, const Size& size, Address intensity, Address depth,
+                 Address texture, Address surface) {
+    const py::gil_scoped_release release;
+    build_model_level(pinhole(intrinsics, size), at<const float>(intensity), at<const float>(depth),
+                      at<float>(texture), at<float>(surface));
+}
+
+void align_halve(const Size& size, Address intensity, Address depth, Address half_intensity, Address half_depth) {
+    const py::gil_scoped_release release;
+    halve(size[0], size[1], at<const float>(intensity), at<const float>(depth), at<float>(half_intensity),
+          at<float>(half_depth));
+}
+
+// scalars: gain, bias, sigma_intensity, sigma_depth, max_distance. out: 51 doubles.
+void align_accumulate(const Intrinsics& intrinsics, const Size& size, const std::array<Address, 4>& arrays,
+                      const std::array<double, 12>& T_model_frame, const std::array<double, 5>& scalars,
+                      Address out) {
+    const Pinhole camera = pinhole(intrinsics, size);
+    const ModelLevel model = {camera, at<const float>(arrays[0]), at<const float>(arrays[1])};
+    const FrameLevel frame = {camera, at<const float>(arrays[2]), at<const float>(arrays[3])};
+    AlignmentSettings settings;
+    std::copy(T_model_frame.begin(), T_model_frame.end(), settings.T_model_frame);
+    settings.gain = scalars[0];
+    settings.bias = scalars[1];
+    settings.sigma_intensity = scalars[2];
+    settings.sigma_depth = scalars[3];
+    settings.max_distance = scalars[4];
+    const py::gil_scoped_release release;
+    accumulate(model, frame, settings, *at<NormalEquations>(out));
+}
+
+// groups: (parameter, first moment, second moment, gradient, width, learning rate) each.
+void adam(Address ids, int64_t count, Address steps,
+          const std::vector<std::tuple<Address, Address, Address, Address, int, double>>& groups,
+          const std::array<double, 3>& betas_epsilon) {
+    std::vector<AdamGroup> plain;
+    for (const auto& [parameter, first, second, gradient, width, rate] : groups) {
+        plain.push_back({at<float>(parameter), at<float>(first), at<float>(second), at<const float>(gradient),
+                         width, (float)rate});
+    }
+    const py::gil_scoped_release release;
+    adam_step(at<const int64_t>(ids), count, at<int32_t>(steps), plain.data(), (int)plain.size(),
+              (float)betas_epsilon[0], (float)betas_epsilon[1], (float)betas_epsilon[2]);
+}
+
+double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double weight, Address gradient) {
+    const py::gil_scoped_release release;
+    return ssim(at<const float>(x), at<const float>(y), shape[0], shape[1], shape[2], (float)weight,
+                at<float>(gradient));
 }
 
 // The best instruction set that this processor runs and that we build for.
@@ -89,5 +159,11 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("forward", &forward);
     m.def("backward", &backward);
     m.def("copy_visible", &copy_visible);
+    m.def("align_prepare", &align_prepare);
+    m.def("align_level", &align_level);
+    m.def("align_halve", &align_halve);
+    m.def("align_accumulate", &align_accumulate);
+    m.def("adam", &adam);
+    m.def("mean_ssim", &mean_ssim);
     m.def("instruction_set", &instruction_set);
 }

@@ -1,0 +1,258 @@
+// Dense frame-to-model alignment: photometric and point-to-plane residuals (mission section 7).
+//
+// A frame pixel's point Y = T_model_frame P is projected into the rendered view. Photometric:
+// model intensity there minus the frame's; geometric: distance of Y from the model's plane.
+// Derivatives come from the model, which is smoother than a camera image. Weights follow
+// Student's t distribution (nu = 5), whose scales the caller re-estimates from the sums.
+#include "alignment.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+namespace semsplat {
+namespace {
+
+enum { ROWS = 4 };  // rows summed in single precision before doubles take over
+constexpr float NU = 5.0f;
+// Depth differences beyond this share of the depth are an edge, not a surface.
+constexpr float EDGE = 0.05f;
+
+// Sums of one group of rows: upper triangles of the two blocks of the Hessian.
+struct Sums {
+    float pose[21], pose_gain[6], pose_bias[6], gain_gain, gain_bias, bias_bias;
+    float g[PARAMETERS];
+    float intensity_pixels, depth_pixels, intensity_squares, depth_squares, frame_pixels;
+    float weighted_intensity, weighted_depth;
+};
+
+inline void add_outer(Sums& s, const float* J, float weight, float residual) {
+    int k = 0;
+    for (int i = 0; i < 6; ++i) {
+        const float wj = weight * J[i];
+        for (int j = i; j < 6; ++j) s.pose[k++] += wj * J[j];
+        s.g[i] += wj * residual;
+    }
+}
+
+// Bilinear intensity, derivatives and depth; false where a tap is unusable or an edge is crossed.
+inline bool look_up(const ModelLevel& model, float u, float v, float* value) {
+    const int x = (int)u, y = (int)v, W = model.camera.width;
+    const float a = u - x, b = v - y;
+    const float* p00 = model.texture + 4 * ((size_t)y * W + x);
+    const float* p01 = p00 + 4;
+    const float* p10 = p00 + 4 * W;
+    const float* p11 = p10 + 4;
+    const float nearest = std::min(std::min(p00[3], p01[3]), std::min(p10[3], p11[3]));
+    const float farthest = std::max(std::max(p00[3], p01[3]), std::max(p10[3], p11[3]));
+    if (!(nearest > 0) || farthest - nearest > EDGE * nearest) return false;
+    const float w00 = (1 - a) * (1 - b), w01 = a * (1 - b), w10 = (1 - a) * b, w11 = a * b;
+    for (int k = 0; k < 4; ++k) value[k] = w00 * p00[k] + w01 * p01[k] + w10 * p10[k] + w11 * p11[k];
+    return true;
+}
+
+void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const AlignmentSettings& s,
+                     const float* R, const float* t, int row_begin, int row_end, Sums& sums) {
+    const Pinhole& fc = frame.camera;
+    const Pinhole& mc = model.camera;
+    const float gain = (float)s.gain, bias = (float)s.bias, gate = (float)s.max_distance;
+    const float inverse_si = (float)(1.0 / s.sigma_intensity), inverse_sd = (float)(1.0 / s.sigma_depth);
+    for (int py = row_begin; py < row_end; ++py) {
+        const float ray_y = (py - fc.cy) / fc.fy;
+        for (int px = 0; px < fc.width; ++px) {
+            const size_t at = (size_t)py * fc.width + px;
+            const float z = frame.depth[at];
+            if (!(z > 0)) continue;
+            const float ray_x = (px - fc.cx) / fc.fx;
+            const float Y[3] = {z * (R[0] * ray_x + R[1] * ray_y + R[2]) + t[0],
+                                z * (R[3] * ray_x + R[4] * ray_y + R[5]) + t[1],
+                                z * (R[6] * ray_x + R[7] * ray_y + R[8]) + t[2]};
+            if (!(Y[2] > NEAR_M)) continue;
+            const float inverse_z = 1.0f / Y[2];
+            const float u = mc.fx * Y[0] * inverse_z + mc.cx, v = mc.fy * Y[1] * inverse_z + mc.cy;
+            if (!(u >= 0 && v >= 0 && u < mc.width - 1 && v < mc.height - 1)) continue;
+            sums.frame_pixels += 1;
+
+            // Geometry: the plane of the nearest model pixel.
+            const float* plane = model.surface + 4 * ((size_t)(v + 0.5f) * mc.width + (size_t)(u + 0.5f));
+            const float* texel = model.texture + 4 * ((size_t)(v + 0.5f) * mc.width + (size_t)(u + 0.5f));
+            if (!(texel[3] > 0)) continue;
+            if (!(std::fabs(texel[3] - Y[2]) < gate * Y[2])) continue;
+            float J[6];
+            if (plane[0] != 0 || plane[1] != 0 || plane[2] != 0) {
+                const float* n = plane;
+                const float r = n[0] * Y[0] + n[1] * Y[1] + n[2] * Y[2] - plane[3];
+                // The sensor's noise grows with the square of the depth.
+                const float scale = inverse_sd / std::max(z * z, 0.25f);
+                const float q = r * scale;
+                const float robust = (NU + 1) / (NU + q * q);
+                const float weight = robust * scale * scale;
+                J[0] = n[0];
+                J[1] = n[1];
+                J[2] = n[2];
+                J[3] = Y[1] * n[2] - Y[2] * n[1];
+                J[4] = Y[2] * n[0] - Y[0] * n[2];
+                J[5] = Y[0] * n[1] - Y[1] * n[0];
+                add_outer(sums, J, weight, r);
+                sums.depth_pixels += 1;
+                sums.depth_squares += robust * q * q;
+                sums.weighted_depth += robust;
+            }
+
+            float value[4];
+            if (!look_up(model, u, v, value)) continue;
+            const float own = frame.intensity[at];
+            const float r = value[0] - (gain * own + bias);
+            const float q = r * inverse_si;
+            const float robust = (NU + 1) / (NU + q * q);
+            const float weight = robust * inverse_si * inverse_si;
+            const float a = value[1] * mc.fx * inverse_z, b = value[2] * mc.fy * inverse_z;
+            const float c = -(a * Y[0] + b * Y[1]) * inverse_z;
+            J[0] = a;
+            J[1] = b;
+            J[2] = c;
+            J[3] = Y[1] * c - Y[2] * b;
+            J[4] = Y[2] * a - Y[0] * c;
+            J[5] = Y[0] * b - Y[1] * a;
+            add_outer(sums, J, weight, r);
+            for (int k = 0; k < 6; ++k) {
+                sums.pose_gain[k] -= weight * J[k] * own;
+                sums.pose_bias[k] -= weight * J[k];
+            }
+            sums.gain_gain += weight * own * own;
+            sums.gain_bias += weight * own;
+            sums.bias_bias += weight;
+            sums.g[6] -= weight * own * r;
+            sums.g[7] -= weight * r;
+            sums.intensity_pixels += 1;
+            sums.intensity_squares += robust * q * q;
+            sums.weighted_intensity += robust;
+        }
+    }
+}
+
+void add(const Sums& s, NormalEquations& out) {
+    int from = 0;
+    for (int i = 0; i < 6; ++i) {
+        // Row i of the 8x8 upper triangle starts here.
+        double* row = out.H + i * PARAMETERS - i * (i - 1) / 2;
+        for (int j = i; j < 6; ++j) row[j - i] += s.pose[from++];
+        row[6 - i] += s.pose_gain[i];
+        row[7 - i] += s.pose_bias[i];
+    }
+    out.H[33] += s.gain_gain;
+    out.H[34] += s.gain_bias;
+    out.H[35] += s.bias_bias;
+    for (int k = 0; k < PARAMETERS; ++k) out.g[k] += s.g[k];
+    out.intensity_pixels += s.intensity_pixels;
+    out.depth_pixels += s.depth_pixels;
+    out.intensity_squares += s.intensity_squares;
+    out.depth_squares += s.depth_squares;
+    out.frame_pixels += s.frame_pixels;
+    out.weighted_intensity += s.weighted_intensity;
+    out.weighted_depth += s.weighted_depth;
+}
+
+}  // namespace
+
+void accumulate(const ModelLevel& model, const FrameLevel& frame, const AlignmentSettings& settings,
+                NormalEquations& out) {
+    const int height = frame.camera.height, groups = (height + ROWS - 1) / ROWS;
+    float R[9], t[3];
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) R[3 * i + j] = (float)settings.T_model_frame[4 * i + j];
+        t[i] = (float)settings.T_model_frame[4 * i + 3];
+    }
+    std::vector<Sums> sums((size_t)groups);
+#pragma omp parallel for schedule(dynamic, 2)
+    for (int group = 0; group < groups; ++group) {
+        Sums local;
+        std::memset(&local, 0, sizeof local);
+        accumulate_rows(model, frame, settings, R, t, group * ROWS, std::min(height, (group + 1) * ROWS), local);
+        sums[(size_t)group] = local;
+    }
+    std::memset(&out, 0, sizeof out);
+    for (const Sums& s : sums) add(s, out);
+}
+
+void prepare_model(const Pinhole& camera, const float* images, float least_silhouette, float* intensity,
+                   float* depth) {
+    const int64_t plane = (int64_t)camera.width * camera.height;
+    const float *r = images, *g = images + plane, *b = images + 2 * plane, *d = images + 3 * plane,
+                *s = images + 4 * plane;
+#pragma omp parallel for schedule(static)
+    for (int64_t i = 0; i < plane; ++i) {
+        const bool usable = s[i] >= least_silhouette;
+        const float inverse = usable ? 1.0f / s[i] : 0.0f;
+        intensity[i] = (0.299f * r[i] + 0.587f * g[i] + 0.114f * b[i]) * inverse;
+        depth[i] = d[i] * inverse;
+    }
+}
+
+void build_model_level(const Pinhole& camera, const float* intensity, const float* depth, float* texture,
+                       float* surface) {
+    const int W = camera.width, H = camera.height;
+#pragma omp parallel for schedule(static)
+    for (int y = 0; y < H; ++y) {
+        for (int x = 0; x < W; ++x) {
+            const size_t i = (size_t)y * W + x;
+            float* out = texture + 4 * i;
+            float* normal = surface + 4 * i;
+            std::fill_n(out, 4, 0.0f);
+            std::fill_n(normal, 4, 0.0f);
+            if (x == 0 || y == 0 || x == W - 1 || y == H - 1) continue;
+            const float z = depth[i], l = depth[i - 1], r = depth[i + 1], o = depth[i - W], u = depth[i + W];
+            if (!(std::min(std::min(std::min(z, l), std::min(r, o)), u) > 0)) continue;
+            out[0] = intensity[i];
+            out[1] = 0.5f * (intensity[i + 1] - intensity[i - 1]);
+            out[2] = 0.5f * (intensity[i + W] - intensity[i - W]);
+            out[3] = z;
+            if (std::fabs(r - l) > EDGE * z || std::fabs(u - o) > EDGE * z) continue;
+            // Tangents along x and y: d/dx of ((x - cx) / fx z, (y - cy) / fy z, z).
+            const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
+            const float zx = 0.5f * (r - l), zy = 0.5f * (u - o);
+            const float ax = z / camera.fx + rx * zx, ay = ry * zx, az = zx;
+            const float bx = rx * zy, by = z / camera.fy + ry * zy, bz = zy;
+            float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
+            const float length = std::sqrt(nx * nx + ny * ny + nz * nz);
+            nx /= length;
+            ny /= length;
+            nz /= length;
+            normal[0] = nx;
+            normal[1] = ny;
+            normal[2] = nz;
+            normal[3] = (nx * rx + ny * ry + nz) * z;
+        }
+    }
+}
+
+void halve(int width, int height, const float* intensity, const float* depth, float* half_intensity,
+           float* half_depth) {
+    const int W = std::max(1, width / 2), H = std::max(1, height / 2);
+#pragma omp parallel for schedule(static)
+    for (int y = 0; y < H; ++y) {
+        for (int x = 0; x < W; ++x) {
+            const int x1 = std::min(2 * x + 1, width - 1), y1 = std::min(2 * y + 1, height - 1);
+            const size_t taps[4] = {(size_t)(2 * y) * width + 2 * x, (size_t)(2 * y) * width + x1,
+                                    (size_t)y1 * width + 2 * x, (size_t)y1 * width + x1};
+            float sum = 0, nearest = 1e30f, depth_sum = 0;
+            int count = 0;
+            for (size_t tap : taps) {
+                sum += intensity[tap];
+                if (depth[tap] > 0) nearest = std::min(nearest, depth[tap]);
+            }
+            // Average the nearest surface alone: never mix across an edge.
+            for (size_t tap : taps) {
+                if (depth[tap] > 0 && depth[tap] - nearest <= EDGE * nearest) {
+                    depth_sum += depth[tap];
+                    ++count;
+                }
+            }
+            half_intensity[(size_t)y * W + x] = 0.25f * sum;
+            half_depth[(size_t)y * W + x] = count ? depth_sum / count : 0.0f;
+        }
+    }
+}
+
+}  // namespace semsplat

@@ -1,0 +1,223 @@
+"""Dense alignment of a frame to a rendered view: pyramids and Gauss-Newton sums.
+
+The work is done by the native kernels, or by the same equations in numpy where none were
+compiled; the two agree and are tested against each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.native import address, kernels
+from toolkit.tracking import alignment_numpy
+
+LUMA = (0.299, 0.587, 0.114)
+_SUMS = 51  # doubles of the kernel's result
+
+
+@dataclass(frozen=True)
+class FrameLevel:
+    """One pyramid level of a frame: intensity [H, W] in [0, 1], depth [H, W] in metres."""
+
+    camera: Camera
+    intensity: Tensor
+    depth_m: Tensor
+
+
+@dataclass(frozen=True)
+class ModelLevel:
+    """One pyramid level of a rendered view.
+
+    Attributes:
+        texture: [H, W, 4] intensity, its x and y derivatives, depth (m); 0 where unusable.
+        surface: [H, W, 4] unit normal in the view's frame and plane offset; 0 where unusable.
+    """
+
+    camera: Camera
+    texture: Tensor
+    surface: Tensor
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What a residual of one standard deviation is.
+
+    Attributes:
+        intensity: photometric, intensities in [0, 1].
+        depth_m: point to plane at 1 m; the sensor's noise grows with the squared depth.
+    """
+
+    intensity: float
+    depth_m: float
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Normal equations at a pose and the numbers that judge it.
+
+    Attributes:
+        H: [8, 8] over (translation, rotation, gain, bias). g: [8].
+        intensity_pixels, depth_pixels: residuals that took part.
+        intensity_variance, depth_variance: weighted mean squares in units of the scales.
+        frame_pixels: measured frame pixels that fall into the view.
+    """
+
+    H: NDArray[np.float64]
+    g: NDArray[np.float64]
+    intensity_pixels: float
+    depth_pixels: float
+    intensity_variance: float
+    depth_variance: float
+    frame_pixels: float
+
+    @property
+    def cost(self) -> float:
+        """Mean robust squared residual, comparable between poses at equal scales."""
+        pixels = self.intensity_pixels + self.depth_pixels
+        if pixels < 1:
+            return float("inf")
+        total = self.intensity_variance * self.intensity_pixels
+        total += self.depth_variance * self.depth_pixels
+        return total / pixels
+
+
+def intensity_of(rgb: NDArray[np.float32]) -> Tensor:
+    """Luma [H, W] of an RGB image [H, W, 3]."""
+    weights = np.array(LUMA, dtype=np.float32)
+    return torch.from_numpy(np.ascontiguousarray(rgb @ weights))
+
+
+def halved(level: FrameLevel) -> FrameLevel:
+    """The next level: averaged intensity; depth of the nearest surface in each 2x2 cell."""
+    camera = level.camera.halved()
+    module = kernels()
+    if module is None:
+        intensity, depth = alignment_numpy.halve(level.intensity.numpy(), level.depth_m.numpy())
+        return FrameLevel(camera, torch.from_numpy(intensity), torch.from_numpy(depth))
+    half = FrameLevel(
+        camera,
+        torch.empty(camera.height, camera.width),
+        torch.empty(camera.height, camera.width),
+    )
+    module.align_halve(
+        level.camera.size,
+        address(level.intensity),
+        address(level.depth_m),
+        address(half.intensity),
+        address(half.depth_m),
+    )
+    return half
+
+
+def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
+    """Levels from fine to coarse."""
+    out = [level]
+    while len(out) < levels:
+        out.append(halved(out[-1]))
+    return out
+
+
+def view_of(images: Tensor, camera: Camera, least_silhouette: float) -> FrameLevel:
+    """Intensity and surface depth of a rendering [5 + S, H, W], 0 where it is too thin."""
+    module = kernels()
+    if module is None:
+        intensity, depth = alignment_numpy.prepare(images.numpy(), least_silhouette)
+        return FrameLevel(camera, torch.from_numpy(intensity), torch.from_numpy(depth))
+    view = FrameLevel(
+        camera,
+        torch.empty(camera.height, camera.width),
+        torch.empty(camera.height, camera.width),
+    )
+    module.align_prepare(
+        camera.size,
+        address(images),
+        least_silhouette,
+        address(view.intensity),
+        address(view.depth_m),
+    )
+    return view
+
+
+def model_level(level: FrameLevel) -> ModelLevel:
+    """Derivatives and planes of one level of a rendered view."""
+    camera = level.camera
+    module = kernels()
+    if module is None:
+        texture, surface = alignment_numpy.model(
+            camera, level.intensity.numpy(), level.depth_m.numpy()
+        )
+        return ModelLevel(camera, torch.from_numpy(texture), torch.from_numpy(surface))
+    model = ModelLevel(
+        camera,
+        torch.empty(camera.height, camera.width, 4),
+        torch.empty(camera.height, camera.width, 4),
+    )
+    module.align_level(
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        camera.size,
+        address(level.intensity),
+        address(level.depth_m),
+        address(model.texture),
+        address(model.surface),
+    )
+    return model
+
+
+def linearise(
+    model: ModelLevel,
+    frame: FrameLevel,
+    T_model_frame: NDArray[np.float64],
+    scales: Scales,
+    exposure: tuple[float, float],
+    max_distance: float,
+) -> Linearisation:
+    """Normal equations of frame against model at a pose.
+
+    Args:
+        T_model_frame: [4, 4]; the perturbation multiplies from the left.
+        exposure: (gain, bias), frame intensity to model intensity.
+        max_distance: gate on depth differences, as a share of the depth.
+    """
+    camera = frame.camera
+    module = kernels()
+    if module is None:
+        sums = alignment_numpy.accumulate(
+            (model.texture.numpy(), model.surface.numpy()),
+            (frame.intensity.numpy(), frame.depth_m.numpy()),
+            camera,
+            T_model_frame,
+            (*exposure, scales.intensity, scales.depth_m, max_distance),
+        )
+    else:
+        sums = np.empty(_SUMS)
+        module.align_accumulate(
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            camera.size,
+            [address(t) for t in (model.texture, model.surface, frame.intensity, frame.depth_m)],
+            np.asarray(T_model_frame[:3]).reshape(-1).tolist(),
+            (*exposure, scales.intensity, scales.depth_m, max_distance),
+            sums.ctypes.data,
+        )
+    return _unpack(sums)
+
+
+def _unpack(sums: NDArray[np.float64]) -> Linearisation:
+    H = np.zeros((8, 8))
+    H[np.triu_indices(8)] = sums[:36]
+    H = H + np.triu(H, 1).T
+    intensity_pixels, depth_pixels, intensity_squares, depth_squares, frame_pixels = sums[44:49]
+    return Linearisation(
+        H=H,
+        g=sums[36:44].copy(),
+        intensity_pixels=float(intensity_pixels),
+        depth_pixels=float(depth_pixels),
+        intensity_variance=float(intensity_squares / max(intensity_pixels, 1.0)),
+        depth_variance=float(depth_squares / max(depth_pixels, 1.0)),
+        frame_pixels=float(frame_pixels),
+    )

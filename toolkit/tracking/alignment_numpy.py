@@ -1,0 +1,140 @@
+"""The alignment kernels' equations in numpy: the reference, and what runs without a compiler."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry.camera import Camera
+
+NU = 5.0  # degrees of freedom of Student's t
+EDGE = 0.05  # depth differences beyond this share of the depth are an edge
+NEAR_M = 0.01
+LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+
+Image = NDArray[np.float32]
+
+
+def prepare(images: Image, least_silhouette: float) -> tuple[Image, Image]:
+    """Intensity and depth [H, W] of a rendering [5 + S, H, W]."""
+    usable = images[4] >= least_silhouette
+    inverse = np.where(usable, 1.0 / np.where(usable, images[4], 1.0), 0.0).astype(np.float32)
+    return np.tensordot(LUMA, images[:3], 1) * inverse, images[3] * inverse
+
+
+def halve(intensity: Image, depth: Image) -> tuple[Image, Image]:
+    """2x2 averages of the intensity; of the depth, those near the nearest surface."""
+    height, width = intensity.shape
+    rows = np.minimum(2 * np.arange(max(1, height // 2))[:, None] + [0, 1], height - 1)
+    columns = np.minimum(2 * np.arange(max(1, width // 2))[:, None] + [0, 1], width - 1)
+    taps = np.stack([depth[np.ix_(rows[:, a], columns[:, b])] for a in (0, 1) for b in (0, 1)])
+    grey = np.stack([intensity[np.ix_(rows[:, a], columns[:, b])] for a in (0, 1) for b in (0, 1)])
+    nearest = np.where(taps > 0, taps, 1e30).min(axis=0)
+    same = (taps > 0) & (taps - nearest <= EDGE * nearest)
+    count = same.sum(axis=0)
+    mean = np.where(count > 0, (taps * same).sum(axis=0) / np.maximum(count, 1), 0.0)
+    return grey.mean(axis=0).astype(np.float32), mean.astype(np.float32)
+
+
+def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]:
+    """Texture and surface [H, W, 4] of a view; see ModelLevel."""
+    texture = np.zeros((*depth.shape, 4), dtype=np.float32)
+    surface = np.zeros_like(texture)
+    if min(depth.shape) < 3:
+        return texture, surface
+    inner = (slice(1, -1), slice(1, -1))
+    z = depth[inner]
+    left, right = depth[1:-1, :-2], depth[1:-1, 2:]
+    above, below = depth[:-2, 1:-1], depth[2:, 1:-1]
+    usable = np.min([z, left, right, above, below], axis=0) > 0
+    parts = (
+        intensity[inner],
+        0.5 * (intensity[1:-1, 2:] - intensity[1:-1, :-2]),
+        0.5 * (intensity[2:, 1:-1] - intensity[:-2, 1:-1]),
+        z,
+    )
+    texture[inner] = np.stack(parts, axis=-1) * usable[..., None]
+    smooth = usable & (abs(right - left) <= EDGE * z) & (abs(below - above) <= EDGE * z)
+    rays = camera.rays()[inner].astype(np.float32)
+    unit = np.eye(3, dtype=np.float32)
+    along_x = rays * (0.5 * (right - left))[..., None] + z[..., None] / camera.fx * unit[0]
+    along_y = rays * (0.5 * (below - above))[..., None] + z[..., None] / camera.fy * unit[1]
+    normal = np.cross(along_x, along_y)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal = normal / np.where(length > 0, length, 1.0)
+    offset = (normal * rays).sum(axis=-1, keepdims=True) * z[..., None]
+    surface[inner] = np.concatenate([normal, offset], axis=-1) * smooth[..., None]
+    return texture, surface
+
+
+def accumulate(
+    model_images: tuple[Image, Image],
+    frame_images: tuple[Image, Image],
+    camera: Camera,
+    T_model_frame: NDArray[np.float64],
+    scalars: tuple[float, float, float, float, float],
+) -> NDArray[np.float64]:
+    """The kernel's 51 sums; scalars are gain, bias, both scales and the gate."""
+    texture, surface = model_images
+    intensity, depth = frame_images
+    gain, bias, sigma_intensity, sigma_depth, gate = scalars
+    rows, columns = np.nonzero(depth > 0)
+    z = depth[rows, columns].astype(np.float64)
+    own = intensity[rows, columns].astype(np.float64)
+    Y = (camera.rays()[rows, columns] * z[:, None]) @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
+    ahead = Y[:, 2] > NEAR_M
+    uv = camera.project(np.where(ahead[:, None], Y, [0.0, 0.0, 1.0]))
+    inside = ahead & (uv >= 0).all(axis=1)
+    inside &= (uv[:, 0] < camera.width - 1) & (uv[:, 1] < camera.height - 1)
+    Y, uv, z, own = Y[inside], uv[inside], z[inside], own[inside]
+    nearest = (uv + 0.5).astype(int)
+    plane = surface[nearest[:, 1], nearest[:, 0]].astype(np.float64)
+    seen = texture[nearest[:, 1], nearest[:, 0], 3]
+    close = (seen > 0) & (abs(seen - Y[:, 2]) < gate * Y[:, 2])
+
+    H, g, tail = np.zeros((8, 8)), np.zeros(8), np.zeros(7)
+    tail[4] = len(Y)
+    flat = close & plane[:, :3].any(axis=1)
+    n = plane[flat, :3]
+    scale = 1.0 / (sigma_depth * np.maximum(z[flat] ** 2, 0.25))
+    _add(H, g, tail, 1, (_jacobian(n, Y[flat]), (n * Y[flat]).sum(axis=1) - plane[flat, 3], scale))
+
+    value, usable = _bilinear(texture, uv[close])
+    Y, own, value = Y[close][usable], own[close][usable], value[usable]
+    a = value[:, 1] * camera.fx / Y[:, 2]
+    b = value[:, 2] * camera.fy / Y[:, 2]
+    slope = np.stack([a, b, -(a * Y[:, 0] + b * Y[:, 1]) / Y[:, 2]], axis=1)
+    J = np.concatenate([_jacobian(slope, Y)[:, :6], -own[:, None], -np.ones_like(own)[:, None]], axis=1)
+    residual = value[:, 0] - (gain * own + bias)
+    _add(H, g, tail, 0, (J, residual, np.full(len(own), 1.0 / sigma_intensity)))
+    return np.concatenate([H[np.triu_indices(8)], g, tail])
+
+
+def _jacobian(direction: NDArray, Y: NDArray) -> NDArray:
+    """Derivative [n, 8] of direction . Y by a left perturbation; no exposure."""
+    return np.concatenate([direction, np.cross(Y, direction), np.zeros((len(Y), 2))], axis=1)
+
+
+def _add(H: NDArray, g: NDArray, tail: NDArray, kind: int, residuals: tuple[NDArray, ...]) -> None:
+    """Add weighted residuals (J, r, 1 / scale) to the sums in place."""
+    J, r, inverse = residuals
+    q2 = (r * inverse) ** 2
+    robust = (NU + 1.0) / (NU + q2)
+    weight = robust * inverse**2
+    H += (J * weight[:, None]).T @ J
+    g += J.T @ (weight * r)
+    tail[kind] += len(r)
+    tail[2 + kind] += (robust * q2).sum()
+    tail[5 + kind] += robust.sum()
+
+
+def _bilinear(texture: Image, uv: NDArray) -> tuple[NDArray, NDArray]:
+    """Interpolated texture [n, 4], and whether all taps lie on one surface [n]."""
+    x, y = uv[:, 0].astype(int), uv[:, 1].astype(int)
+    a, b = (uv[:, 0] - x)[:, None], (uv[:, 1] - y)[:, None]
+    taps = [texture[y, x], texture[y, x + 1], texture[y + 1, x], texture[y + 1, x + 1]]
+    depths = np.stack([t[:, 3] for t in taps])
+    nearest, farthest = depths.min(axis=0), depths.max(axis=0)
+    usable = (nearest > 0) & (farthest - nearest <= EDGE * nearest)
+    weights = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
+    return sum(w * t for w, t in zip(weights, taps, strict=True)), usable

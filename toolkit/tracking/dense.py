@@ -1,0 +1,240 @@
+"""The default tracker: dense Gauss-Newton against the rendered map (mission section 7).
+
+Render once where the camera is expected, align the frame to that view coarse to fine, and
+render again only where the result lies far from the view that it was measured against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.rendering import backend
+from toolkit.tracking.alignment import (
+    FrameLevel,
+    Linearisation,
+    ModelLevel,
+    Scales,
+    intensity_of,
+    linearise,
+    model_level,
+    pyramid,
+    view_of,
+)
+from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.result import TrackingResult
+
+import torch
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """Values of the dense tracker.
+
+    Attributes:
+        levels: pyramid levels; the coarsest image should keep at least 30 pixels a side.
+        iterations: most Gauss-Newton steps a level.
+        renders: most views drawn a frame.
+        rerender_distance: draw again when the pose moved by more than this share of the
+            median depth (translation) or this angle in radians.
+        least_silhouette: rendered pixels thinner than this are not trusted.
+        max_distance: gate on depth differences at the finest level, as a share of depth;
+            doubled at every coarser level.
+        exposure: estimate gain and bias of every frame.
+        photometric_weight: weight of the photometric term against the geometric one.
+    """
+
+    levels: int = 3
+    iterations: int = 10
+    renders: int = 3
+    rerender_distance: float = 0.02
+    least_silhouette: float = 0.9
+    max_distance: float = 0.05
+    exposure: bool = True
+    photometric_weight: float = 1.0
+
+
+# Start and bounds of the residual scales, which every step re-estimates.
+_START = Scales(intensity=0.05, depth_m=0.01)
+_LEAST = Scales(intensity=0.004, depth_m=0.0004)
+_MOST = Scales(intensity=0.2, depth_m=0.05)
+
+# Steps below these end a level: a thousandth of a pixel at usual focal lengths.
+_SMALL_TRANSLATION_M = 5e-6
+_SMALL_ROTATION_RAD = 3e-6
+
+
+@dataclass
+class _Estimate:
+    """The state of one frame's alignment."""
+
+    T_map_camera: NDArray[np.float64]
+    scales: Scales
+    gain: float = 1.0
+    bias: float = 0.0
+    iterations: int = 0
+    converged: bool = False
+    last: Linearisation | None = None
+
+
+class DenseTracker:
+    """Tracks frames against a map of Gaussians by second-order optimisation."""
+
+    def __init__(
+        self,
+        options: DenseOptions | None = None,
+        limits: HealthLimits | None = None,
+        backend_name: str = "auto",
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.options = options or DenseOptions()
+        self.limits = limits or HealthLimits()
+        self.motion = ConstantVelocity()
+        self._backend = backend(backend_name)
+        self._recorder = recorder or NullRecorder()
+        self._scales = _START
+
+    def start(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> None:
+        """Take a frame's pose as known (the first frame, or a relocalised one)."""
+        self.motion.update(frame.timestamp_s, T_map_camera)
+
+    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+        """Pose of a frame against the map; the motion model follows unless it is lost."""
+        levels = pyramid(
+            FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)),
+            self.options.levels,
+        )
+        estimate = _Estimate(self.motion.predict(frame.timestamp_s), self._scales)
+        renders = 0
+        while renders < self.options.renders:
+            T_map_view = estimate.T_map_camera.copy()
+            view = self._draw_levels(gaussians, frame.camera, T_map_view)
+            renders += 1
+            self._align(view, levels, T_map_view, estimate, coarse=renders == 1)
+            if not self._moved_far(T_map_view, estimate.T_map_camera, frame):
+                break
+        result = self._result(estimate, renders, levels[0])
+        if result.lost:
+            self.motion.forget_velocity()
+        else:
+            self.motion.update(frame.timestamp_s, result.T_map_camera)
+            self._scales = estimate.scales
+        return result
+
+    def _draw_levels(
+        self, gaussians: GaussianCloud, camera: Camera, T_map_view: NDArray[np.float64]
+    ) -> list[ModelLevel]:
+        drawn = self._backend.forward(gaussians, camera, se3.inverse(T_map_view), None, None)
+        view = view_of(drawn.images, camera, self.options.least_silhouette)
+        return [model_level(level) for level in pyramid(view, self.options.levels)]
+
+    def _align(
+        self,
+        view: list[ModelLevel],
+        frame: list[FrameLevel],
+        T_map_view: NDArray[np.float64],
+        estimate: _Estimate,
+        coarse: bool,
+    ) -> None:
+        """Coarse to fine; a second view of the same frame needs the finest level only."""
+        T_view_map = se3.inverse(T_map_view)
+        for level in range(len(view) - 1 if coarse else 0, -1, -1):
+            gate = self.options.max_distance * 2**level
+            estimate.converged = False
+            for _ in range(self.options.iterations):
+                linear = linearise(
+                    view[level],
+                    frame[level],
+                    T_view_map @ estimate.T_map_camera,
+                    self._weighted(estimate.scales),
+                    (estimate.gain, estimate.bias),
+                    gate,
+                )
+                estimate.last = linear
+                estimate.iterations += 1
+                step = self._step(linear)
+                if step is None:
+                    return
+                T_view_camera = se3.exp(step[:6]) @ (T_view_map @ estimate.T_map_camera)
+                estimate.T_map_camera = T_map_view @ se3.orthonormalise(T_view_camera)
+                estimate.gain += step[6]
+                estimate.bias += step[7]
+                estimate.scales = _rescaled(estimate.scales, linear, self.options)
+                small = np.linalg.norm(step[:3]) < _SMALL_TRANSLATION_M * 4**level
+                small &= np.linalg.norm(step[3:6]) < _SMALL_ROTATION_RAD * 4**level
+                if small:
+                    estimate.converged = True
+                    break
+
+    def _weighted(self, scales: Scales) -> Scales:
+        return Scales(scales.intensity / np.sqrt(self.options.photometric_weight), scales.depth_m)
+
+    def _step(self, linear: Linearisation) -> NDArray[np.float64] | None:
+        """Gauss-Newton step [8], or None where the equations cannot be solved."""
+        if linear.depth_pixels + linear.intensity_pixels < 50:
+            return None
+        H, g = linear.H.copy(), linear.g
+        if self.options.exposure:
+            # Exposure is known to a few per cent beforehand; textureless views need that.
+            prior = linear.intensity_pixels * 1e-2
+            H[6, 6] += prior
+            H[7, 7] += prior
+        else:
+            H[6:, :] = 0.0
+            H[:, 6:] = 0.0
+            H[6, 6] = H[7, 7] = 1.0
+            g = np.concatenate([g[:6], np.zeros(2)])
+        H[np.diag_indices(8)] *= 1.0 + 1e-6
+        try:
+            step = -np.linalg.solve(H, g)
+        except np.linalg.LinAlgError:
+            return None
+        return step if np.isfinite(step).all() else None
+
+    def _moved_far(
+        self, T_map_view: NDArray[np.float64], T_map_camera: NDArray[np.float64], frame: Frame
+    ) -> bool:
+        motion = se3.inverse(T_map_view) @ T_map_camera
+        valid = frame.depth_m[frame.depth_m > 0]
+        reach = float(np.median(valid)) if valid.size else 1.0
+        distance = np.linalg.norm(motion[:3, 3]) / reach + se3.rotation_angle_rad(motion[:3, :3])
+        return bool(distance > self.options.rerender_distance)
+
+    def _result(self, estimate: _Estimate, renders: int, finest: FrameLevel) -> TrackingResult:
+        measured = float((finest.depth_m > 0).sum())
+        linear = estimate.last
+        visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
+        # Perturbations were on the view's side; the view stands at the pose itself now.
+        information = linear.H[:6, :6] if linear else np.zeros((6, 6))
+        health, reason = verdict(self.limits, estimate.scales, visible, information, measured)
+        return TrackingResult(
+            T_map_camera=estimate.T_map_camera,
+            converged=estimate.converged,
+            iterations=estimate.iterations,
+            renders=renders,
+            intensity_residual=estimate.scales.intensity,
+            depth_residual_m=estimate.scales.depth_m,
+            visible_fraction=visible,
+            information=information,
+            health=health,
+            reason=reason,
+            gain=estimate.gain,
+            bias=estimate.bias,
+        )
+
+
+def _rescaled(scales: Scales, linear: Linearisation, options: DenseOptions) -> Scales:
+    """Scales of Student's t from the last residuals: one step of its fixed point."""
+    intensity = scales.intensity * np.sqrt(linear.intensity_variance / options.photometric_weight)
+    depth = scales.depth_m * np.sqrt(linear.depth_variance)
+    return Scales(
+        float(np.clip(intensity, _LEAST.intensity, _MOST.intensity)) if linear.intensity_pixels else scales.intensity,
+        float(np.clip(depth, _LEAST.depth_m, _MOST.depth_m)) if linear.depth_pixels else scales.depth_m,
+    )

@@ -1,0 +1,52 @@
+"""Whether a tracked pose can be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.tracking.alignment import Scales
+from toolkit.tracking.result import Health
+
+
+@dataclass(frozen=True)
+class HealthLimits:
+    """Bounds beyond which a frame counts as lost.
+
+    Attributes:
+        least_measured: fewest frame pixels with depth.
+        least_visible: smallest share of them that the map explains.
+        most_intensity: largest photometric scale, intensities in [0, 1].
+        most_depth_m: largest geometric scale at 1 m, metres.
+        least_information: smallest eigenvalue of the information matrix (1 / m^2 or rad^2).
+    """
+
+    least_measured: int = 200
+    least_visible: float = 0.15
+    most_intensity: float = 0.15
+    most_depth_m: float = 0.04
+    least_information: float = 1e4
+
+
+def verdict(
+    limits: HealthLimits,
+    scales: Scales,
+    visible_fraction: float,
+    information: NDArray[np.float64],
+    measured: float,
+) -> tuple[Health, str]:
+    """GOOD, or LOST with the reason in plain words."""
+    if measured < limits.least_measured:
+        return Health.LOST, f"only {measured:.0f} pixels have depth"
+    if visible_fraction < limits.least_visible:
+        return Health.LOST, f"the map explains only {100 * visible_fraction:.0f} % of the frame"
+    if scales.depth_m > limits.most_depth_m:
+        return Health.LOST, f"depth disagrees by {100 * scales.depth_m:.1f} cm at 1 m"
+    if scales.intensity > limits.most_intensity:
+        return Health.LOST, f"intensity disagrees by {scales.intensity:.2f}"
+    weakest = float(np.linalg.eigvalsh(information)[0])
+    if not weakest > limits.least_information:
+        return Health.LOST, f"the view does not fix the pose (information {weakest:.1e})"
+    return Health.GOOD, ""

@@ -1,0 +1,54 @@
+"""What tracking one frame says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Health(Enum):
+    """The tracker's verdict on its own pose."""
+
+    GOOD = "good"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """The pose of one frame and how far it can be trusted.
+
+    Attributes:
+        T_map_camera: [4, 4] float64.
+        converged: the last step was below the threshold.
+        iterations: Gauss-Newton or Adam steps taken.
+        renders: how often the map was drawn.
+        intensity_residual: robust scale of the photometric residual, intensities in [0, 1].
+        depth_residual_m: robust scale of the geometric residual at 1 m distance, metres.
+        visible_fraction: share of the frame's measured pixels that the map explains.
+        information: [6, 6] inverse covariance of a left perturbation of T_map_camera,
+            (translation, rotation).
+        health: GOOD or LOST.
+        reason: why the frame is lost, empty when it is not.
+        gain, bias: exposure of the frame against the map, model = gain * frame + bias.
+    """
+
+    T_map_camera: NDArray[np.float64]
+    converged: bool
+    iterations: int
+    renders: int
+    intensity_residual: float
+    depth_residual_m: float
+    visible_fraction: float
+    information: NDArray[np.float64] = field(repr=False)
+    health: Health = Health.GOOD
+    reason: str = ""
+    gain: float = 1.0
+    bias: float = 0.0
+
+    @property
+    def lost(self) -> bool:
+        """Whether the pose must not be used for mapping."""
+        return self.health is Health.LOST
