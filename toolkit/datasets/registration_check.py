@@ -36,7 +36,8 @@ _CLEAR_FIT_OF_QUARTER = 3.3
 _CLEAR_ADVANTAGE = 0.25
 _TOLERANCE = 5 / 640
 _ENOUGH_EDGE_PIXELS = 3000
-_PARTS = ("everywhere", "top left", "top right", "bottom left", "bottom right")
+# One quarter may hold little else than a carpet's pattern.
+_ENOUGH_QUARTERS = 2
 
 
 @dataclass(frozen=True)
@@ -66,17 +67,12 @@ class RegistrationReport:
         if self.edge_pixels < _ENOUGH_EDGE_PIXELS:
             return None
         remedy = "register depth to colour, and check that the files pair rightly"
-        parts = [i for i in range(len(_PARTS)) if self._shifted(i)]
-        if parts:
-            # A shift of the whole image is the simpler story than one of each quarter.
-            told = [0] if 0 in parts else parts
-            shifts = "; ".join(
-                f"{_PARTS[i]} by ({self.shift_px[i, 0]:+.0f}, {self.shift_px[i, 1]:+.0f})"
-                for i in told
-            )
-            return f"colour is shifted against depth (x, y pixels) {shifts}; {remedy}"
-        if self.prominence[0] < _CLEAR_FIT:
-            return f"edges of colour and depth agree at no shift; {remedy}"
+        if self.prominence[0] >= _CLEAR_FIT and self._shifted(0):
+            x, y = self.shift_px[0]
+            return f"colour is shifted against depth by ({x:+.0f}, {y:+.0f}) px; {remedy}"
+        quarters = sum(self._shifted(i) for i in range(1, 5))
+        if self.prominence[0] < _CLEAR_FIT or quarters >= _ENOUGH_QUARTERS:
+            return f"edges of colour and depth agree at no one shift; {remedy}"
         return None
 
     def _shifted(self, part: int) -> bool:
@@ -101,8 +97,9 @@ def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
         edges = depth_edges(np.asarray(depth_m, dtype=np.float32))
         gradient = _colour_gradient(np.asarray(rgb, dtype=np.float32))
         edge_pixels += int(edges.sum())
-        for part, mask in enumerate(_whole_and_quarters(edges.shape)):
+        for part, mask in enumerate(_quarters(edges.shape), start=1):
             total[part] += _correlation(edges * mask, gradient)
+    total[0] = total[1:].sum(axis=0)
     return _report(total, width, edge_pixels)
 
 
@@ -149,9 +146,9 @@ def _colour_gradient(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
     return strength - strength.mean()
 
 
-def _whole_and_quarters(shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
+def _quarters(shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
     height, width = shape
-    masks = [np.ones(shape, np.float32)]
+    masks = []
     for top in (True, False):
         for left in (True, False):
             mask = np.zeros(shape, np.float32)

@@ -1,0 +1,164 @@
+"""Tiny recordings in every layout, and the folder of real ones."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolkit.geometry import se3
+from toolkit.io import images
+
+WIDTH, HEIGHT = 32, 24
+
+
+@pytest.fixture
+def real_data() -> Callable[[str], Path]:
+    """The folder of a real recording by name; skips where it is not at hand."""
+
+    def find(name: str) -> Path:
+        root = os.environ.get("SEMSPLAT_DATA")
+        if not root:
+            pytest.skip("SEMSPLAT_DATA is not set")
+        if not (Path(root) / name).exists():
+            pytest.skip(f"{name} is not in SEMSPLAT_DATA")
+        return Path(root) / name
+
+    return find
+
+
+def frame_rgb(index: int) -> np.ndarray:
+    """Noise of its own for every frame."""
+    return np.random.default_rng(index).uniform(size=(HEIGHT, WIDTH, 3))
+
+
+def frame_depth_m(index: int) -> np.ndarray:
+    """A tilted plane that moves away frame by frame."""
+    return np.tile(np.linspace(1.0, 2.0, WIDTH), (HEIGHT, 1)) + 0.1 * index
+
+
+def pose(index: int) -> np.ndarray:
+    """A path that turns and moves."""
+    return se3.exp(np.array([0.1 * index, 0.0, 0.05 * index, 0.0, 0.02 * index, 0.0]))
+
+
+@pytest.fixture
+def make_replica(tmp_path) -> Callable[..., Path]:
+    """Writes a recording in Replica's layout."""
+
+    def make(frames: int = 4, labels: bool = False, scale: float = 1000.0) -> Path:
+        folder = tmp_path / "room"
+        (folder / "results").mkdir(parents=True)
+        for i in range(frames):
+            images.write_rgb(folder / f"results/frame{i:06d}.png", frame_rgb(i))
+            images.write_depth_png(folder / f"results/depth{i:06d}.png", frame_depth_m(i), scale)
+        poses = np.array([pose(i).ravel() for i in range(frames)])
+        np.savetxt(folder / "traj.txt", poses)
+        camera = {"w": WIDTH, "h": HEIGHT, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
+        (folder / "cam_params.json").write_text(json.dumps({"camera": camera | {"scale": scale}}))
+        if labels:
+            (folder / "labels").mkdir()
+            for i in range(frames):
+                ids = np.full((HEIGHT, WIDTH), i % 3, np.uint8)
+                images.write_png(folder / f"labels/label{i:06d}.png", ids)
+            classes = {"void": 0, "classes": {"1": "wall", "2": "chair"}}
+            (folder / "labels/classes.json").write_text(json.dumps(classes))
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def make_tum(tmp_path) -> Callable[..., Path]:
+    """Writes a recording in TUM's layout; colour every 0.1 s, depth 10 ms later."""
+
+    def make(frames: int = 4, name: str = "rgbd_dataset_freiburg3_test") -> Path:
+        folder = tmp_path / name
+        for kind in ("rgb", "depth"):
+            (folder / kind).mkdir(parents=True)
+        lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
+        for i in range(frames):
+            time = 100.0 + 0.1 * i
+            rgb = np.kron(frame_rgb(i), np.ones((20, 20, 1)))
+            depth_m = np.kron(frame_depth_m(i), np.ones((20, 20)))
+            images.write_rgb(folder / f"rgb/{time:.6f}.png", rgb)
+            images.write_depth_png(folder / f"depth/{time + 0.01:.6f}.png", depth_m, 5000)
+            lists["rgb"].append(f"{time:.6f} rgb/{time:.6f}.png")
+            lists["depth"].append(f"{time + 0.01:.6f} depth/{time + 0.01:.6f}.png")
+            values = [*pose(i)[:3, 3], *se3.quaternion_xyzw(pose(i)[:3, :3])]
+            lists["groundtruth"].append(f"{time + 0.004:.4f} " + " ".join(map(str, values)))
+        for kind, lines in lists.items():
+            (folder / f"{kind}.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def make_seven_scenes(tmp_path) -> Callable[..., Path]:
+    """Writes a recording in 7-Scenes' layout, with every second frame."""
+
+    def make(frames: int = 4) -> Path:
+        folder = tmp_path / "seq-01"
+        folder.mkdir()
+        for i in range(0, 2 * frames, 2):
+            stem = folder / f"frame-{i:06d}"
+            images.write_rgb(f"{stem}.color.png", frame_rgb(i))
+            raw = np.round(frame_depth_m(i) * 1000).astype(np.uint16)
+            raw[0, 0], raw[0, 1] = 65535, 0
+            images.write_png(f"{stem}.depth.png", raw)
+            np.savetxt(f"{stem}.pose.txt", pose(i))
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def make_scannet(tmp_path) -> Callable[..., Path]:
+    """Writes exported ScanNet frames; colour is twice the size of depth, frame 1 is lost."""
+
+    def make(frames: int = 12) -> Path:
+        folder = tmp_path / "scene0000_00"
+        for kind in ("color", "depth", "pose", "intrinsic"):
+            (folder / kind).mkdir(parents=True)
+        for i in range(frames):
+            rgb = np.kron(frame_rgb(i), np.ones((2, 2, 1)))
+            images.write_rgb(folder / f"color/{i}.png", rgb)
+            images.write_depth_png(folder / f"depth/{i}.png", frame_depth_m(i), 1000)
+            T = np.full((4, 4), -np.inf) if i == 1 else pose(i)
+            np.savetxt(folder / f"pose/{i}.txt", T)
+        K = np.diag([30.0, 31.0, 1.0, 1.0])
+        K[:2, 2] = 15.5, 11.5
+        np.savetxt(folder / "intrinsic/intrinsic_depth.txt", K)
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def make_folder(tmp_path) -> Callable[..., Path]:
+    """Writes a plain folder: rgb/, depth/, intrinsics.yaml, trajectory.txt at 10 fps."""
+
+    def make(frames: int = 4, intrinsics: dict | None = None) -> Path:
+        folder = tmp_path / "mine"
+        for kind in ("rgb", "depth"):
+            (folder / kind).mkdir(parents=True)
+        for i in range(frames):
+            images.write_rgb(folder / f"rgb/{i}.png", frame_rgb(i))
+            images.write_depth_png(folder / f"depth/{i}.png", frame_depth_m(i), 2000)
+        values = {"fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5, "width": WIDTH}
+        values |= {"height": HEIGHT, "depth_scale": 2000, "fps": 10} | (intrinsics or {})
+        lines = [f"{key}: {value}" for key, value in values.items() if value is not None]
+        (folder / "intrinsics.yaml").write_text("\n".join(lines))
+        lines = [
+            f"{i / 10} " + " ".join(map(str, [*pose(i)[:3, 3], *se3.quaternion_xyzw(pose(i))]))
+            for i in range(frames)
+        ]
+        (folder / "trajectory.txt").write_text("\n".join(lines))
+        return folder
+
+    return make

@@ -1,0 +1,135 @@
+"""`check-data` finds each fault that was put into a good recording, and only that."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from toolkit.cli import check_data
+from toolkit.datasets.checks import check_dataset
+from toolkit.io import images
+
+
+def test_a_good_recording_has_no_faults(make_replica):
+    report = check_dataset("replica", make_replica(labels=True))
+    assert report.good, report.faults
+    assert report.summary[0].startswith("room: 4 frames over 0.1 s, 32x24, f 30.0 31.0")
+    assert report.summary[1].startswith("ground truth: 4 poses")
+    assert report.summary[3] == "labels: 2 of 2 classes seen"
+
+
+def only_fault(kind: str, folder) -> str:
+    report = check_dataset(kind, folder)
+    assert len(report.faults) == 1, report.faults
+    return report.faults[0]
+
+
+def test_missing_pairs(make_replica):
+    folder = make_replica()
+    (folder / "results/depth000002.png").unlink()
+    assert only_fault("replica", folder) == "1 colour image(s) without depth: frame000002.png"
+
+
+@pytest.mark.parametrize(
+    ("scale", "median"), [(1e6, "1.65 mm"), (1.0, "1.65 km")], ids=["too large", "too small"]
+)
+def test_wrong_depth_scale(make_replica, scale, median):
+    folder = make_replica()
+    values = json.loads((folder / "cam_params.json").read_text())
+    values["camera"]["scale"] = scale
+    (folder / "cam_params.json").write_text(json.dumps(values))
+    fault = only_fault("replica", folder)
+    assert f"the median depth is {median}" in fault
+    assert "1000 would give 1.65 m" in fault
+
+
+def test_poses_that_are_not_finite_or_not_rigid(make_replica):
+    folder = make_replica()
+    rows = (folder / "traj.txt").read_text().splitlines()
+    rows[1] = " ".join(["nan"] * 16)
+    rows[2] = " ".join(["2"] * 16)
+    (folder / "traj.txt").write_text("\n".join(rows))
+    faults = check_dataset("replica", folder).faults
+    assert faults == (
+        "1 frame(s) with a non-finite ground-truth pose: frame000001.png",
+        "1 frame(s) whose ground-truth pose is not a rigid motion: frame000002.png",
+    )
+
+
+def test_timestamps_out_of_order(make_tum):
+    folder = make_tum(frames=3)
+    lines = (folder / "depth.txt").read_text().splitlines()
+    (folder / "depth.txt").write_text("\n".join([*lines[:2], lines[3], lines[2]]))
+    assert only_fault("tum", folder) == "depth.txt: timestamps out of order at 100.110000.png"
+
+
+def test_colour_and_depth_of_different_size(make_replica):
+    folder = make_replica()
+    images.write_rgb(folder / "results/frame000003.png", np.full((48, 64, 3), 0.5))
+    assert "frame 3: " in only_fault("replica", folder)
+    assert "frame000003.png is 64x48" in only_fault("replica", folder)
+
+
+def test_empty_depth(make_replica):
+    folder = make_replica()
+    images.write_png(folder / "results/depth000001.png", np.zeros((24, 32), np.uint16))
+    assert "1 depth image(s) are empty" in only_fault("replica", folder)
+
+
+def test_truncated_images_are_named_and_the_rest_counted(make_replica):
+    folder = make_replica(frames=8)
+    for i in range(1, 8):
+        file = folder / f"results/frame{i:06d}.png"
+        file.write_bytes(file.read_bytes()[:-30])
+    faults = check_dataset("replica", folder).faults
+    assert len(faults) == 6
+    assert "frame000001.png is truncated" in faults[0]
+    assert faults[5] == "2 more frame(s) cannot be read"
+
+
+def test_a_jpeg_that_decodes_with_complaints(make_replica):
+    folder = make_replica()
+    for i in range(4):
+        png = folder / f"results/frame{i:06d}.png"
+        images.write_rgb(png.with_suffix(".jpg"), images.read_rgb(png))
+        png.unlink()
+    assert check_dataset("replica", folder).good
+    file = folder / "results/frame000001.jpg"
+    content = bytearray(file.read_bytes())
+    scan = content.rfind(b"\xff\xda")
+    content[scan + 200 : scan + 240] = bytes(b ^ 0x5A for b in content[scan + 200 : scan + 240])
+    file.write_bytes(content)
+    assert "1 colour image(s) are corrupt" in only_fault("replica", folder)
+
+
+def test_unknown_class_ids(make_replica):
+    folder = make_replica(labels=True)
+    images.write_png(folder / "labels/label000000.png", np.full((24, 32), 77, np.uint8))
+    assert only_fault("replica", folder).endswith("classes.json does not: 77")
+
+
+def test_one_frame_is_too_few(make_replica):
+    assert "only one frame" in only_fault("replica", make_replica(frames=1))
+
+
+def test_the_program_prints_lines_and_tells_by_its_status(make_replica, capsys):
+    folder = make_replica()
+    arguments = ["--kind", "replica", "--path", str(folder), "--image-size", "16", "12"]
+    assert check_data.main(arguments) == 0
+    assert "16x12" in capsys.readouterr().out
+    (folder / "results/depth000002.png").unlink()
+    assert check_data.main(arguments) == 1
+    assert "wrong: 1 colour image(s) without depth" in capsys.readouterr().out
+
+
+def test_the_program_refuses_a_wrong_path_in_one_line(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "toolkit.cli.main", "check-data", "--kind", "tum", "--path", "no"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "semsplat: error: no does not exist; check the path\n"

@@ -1,0 +1,245 @@
+"""Each layout gives the frames, times, camera and truth that were written."""
+
+import json
+import logging
+
+import numpy as np
+import pytest
+
+from toolkit.datasets.registry import KINDS, open_dataset
+from toolkit.datasets.tum import associate
+from toolkit.errors import DatasetError, FormatError
+from toolkit.geometry import se3
+from toolkit.io import images
+
+
+def rgb_of(index: int) -> np.ndarray:
+    return np.random.default_rng(index).uniform(size=(24, 32, 3))
+
+
+def depth_of(index: int) -> np.ndarray:
+    return np.tile(np.linspace(1.0, 2.0, 32), (24, 1)) + 0.1 * index
+
+
+def pose_of(index: int) -> np.ndarray:
+    return se3.exp(np.array([0.1 * index, 0.0, 0.05 * index, 0.0, 0.02 * index, 0.0]))
+
+
+def check_frames(dataset, numbers: list[int]) -> None:
+    """The data set's frames are those that the fixtures made for these numbers."""
+    assert len(dataset) == len(numbers)
+    times = [dataset[i].timestamp_s for i in range(len(dataset))]
+    assert (np.diff(times) > 0).all()
+    for i, number in enumerate(numbers):
+        frame = dataset[i]
+        assert frame.index == i
+        assert frame.camera == dataset.camera
+        np.testing.assert_allclose(frame.rgb, rgb_of(number), atol=0.003)
+        missing = frame.depth_m == 0
+        assert missing.sum() <= 2
+        np.testing.assert_allclose(frame.depth_m[~missing], depth_of(number)[~missing], atol=0.001)
+
+
+def check_truth(dataset, frames: list[int], numbers: list[int]) -> None:
+    """Truth stands at the times of these frames alone, with the poses of these numbers."""
+    truth = dataset.ground_truth
+    times = [dataset[i].timestamp_s for i in frames]
+    np.testing.assert_array_equal(truth.timestamps_s, times)
+    expected = [pose_of(number) for number in numbers]
+    np.testing.assert_allclose(truth.T_world_camera, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["replica", "synthetic"])
+def test_replica(make_replica, kind):
+    dataset = open_dataset(kind, make_replica(labels=True))
+    check_frames(dataset, [0, 1, 2, 3])
+    check_truth(dataset, [0, 1, 2, 3], [0, 1, 2, 3])
+    assert dataset.label_names == {1: "wall", 2: "chair"}
+    assert dataset[2].labels.max() == 2
+    assert dataset.camera.fy == 31.0
+
+
+def test_replica_pairs_by_number_and_finds_the_camera_above(make_replica):
+    folder = make_replica()
+    (folder / "results/depth000001.png").unlink()
+    (folder / "cam_params.json").rename(folder.parent / "cam_params.json")
+    dataset = open_dataset("replica", folder)
+    check_frames(dataset, [0, 2, 3])
+    check_truth(dataset, [0, 1, 2], [0, 2, 3])
+    assert dataset.recording.flaws == ("1 colour image(s) without depth: frame000001.png",)
+
+
+def test_replica_without_truth_or_labels(make_replica):
+    folder = make_replica()
+    (folder / "traj.txt").unlink()
+    dataset = open_dataset("replica", folder)
+    assert dataset.ground_truth is None
+    assert dataset.label_names is None
+    assert dataset[0].labels is None
+
+
+def test_tum_associates_by_time(make_tum):
+    folder = make_tum()
+    for path in (folder, folder.parent):
+        dataset = open_dataset("tum", path, image_size=(32, 24))
+        assert dataset.name == folder.name
+        check_frames(dataset, [0, 1, 2, 3])
+        check_truth(dataset, [0, 1, 2, 3], [0, 1, 2, 3])
+        assert dataset.camera.fx == pytest.approx(535.4 / 20)
+
+
+def test_tum_frames_without_depth_or_truth_are_left_out(make_tum):
+    folder = make_tum()
+    for name in ("depth.txt", "groundtruth.txt"):
+        lines = (folder / name).read_text().splitlines()
+        (folder / name).write_text("\n".join(lines[:1] + lines[2:]))
+    (folder / "groundtruth.txt").write_text(
+        (folder / "groundtruth.txt").read_text().replace("\n100.2", "\n150.2")
+    )
+    dataset = open_dataset("tum", folder, image_size=(32, 24))
+    check_frames(dataset, [1, 2, 3])
+    check_truth(dataset, [0, 2], [1, 3])
+    assert "without depth within 20 ms" in dataset.recording.notes[0]
+    assert "without a ground-truth pose" in dataset.recording.notes[1]
+
+
+def test_tum_sorts_lists_and_says_so(make_tum):
+    folder = make_tum()
+    lines = (folder / "rgb.txt").read_text().splitlines()
+    (folder / "rgb.txt").write_text("\n".join([lines[0], lines[2], lines[1], *lines[3:]]))
+    dataset = open_dataset("tum", folder, image_size=(32, 24))
+    check_frames(dataset, [0, 1, 2, 3])
+    assert dataset.recording.flaws == ("rgb.txt: timestamps out of order at 100.000000.png",)
+
+
+def test_tum_without_a_camera_in_the_name_is_an_error(make_tum):
+    with pytest.raises(DatasetError, match="freiburg1"):
+        open_dataset("tum", make_tum(name="office"))
+
+
+def test_association_takes_the_nearest_first_and_each_once():
+    pairs = associate(np.array([0.0, 0.010, 0.5]), np.array([0.009, 0.012, 0.53]), 0.02)
+    assert pairs == [(0, 1), (1, 0)]
+
+
+def test_seven_scenes(make_seven_scenes, caplog):
+    folder = make_seven_scenes()
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset("seven-scenes", folder)
+    assert "585" in caplog.text
+    assert dataset.camera.fx == 585
+    check_frames(dataset, [0, 2, 4, 6])
+    check_truth(dataset, [0, 1, 2, 3], [0, 2, 4, 6])
+    assert dataset[1].depth_m[0, 0] == 0
+    (folder / "camera-intrinsics.txt").write_text("30 0 15\n0 30 12\n0 0 1\n")
+    assert open_dataset("seven-scenes", folder.parent).camera.fx == 30
+
+
+def test_scannet_orders_by_number_and_infinite_poses_are_gaps(make_scannet):
+    dataset = open_dataset("scannet", make_scannet())
+    check_frames(dataset, list(range(12)))
+    gone = [0, *range(2, 12)]
+    check_truth(dataset, gone, gone)
+    assert dataset.recording.notes == ("1 frame(s) with a non-finite ground-truth pose: 1.png",)
+    assert dataset.recording.flaws == ()
+
+
+def test_scannet_scales_the_colour_camera_where_depth_has_none(make_scannet):
+    folder = make_scannet()
+    K = np.diag([60.0, 62.0, 1.0, 1.0])
+    K[:2, 2] = 31.5, 23.5
+    np.savetxt(folder / "intrinsic/intrinsic_color.txt", K)
+    own = open_dataset("scannet", folder).camera
+    (folder / "intrinsic/intrinsic_depth.txt").unlink()
+    scaled = open_dataset("scannet", folder).camera
+    assert (scaled.fx, scaled.fy, scaled.cx, scaled.cy) == (own.fx, own.fy, own.cx, own.cy)
+
+
+def test_plain_folder(make_folder):
+    dataset = open_dataset("folder", make_folder(frames=11))
+    check_frames(dataset, list(range(11)))
+    check_truth(dataset, list(range(11)), list(range(11)))
+    assert dataset[3].timestamp_s == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"fx": None}, "lacks the key fx"),
+        ({"focal": 3}, "unknown key 'focal'"),
+        ({"depth_scale": 0}, "depth_scale must be positive"),
+        ({"fx": "wide"}, "could not convert"),
+        ({"fy": -1}, "fx, fy > 0"),
+        ({"distortion": "[1, 2]"}, "distortion must be the 5 numbers"),
+    ],
+)
+def test_wrong_intrinsics_name_file_and_key(make_folder, change, complaint):
+    with pytest.raises(DatasetError, match=complaint) as caught:
+        open_dataset("folder", make_folder(intrinsics=change))
+    assert "intrinsics.yaml" in str(caught.value)
+
+
+def test_max_frames_also_shortens_the_truth(make_replica):
+    dataset = open_dataset("replica", make_replica(), max_frames=2)
+    assert len(dataset) == len(dataset.ground_truth) == 2
+    with pytest.raises(IndexError):
+        dataset[2]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wrong_path_and_an_empty_folder_are_one_line(tmp_path, kind):
+    for path in (tmp_path / "nowhere", tmp_path):
+        with pytest.raises(DatasetError) as caught:
+            open_dataset(kind, path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_unknown_kind_lists_the_known():
+    with pytest.raises(DatasetError, match="tum, replica, seven-scenes"):
+        open_dataset("kitti", "anywhere")
+
+
+def test_empty_recording_sizes_and_blank_depth_are_errors(make_replica):
+    folder = make_replica()
+    camera = json.loads((folder / "cam_params.json").read_text())
+    (folder / "cam_params.json").write_text(
+        json.dumps({"camera": camera["camera"] | {"w": 64, "h": 48}})
+    )
+    with pytest.raises(DatasetError, match=r"depth000000\.png is 32x24 .* 64x48"):
+        open_dataset("replica", folder)
+    (folder / "cam_params.json").write_text(json.dumps(camera))
+    images.write_png(folder / "results/depth000000.png", np.zeros((24, 32), np.uint16))
+    with pytest.raises(DatasetError, match=r"depth000000\.png holds no depth at all"):
+        open_dataset("replica", folder)
+    for file in (folder / "results").iterdir():
+        file.unlink()
+    with pytest.raises(DatasetError, match="holds no frame"):
+        open_dataset("replica", folder)
+
+
+def test_a_broken_camera_file_is_named(make_replica):
+    folder = make_replica()
+    (folder / "cam_params.json").write_text('{"camera": {"w": 32}}')
+    with pytest.raises(DatasetError, match=r"cam_params\.json must hold"):
+        open_dataset("replica", folder)
+    (folder / "cam_params.json").unlink()
+    with pytest.raises(DatasetError, match=r"no cam_params\.json"):
+        open_dataset("replica", folder)
+
+
+def test_a_broken_pose_line_is_named(make_replica):
+    folder = make_replica()
+    (folder / "traj.txt").write_text("1 2 3\n")
+    with pytest.raises(FormatError, match=r"traj\.txt, line 1"):
+        open_dataset("replica", folder)
+
+
+def test_a_damaged_frame_is_named_when_it_is_read(make_replica):
+    folder = make_replica()
+    file = folder / "results/frame000002.png"
+    file.write_bytes(file.read_bytes()[:-20])
+    dataset = open_dataset("replica", folder)
+    dataset[1]
+    with pytest.raises(DatasetError, match=r"frame000002\.png is truncated"):
+        dataset[2]

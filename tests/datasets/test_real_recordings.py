@@ -1,0 +1,51 @@
+"""The real recordings open with the frames, cameras and depths that they are known to have."""
+
+import numpy as np
+import pytest
+
+from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.registry import open_dataset
+from toolkit.geometry import se3
+
+RECORDINGS = [
+    ("tum", "tum_fr1_rpy", 120, 517.3),
+    ("replica", "replica_office0", 51, 300.0),
+    ("seven-scenes", "7scenes_redkitchen", 200, 527.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "frames", "fx"), RECORDINGS)
+def test_frames_camera_truth(real_data, kind, name, frames, fx):
+    dataset = open_dataset(kind, real_data(name))
+    assert len(dataset) == len(dataset.ground_truth) == frames
+    assert dataset.camera.fx == fx
+    assert dataset.recording.flaws == ()
+    for frame in prefetched(dataset, range(0, frames, frames // 3)):
+        assert frame.rgb.std() > 0.05
+        assert 0.5 < np.median(frame.depth_m[frame.depth_m > 0]) < 4.0
+
+
+@pytest.mark.parametrize(("kind", "name", "frames", "fx"), RECORDINGS)
+def test_depth_carried_to_the_next_view_meets_its_depth(real_data, kind, name, frames, fx):
+    """Scale, intrinsics, resizing and the direction of the poses agree with each other."""
+    dataset = open_dataset(kind, real_data(name), image_size=(320, 240))
+    i, j = frames // 2, frames // 2 + 2
+    here, there = dataset[i], dataset[j]
+    poses = dataset.ground_truth.T_world_camera
+    T_there_here = se3.inverse(poses[j]) @ poses[i]
+    points = dataset.camera.unproject(here.depth_m)[here.depth_m > 0]
+    moved = se3.transform_points(T_there_here, points)
+    moved = moved[moved[:, 2] > 0.1]
+    pixels = np.rint(dataset.camera.project(moved)).astype(int)
+    inside = ((pixels >= 0) & (pixels < dataset.camera.size)).all(axis=1)
+    measured = there.depth_m[pixels[inside, 1], pixels[inside, 0]]
+    difference = np.abs(measured - moved[inside, 2])[measured > 0]
+    assert difference.size > 10_000
+    assert np.median(difference) < (0.002 if name == "replica_office0" else 0.02)
+
+
+def test_replica_labels_have_names(real_data):
+    dataset = open_dataset("replica", real_data("replica_office0"), image_size=(320, 240))
+    seen = set(np.unique(dataset[0].labels)) - {0}
+    assert seen
+    assert seen <= set(dataset.label_names)

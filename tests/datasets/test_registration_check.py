@@ -1,0 +1,93 @@
+"""Registered images pass; shifted, mirrored and mispaired ones are told apart."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from toolkit.datasets.registration_check import depth_edges, measure_registration
+from toolkit.datasets.registry import open_dataset
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+
+CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
+
+
+def scene(seed: int, offset_px: tuple[int, int] = (0, 0)) -> Frame:
+    """Coloured boxes in front of a textured wall, depth moved by an offset."""
+    rng = np.random.default_rng(seed)
+    texture = cv2.GaussianBlur(rng.uniform(size=(240, 320, 3)).astype(np.float32), (0, 0), 2)
+    rgb, depth_m = texture, np.full((240, 320), 3.0, np.float32)
+    for _ in range(12):
+        x, y = rng.integers(10, 260), rng.integers(10, 190)
+        w, h = rng.integers(20, 60, 2)
+        rgb[y : y + h, x : x + w] = rng.uniform(size=3)
+        depth_m[y : y + h, x : x + w] = rng.uniform(1.0, 2.5)
+    depth_m = np.roll(depth_m, offset_px, axis=(1, 0))
+    return Frame(seed, float(seed), rgb, depth_m, CAMERA)
+
+
+def test_registered_images_pass():
+    report = measure_registration([scene(i) for i in range(5)])
+    assert report.verdict() is None
+    np.testing.assert_array_equal(report.shift_px[0], 0)
+
+
+@pytest.mark.parametrize("offset", [(6, 0), (0, -8), (-9, 9)])
+def test_a_shift_is_found_and_told(offset):
+    report = measure_registration([scene(i, offset) for i in range(5)])
+    np.testing.assert_allclose(report.shift_px[0], [-offset[0], -offset[1]], atol=1)
+    assert "colour is shifted against depth by (" in report.verdict()
+
+
+@pytest.mark.parametrize("zoom", [0.94, 1.05, 1.1])
+def test_another_focal_length_is_found(zoom):
+    M = np.float32([[zoom, 0, 160 * (1 - zoom)], [0, zoom, 120 * (1 - zoom)]])
+    frames = [
+        dataclasses.replace(
+            f, depth_m=cv2.warpAffine(f.depth_m, M, (320, 240), flags=cv2.INTER_NEAREST)
+        )
+        for f in map(scene, range(6))
+    ]
+    assert "at no one shift" in measure_registration(frames).verdict()
+
+
+def test_mispaired_images_agree_nowhere():
+    pairs = [(scene(i), scene(i + 100)) for i in range(5)]
+    frames = [dataclasses.replace(a, depth_m=b.depth_m) for a, b in pairs]
+    assert "agree at no one shift" in measure_registration(frames).verdict()
+
+
+def test_an_empty_wall_says_nothing():
+    wall = dataclasses.replace(scene(0), depth_m=np.full((240, 320), 2.0, np.float32))
+    assert measure_registration([wall]).verdict() is None
+
+
+def test_edges_lie_on_the_near_side_also_beside_a_shadow():
+    depth_m = np.full((20, 30), 4.0, np.float32)
+    depth_m[5:15, 10:20] = 1.0
+    depth_m[5:15, 6:10] = 0.0  # what an infrared projector cannot reach
+    edges = depth_edges(depth_m)
+    assert edges[5:15, 10].all()
+    assert edges[5:15, 19].all()
+    assert edges[:, :10].sum() == 0
+    assert edges[:, 20:].sum() == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("tum", "tum_fr1_rpy"),
+        ("replica", "replica_office0"),
+        ("seven-scenes", "7scenes_redkitchen"),
+    ],
+)
+def test_real_recordings_registered_and_shifted_by_12_pixels(real_data, kind, name):
+    dataset = open_dataset(kind, real_data(name))
+    frames = [dataset[int(i)] for i in np.linspace(0, len(dataset) - 1, 5)]
+    assert measure_registration(frames).verdict() is None
+    moved = [dataclasses.replace(f, depth_m=np.roll(f.depth_m, 12, axis=1)) for f in frames]
+    report = measure_registration(moved)
+    assert "shifted" in report.verdict()
+    np.testing.assert_allclose(report.shift_px[0], [-12, 0], atol=2.5)

@@ -1,0 +1,89 @@
+"""Resized images, depth and camera stay on one grid."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolkit.datasets.resize import ImageGrid
+from toolkit.datasets.undistortion import Undistortion
+from toolkit.errors import DatasetError
+from toolkit.geometry.camera import Camera
+
+SIZES = st.tuples(st.integers(8, 60), st.integers(8, 60))
+
+
+def coordinate_images(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Images whose values are the viewing ray of each pixel, x and y."""
+    rays = camera.rays().astype(np.float32)
+    return rays[..., 0], rays[..., 1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(source=SIZES, target=SIZES)
+def test_every_pixel_still_looks_along_its_ray(source, target):
+    camera = Camera(50.0, 45.0, source[0] / 2 + 3, source[1] / 2 - 2, *source)
+    grid = ImageGrid(camera, target)
+    assert grid.camera.size == target
+    x, y = coordinate_images(camera)
+    expected_x, expected_y = coordinate_images(grid.camera)
+    # Inside, away from the border, where enlarging has no neighbour to lean on.
+    inner = np.s_[target[1] // 4 : -(target[1] // 4), target[0] // 4 : -(target[0] // 4)]
+    rgb = grid.colour(np.stack([x, y, x], axis=-1))
+    np.testing.assert_allclose(rgb[..., 0][inner], expected_x[inner], atol=2e-3)
+    np.testing.assert_allclose(rgb[..., 1][inner], expected_y[inner], atol=2e-3)
+    half_a_pixel = 0.501 / 45.0
+    np.testing.assert_allclose(grid.nearest(x), expected_x, atol=half_a_pixel)
+    np.testing.assert_allclose(grid.nearest(y), expected_y, atol=half_a_pixel)
+
+
+def test_scale_is_uniform_and_the_centre_stays():
+    camera = Camera(100.0, 100.0, 49.5, 49.5, 100, 100)
+    resized = ImageGrid(camera, (50, 20)).camera
+    assert (resized.fx, resized.fy) == (50, 50)
+    assert (resized.cx, resized.cy) == (24.5, 9.5)
+
+
+def test_depth_and_labels_are_never_mixed():
+    rng = np.random.default_rng(0)
+    image = rng.choice([0, 7, 100], size=(48, 64)).astype(np.int32)
+    resized = ImageGrid(Camera(50, 50, 32, 24, 64, 48), (21, 17)).nearest(image)
+    assert resized.dtype == np.int32
+    assert set(np.unique(resized)) <= {0, 7, 100}
+
+
+def test_a_size_of_nothing_is_an_error():
+    with pytest.raises(DatasetError, match="0x24"):
+        ImageGrid(Camera(50, 50, 32, 24, 64, 48), (0, 24))
+
+
+def distort(x: np.ndarray, y: np.ndarray, k: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The lens model of Brown and Conrady, written out."""
+    k1, k2, p1, p2, k3 = k
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def test_undistortion_samples_where_the_lens_put_the_ray():
+    camera = Camera(120.0, 118.0, 78.0, 62.0, 160, 120)
+    k = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    columns, rows = np.meshgrid(np.arange(160.0), np.arange(120.0))
+    source = np.stack([columns, rows, rows], axis=-1).astype(np.float32)
+    rays = camera.rays()
+    x, y = distort(rays[..., 0], rays[..., 1], k)
+    expected = np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=-1)
+    inside = (expected >= 0).all(axis=-1) & (expected <= [159, 119]).all(axis=-1)
+    assert inside.mean() > 0.9
+    assert np.abs(expected - source[..., :2])[inside].max() > 2
+
+    undistortion = Undistortion(camera, k)
+    colour = undistortion.colour(source)[..., :2]
+    np.testing.assert_allclose(colour[inside], expected[inside], atol=0.05)
+    depth = undistortion.nearest(1 + source[..., 0])
+    np.testing.assert_allclose(depth[inside] - 1, expected[inside][:, 0], atol=0.55)
+    outside = (expected < -1).any(axis=-1) | (expected > [160, 120]).any(axis=-1)
+    assert (depth[outside] == 0).all()
