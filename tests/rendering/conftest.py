@@ -1,0 +1,14 @@
+"""Every compiled instruction set that this machine runs, one test each."""
+
+from __future__ import annotations
+
+import pytest
+from splat_scenes import native_backend
+
+from toolkit.rendering.native import NativeBackend, available_instruction_sets
+
+
+@pytest.fixture(params=available_instruction_sets())
+def native(request: pytest.FixtureRequest) -> NativeBackend:
+    """The native backend, once for each instruction set; skipped where none was built."""
+    return native_backend(request.param)

@@ -1,0 +1,237 @@
+"""Scenes, an independent oracle and comparisons for the renderer's tests.
+
+The discontinuity band. An alpha under 1/255 is dropped, so where an alpha lies within
+rounding of that cut two correct renderers may disagree on one Gaussian at that pixel: by
+at most 1/255 of the largest value in the colour of the Gaussian, and as much again in all
+that it lets through. `BAND` is far wider than the rounding of any backend; pixels in it are
+compared with `band_tolerance`, and losses give them no weight. The cap of alpha at 0.999
+bends the gradient in the same way and is treated alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.rendering import GaussianGradients
+from toolkit.rendering.backend import ALPHA_CUT, ALPHA_MAX, NEAR_M, Backend
+from toolkit.rendering.native import NativeBackend, _load
+from toolkit.rendering.reference import ReferenceBackend
+
+BAND = 1e-5
+GROUPS = ("means", "log_radii", "opacity_logits", "colours", "features", "T_camera_map")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Gaussians (their features are the channels drawn) before a camera."""
+
+    cloud: GaussianCloud
+    camera: Camera
+    T_camera_map: NDArray[np.float64]
+
+    def draw(self, backend: Backend, region: Tensor | None = None) -> Tensor:
+        """Images [5 + S, H, W]."""
+        return self.forward(backend, region).images
+
+    def forward(self, backend: Backend, region: Tensor | None = None):
+        return backend.forward(
+            self.cloud, self.camera, self.T_camera_map, self.cloud.features, region
+        )
+
+    def loss_weights(self, seed: int = 0) -> Tensor:
+        """A random dL/d(images), zero where the rendering is not continuous."""
+        shape = (5 + self.cloud.features.shape[1], self.camera.height, self.camera.width)
+        weights = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+        return weights * ~torch.from_numpy(discontinuous_pixels(self))
+
+    def with_cloud(self, **changes: Tensor) -> Scene:
+        parts = {f.name: getattr(self.cloud, f.name) for f in fields(GaussianCloud)}
+        return Scene(GaussianCloud(**(parts | changes)), self.camera, self.T_camera_map)
+
+
+def native_backend(instruction_set: str) -> NativeBackend:
+    """The backend on one variant of the kernels, whichever render() would choose."""
+    backend = NativeBackend()
+    module = _load(instruction_set)
+    assert module is not None
+    backend._module = module
+    return backend
+
+
+def skewed_camera(width: int, height: int) -> Camera:
+    """A camera whose axes, and whose image's halves, cannot be mistaken for each other."""
+    return Camera(0.9 * width + 7, 1.1 * width + 5, 0.45 * width, 0.6 * height, width, height)
+
+
+def scene_at_pixels(
+    pixels: list[tuple[float, float]],
+    camera: Camera,
+    depth_m: float | list[float] = 1.0,
+    sigma_px: float = 1.5,
+    opacity: float = 0.6,
+    channels: int = 0,
+) -> Scene:
+    """Gaussians centred at given pixels (x, y), seen from the map's origin."""
+    count = len(pixels)
+    xy = torch.tensor(pixels, dtype=torch.float32).reshape(count, 2)
+    z = torch.as_tensor(depth_m, dtype=torch.float32).expand(count)
+    x = (xy[:, 0] - camera.cx) / camera.fx * z
+    y = (xy[:, 1] - camera.cy) / camera.fy * z
+    generator = torch.Generator().manual_seed(count)
+    cloud = GaussianCloud.from_values(
+        torch.stack([x, y, z], dim=1),
+        sigma_px * z / camera.focal,
+        torch.full((count,), opacity),
+        torch.rand(count, 3, generator=generator),
+        torch.randn(count, channels, generator=generator),
+    )
+    return Scene(cloud, camera, np.eye(4))
+
+
+def random_scene(
+    seed: int, count: int = 60, channels: int = 3, size: tuple[int, int] = (45, 37)
+) -> Scene:
+    """Gaussians of all sizes and opacities in and around the image, from a tilted camera.
+
+    Few enough to overlap without reaching the early termination.
+    """
+    rng = np.random.default_rng(seed)
+    camera = skewed_camera(*size)
+    T_camera_map = se3.exp(rng.normal(scale=0.3, size=6))
+    z = rng.uniform(0.3, 4.0, count)
+    u = rng.uniform(-4, size[0] + 3, count)
+    v = rng.uniform(-4, size[1] + 3, count)
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], 1)
+    cloud = GaussianCloud.from_values(
+        _tensor(se3.transform_points(se3.inverse(T_camera_map), points)),
+        _tensor(np.exp(rng.uniform(np.log(0.3), np.log(5.0), count)) * z / camera.focal),
+        _tensor(rng.uniform(0.002, 0.9, count)),
+        _tensor(rng.uniform(0, 1, (count, 3))),
+        _tensor(rng.normal(size=(count, channels))),
+    )
+    return Scene(cloud, camera, T_camera_map)
+
+
+def _tensor(array: NDArray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+
+
+def exact(scene: Scene) -> Scene:
+    """The same float32 parameters in float64."""
+    parts = {f.name: getattr(scene.cloud, f.name).double() for f in fields(GaussianCloud)}
+    return scene.with_cloud(**parts)
+
+
+def reference_images(scene: Scene, region: Tensor | None = None) -> Tensor:
+    return exact(scene).draw(ReferenceBackend(), region)
+
+
+def raw_alphas(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Alphas [M, H, W], neither cut nor capped, and values [M, 5 + S], front to back."""
+    cloud, camera = scene.cloud, scene.camera
+    points = se3.transform_points(scene.T_camera_map, cloud.means.double().numpy())
+    z = points[:, 2]
+    order = np.argsort(z, kind="stable")
+    order = order[z[order] > NEAR_M]
+    u, v = camera.project(points[order]).T
+    sigma = camera.focal * cloud.log_radii.double().exp().numpy()[order] / z[order]
+    opacity = cloud.opacity_logits.double().sigmoid().numpy()[order]
+    y, x = np.mgrid[: camera.height, : camera.width]
+    squared = (x - u[:, None, None]) ** 2 + (y - v[:, None, None]) ** 2
+    alphas = opacity[:, None, None] * np.exp(-0.5 * squared / sigma[:, None, None] ** 2)
+    values = np.concatenate(
+        [
+            cloud.colours.double().numpy()[order],
+            z[order, None],
+            np.ones((len(order), 1)),
+            cloud.features.double().numpy()[order],
+        ],
+        axis=1,
+    )
+    return alphas, values
+
+
+def discontinuous_pixels(scene: Scene) -> NDArray[np.bool_]:
+    """Pixels [H, W] where some alpha lies within rounding of the cut or of the cap."""
+    alphas, _ = raw_alphas(scene)
+    near = (np.abs(alphas - ALPHA_CUT) < BAND) | (np.abs(alphas - ALPHA_MAX) < BAND)
+    return near.any(axis=0)
+
+
+def largest_value(scene: Scene) -> float:
+    """The largest magnitude that a pixel of any channel can reach."""
+    _, values = raw_alphas(scene)
+    return float(np.abs(values).max(initial=1.0))
+
+
+def dense_images(scene: Scene) -> NDArray[np.float64]:
+    """Images [5 + S, H, W] straight from the equations: every Gaussian at every pixel."""
+    alphas, values = raw_alphas(scene)
+    passed = np.ones((scene.camera.height, scene.camera.width))
+    images = np.zeros((values.shape[1], *passed.shape))
+    for alpha, value in zip(alphas, values, strict=True):
+        alpha = np.where(alpha >= ALPHA_CUT, np.minimum(alpha, ALPHA_MAX), 0.0)
+        images += value[:, None, None] * (alpha * passed)
+        passed = passed * (1.0 - alpha)
+    return images
+
+
+def dense_gradients(gradients: GaussianGradients, count: int) -> dict[str, Tensor]:
+    """Each group's gradient for the whole cloud, those of unseen Gaussians zero."""
+    out = {}
+    for name in GROUPS[:-1]:
+        compact = getattr(gradients, name)
+        if compact is not None:
+            out[name] = torch.zeros(count, *compact.shape[1:], dtype=compact.dtype)
+            out[name][gradients.ids] = compact
+    out["T_camera_map"] = gradients.T_camera_map
+    return out
+
+
+def gradients_of(
+    scene: Scene, backend: Backend, weights: Tensor, region: Tensor | None = None
+) -> dict[str, Tensor]:
+    """Gradients of sum(weights * images) in every group."""
+    drawn = scene.forward(backend, region)
+    return dense_gradients(drawn.backward(weights.to(drawn.images)), len(scene.cloud))
+
+
+def assert_same_images(actual: Tensor, scene: Scene, expected: Tensor) -> None:
+    """Equal to single precision outside the discontinuity band, and bounded inside."""
+    band = torch.from_numpy(discontinuous_pixels(scene))
+    difference = (actual.double() - expected).abs()
+    largest = largest_value(scene)
+    assert float((difference * ~band).max()) <= 3e-5 * largest
+    assert float((difference * band).max()) <= band_tolerance(scene)
+
+
+def band_tolerance(scene: Scene) -> float:
+    """What one Gaussian at the cut may change: its own part, and what lies behind it."""
+    return 2.0 * ALPHA_CUT * largest_value(scene)
+
+
+def assert_same_gradients(
+    actual: dict[str, Tensor], expected: dict[str, Tensor], tolerance: float = 2e-4
+) -> None:
+    """Every group equal, relative to its largest entry."""
+    assert actual.keys() == expected.keys()
+    for name, gradient in actual.items():
+        scale = float(expected[name].abs().max()) if expected[name].numel() else 0.0
+        error = (gradient.double() - expected[name].double()).abs()
+        worst = float(error.max()) if error.numel() else 0.0
+        assert worst <= tolerance * scale + 1e-12, f"{name}: {worst:.3g} of {scale:.3g}"
+
+
+def assert_identical(actual: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
+    """Every group equal bit for bit."""
+    assert actual.keys() == expected.keys()
+    for name, gradient in actual.items():
+        assert torch.equal(gradient, expected[name]), name

@@ -1,0 +1,182 @@
+"""render() as its callers meet it: shapes, errors, the choice of a backend, memory."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+from splat_scenes import random_scene, scene_at_pixels, skewed_camera
+
+from toolkit.errors import DependencyError, SettingsError
+from toolkit.rendering import backend, native, render
+
+NATIVE_MODULE = "toolkit.rendering.native"
+
+needs_kernels = pytest.mark.skipif(
+    not native.available_instruction_sets(), reason="no native kernels were built"
+)
+
+
+@pytest.fixture(autouse=True)
+def forgotten_choices() -> Iterator[None]:
+    """The choice of backend and kernels is remembered; each test makes its own."""
+    native.kernels.cache_clear()
+    backend.cache_clear()
+    yield
+    native.kernels.cache_clear()
+    backend.cache_clear()
+
+
+def test_shapes_of_the_output() -> None:
+    scene = random_scene(0, channels=7, size=(33, 20))
+    output = render(scene.cloud, scene.camera, scene.T_camera_map, features=scene.cloud.features)
+    assert output.images.shape == (12, 20, 33)
+    assert output.colour.shape == (20, 33, 3)
+    assert output.depth_m.shape == output.depth_sum_m.shape == output.silhouette.shape == (20, 33)
+    assert output.features.shape == (20, 33, 7)
+    without = render(scene.cloud, scene.camera, scene.T_camera_map)
+    assert without.features.shape == (20, 33, 0)
+    assert torch.equal(without.images, output.images[:5])
+
+
+@pytest.mark.parametrize("name", ["auto", "reference"])
+def test_only_what_is_asked_for_gets_a_gradient(name: str) -> None:
+    scene = random_scene(1)
+    T = torch.from_numpy(scene.T_camera_map).requires_grad_()
+    pose_only = render(scene.cloud, scene.camera, T, backend_name=name)
+    pose_only.images.sum().backward()
+    assert T.grad is not None and T.grad.dtype == torch.float64
+    expected = T.grad.clone()
+    T.grad = None
+    cloud = scene.cloud.detached()
+    cloud.means.requires_grad_()
+    render(cloud, scene.camera, T, backend_name=name).images.sum().backward()
+    assert cloud.means.grad is not None
+    assert torch.equal(T.grad, expected)
+    assert cloud.colours.grad is None
+
+
+def test_no_gradient_without_leaves() -> None:
+    scene = random_scene(1)
+    assert not render(scene.cloud, scene.camera, scene.T_camera_map).images.requires_grad
+
+
+def test_other_dtypes_and_strides_are_taken() -> None:
+    scene = random_scene(2)
+    expected = render(scene.cloud, scene.camera, scene.T_camera_map).images
+    wide = scene.with_cloud(
+        means=scene.cloud.means.double(),
+        colours=scene.cloud.colours.repeat(1, 2)[:, :3],
+        log_radii=torch.stack([scene.cloud.log_radii] * 2, dim=1)[:, 0],
+    )
+    assert torch.equal(render(wide.cloud, wide.camera, wide.T_camera_map).images, expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"T_camera_map": np.eye(4)[:3]}, r"T_camera_map must have shape \[4, 4\], got \[3, 4\]"),
+        ({"features": torch.zeros(9, 2)}, r"features must have shape \[60, S\], got \[9, 2\]"),
+        ({"features": torch.zeros(60)}, r"features must have shape \[60, S\], got \[60\]"),
+        (
+            {"region": torch.ones(3, 2, dtype=torch.bool)},
+            r"region must have shape \[3, 3\], got \[3, 2\]",
+        ),
+    ],
+)
+def test_wrong_shapes_are_named(change: dict, message: str) -> None:
+    scene = random_scene(0)
+    arguments = {"T_camera_map": scene.T_camera_map} | change
+    with pytest.raises(ValueError, match=message):
+        render(scene.cloud, scene.camera, **arguments)
+
+
+@needs_kernels
+def test_wrong_image_gradients_are_named() -> None:
+    scene = random_scene(0, channels=2)
+    drawn = scene.forward(backend("native"))
+    with pytest.raises(ValueError, match=r"image gradients must have shape \[7, 37, 45\]"):
+        drawn.backward(torch.zeros(5, 37, 45))
+
+
+def test_unknown_and_absent_backends() -> None:
+    with pytest.raises(SettingsError, match="unknown rendering backend 'gpu'"):
+        backend("gpu")
+    with pytest.raises(DependencyError, match="cuda"):
+        backend("cuda")
+
+
+@needs_kernels
+def test_native_is_the_choice_where_it_was_built() -> None:
+    assert backend("auto").name == "native"
+
+
+def test_reference_takes_over_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(native.ISA_VARIABLE, raising=False)
+    monkeypatch.setattr(f"{NATIVE_MODULE}._load", lambda instruction_set: None)
+    assert native.available_instruction_sets() == []
+    assert native.kernels() is None
+    assert backend("auto").name == "reference"
+    with pytest.raises(DependencyError, match="install a C\\+\\+ compiler"):
+        backend("native")
+    scene = scene_at_pixels([(4, 3)], skewed_camera(9, 7))
+    output = render(scene.cloud, scene.camera, scene.T_camera_map)
+    assert float(output.silhouette[3, 4]) == pytest.approx(0.6, rel=1e-5)
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", native.available_instruction_sets())
+def test_instruction_set_can_be_forced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setenv(native.ISA_VARIABLE, name)
+    module = native.kernels()
+    assert module is not None
+    assert module.__name__.endswith(f"_native_{name}")
+
+
+@pytest.mark.parametrize("name", ["avx9000", "AVX2", " "])
+def test_wrong_instruction_set_is_an_error(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setenv(native.ISA_VARIABLE, name)
+    with pytest.raises(DependencyError, match=f"SEMSPLAT_ISA={name} cannot run here; available: "):
+        native.kernels()
+
+
+def test_an_older_processor_gets_what_it_can_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Variant:
+        def __init__(self, name: str):
+            self.name = name
+
+        def instruction_set(self) -> str:
+            return "avx2"
+
+    monkeypatch.delenv(native.ISA_VARIABLE, raising=False)
+    monkeypatch.setattr(f"{NATIVE_MODULE}._load", Variant)
+    assert native.available_instruction_sets() == ["base", "avx2"]
+    assert native.kernels().name == "avx2"
+    native.kernels.cache_clear()
+    monkeypatch.setenv(native.ISA_VARIABLE, "avx512")
+    with pytest.raises(DependencyError, match="available: base, avx2"):
+        native.kernels()
+
+
+@pytest.mark.parametrize("name", ["auto", "reference"])
+@pytest.mark.xfail(
+    reason="render.py: the node holds the very tensor it returns, a cycle that only the "
+    "garbage collector breaks; return ctx.drawn.images.detach()"
+)
+def test_a_dropped_rendering_frees_its_memory_at_once(name: str) -> None:
+    scene = random_scene(1)
+    cloud = scene.cloud.detached()
+    cloud.means.requires_grad_()
+    gc.disable()
+    try:
+        output = render(cloud, scene.camera, scene.T_camera_map, backend_name=name)
+        drawn = weakref.ref(output.images.grad_fn.drawn)
+        assert drawn() is not None
+        del output
+        assert drawn() is None
+    finally:
+        gc.enable()
