@@ -14,7 +14,7 @@ def rgb() -> np.ndarray:
 
 
 @pytest.fixture(params=["open3d", "opencv"])
-def decoder(request, monkeypatch) -> str:
+def decoder(request, monkeypatch):
     """Both ways of decoding: with Open3D, and on a machine where it cannot be loaded."""
     if request.param == "opencv":
 
@@ -22,7 +22,9 @@ def decoder(request, monkeypatch) -> str:
             raise DependencyError("no Open3D here")
 
         monkeypatch.setattr(images, "open3d", no_open3d)
-    return request.param
+    images._decoder.cache_clear()
+    yield request.param
+    images._decoder.cache_clear()
 
 
 def test_png_colour_comes_back_in_rgb_order(tmp_path, rgb, decoder):

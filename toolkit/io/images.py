@@ -6,9 +6,12 @@ unnoticed) and only mutter on stderr, so a file's structure is checked first.
 
 from __future__ import annotations
 
+import functools
+import logging
 import os
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -24,6 +27,8 @@ PathLike = str | os.PathLike[str]
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 SATURATED_DEPTH = 65535
+
+_log = logging.getLogger(__name__)
 
 
 def read_rgb(path: PathLike) -> NDArray[np.float32]:
@@ -161,9 +166,7 @@ def _read(path: Path) -> NDArray:
     """The pixels [H, W, C] of an image file, channels in RGB(A) order, in its own type."""
     check_whole(path)
     try:
-        image = open3d().t.io.read_image(str(path)).as_tensor().numpy()
-    except DependencyError:
-        image = _read_with_opencv(path)
+        image = _decoder()(path)
     except RuntimeError as error:
         raise DatasetError(f"image {path} cannot be decoded ({error}); convert it again") from error
     if image.size == 0:
@@ -171,8 +174,23 @@ def _read(path: Path) -> NDArray:
     return image
 
 
+@functools.cache
+def _decoder() -> Callable[[Path], NDArray]:
+    """Open3D's reader, or OpenCV's where Open3D cannot be loaded; asked once."""
+    try:
+        open3d()
+    except DependencyError as error:
+        _log.info("reading images with OpenCV: %s", error)
+        return _read_with_opencv
+    return _read_with_open3d
+
+
+def _read_with_open3d(path: Path) -> NDArray:
+    return np.asarray(open3d().t.io.read_image(str(path)).as_tensor().numpy())
+
+
 def _read_with_opencv(path: Path) -> NDArray:
-    """The same pixels by OpenCV, for machines without Open3D's system libraries."""
+    """The same pixels by OpenCV; nothing of them where it fails."""
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         return np.empty((0, 0, 1), np.uint8)
