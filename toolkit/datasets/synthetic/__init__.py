@@ -1,5 +1,9 @@
 """Synthetic rooms: furnished, textured, with exact poses, depth, labels and mesh."""
 
+from toolkit.datasets.synthetic.layouts import LAYOUTS
 from toolkit.datasets.synthetic.room import RoomSettings, make_room, tiny_room
+from toolkit.datasets.synthetic.sensor import SensorModel
 
-__all__ = ["RoomSettings", "make_room", "tiny_room"]
+LAYOUT_NAMES = tuple(LAYOUTS)
+
+__all__ = ["LAYOUT_NAMES", "RoomSettings", "SensorModel", "make_room", "tiny_room"]

@@ -41,7 +41,7 @@ class Atlas:
         """
         level = np.clip(level, 0.0, MIP_LEVELS - 1.001)
         lower = level.astype(np.int32)
-        fraction = (level - lower)[:, None]
+        fraction = (level - lower.astype(np.float32))[:, None]
         fine = self._sample_level(xy, lower)
         return fine + (self._sample_level(xy, lower + 1) - fine) * fraction
 
@@ -67,10 +67,7 @@ def paint_atlas(parts: list[Part], texel_m: float) -> tuple[Atlas, list[NDArray[
         the atlas, and for each patch in order its texel coordinates [R, C, 2].
     """
     patches = [(part, patch) for part in parts for patch in part.patches]
-    sizes = [
-        tuple(max(2, math.ceil(side / texel_m)) for side in patch.chart_size_m)
-        for _, patch in patches
-    ]
+    sizes = [_texels(patch.chart_size_m, texel_m) for _, patch in patches]
     corners, height = _pack([(w + 2 * _MARGIN, h + 2 * _MARGIN) for w, h in sizes])
     base = np.zeros((height, _WIDTH, 3), dtype=np.uint8)
     streams = {id(part): iter(part.rng.spawn(len(part.patches))) for part in parts}
@@ -83,6 +80,11 @@ def paint_atlas(parts: list[Part], texel_m: float) -> tuple[Atlas, list[NDArray[
         origin = np.array([left, top]) + _MARGIN - 0.5
         coordinates.append((patch.uv_m / texel_m + origin).astype(np.float32))
     return _with_mip_levels(base, texel_m), coordinates
+
+
+def _texels(size_m: tuple[float, float], texel_m: float) -> tuple[int, int]:
+    width, height = (max(2, math.ceil(side / texel_m)) for side in size_m)
+    return width, height
 
 
 def _pack(sizes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:

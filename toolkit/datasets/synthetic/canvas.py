@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
+Image = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class Canvas:
         """Right (u) and down (v) [h, w] of the texels' centres, metres."""
         u = (np.arange(self.size[0], dtype=np.float32) + 0.5) * self.texel_m
         v = (np.arange(self.size[1], dtype=np.float32) + 0.5) * self.texel_m
-        return tuple(np.meshgrid(u, v))  # type: ignore[return-value]
+        grid_u, grid_v = np.meshgrid(u, v)
+        return grid_u, grid_v
 
     def noise(self, wavelength_m: float | tuple[float, float], octaves: int = 1) -> Image:
         """Smooth noise [h, w] of about unit deviation, each octave half as strong.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,16 @@ from toolkit.datasets.synthetic import small_objects as small
 from toolkit.datasets.synthetic.furniture import Workshop
 from toolkit.datasets.synthetic.parts import Part, bounds, moved
 from toolkit.datasets.synthetic.patches import placement
-from toolkit.datasets.synthetic.shell import SIDES, RoomPlan, Side
+from toolkit.datasets.synthetic.shell import SIDES, Opening, RoomPlan, Side
 
 Group = Callable[[Workshop], list[Part]]
 
+Box = NDArray[np.float64]  # lowest and highest corner [2, 3], metres
+
 _GAP_M = 0.04
 _STEP_M = 0.1
+_FLAT_M = 0.02
+_ATTEMPTS = 40
 
 
 def _bed_group(shop: Workshop) -> list[Part]:
@@ -104,83 +107,109 @@ STYLES: dict[str, tuple[Group, ...]] = {
 }  # fmt: skip
 
 
-@dataclass
-class _Floor:
-    """What is taken already: boxes [2, 3] in the world."""
-
-    taken: list[NDArray[np.float64]] = field(default_factory=list)
-
-    def is_free(self, box_m: NDArray[np.float64]) -> bool:
-        return not any(
-            bool((box_m[0] < other[1]).all() and (box_m[1] > other[0]).all())
-            for other in self.taken
-        )
-
-
 def furnish(plan: RoomPlan, shop: Workshop) -> list[Part]:
-    """Furniture, then pictures on what is left of the walls."""
-    floor = _Floor(_kept_clear(plan))
-    parts: list[Part] = []
-    for group in STYLES[plan.style]:
-        piece = group(shop)
-        T = _free_place(plan, bounds(piece), floor, shop.rng)
+    """Furniture along the walls, then pictures on what is left of them.
+
+    Some orders of placing leave no room for the last pieces, so several are tried and
+    the first that fits everything is kept, else the one that fits most.
+    """
+    pieces = [group(shop) for group in STYLES[plan.style]]
+    best: list[list[Part]] = []
+    for rng in shop.rng.spawn(_ATTEMPTS):
+        placed = _arrange(plan, pieces, rng)
+        if len(placed) > len(best):
+            best = placed
+        if len(best) == len(pieces):
+            break
+    parts = [part for piece in best for part in piece]
+    return parts + _wall_hangings(plan, shop, _blocks(parts) + _kept_clear(plan))
+
+
+def _arrange(
+    plan: RoomPlan, pieces: list[list[Part]], rng: np.random.Generator
+) -> list[list[Part]]:
+    """The pieces in the world; those without a free place are left out."""
+    taken = _kept_clear(plan)
+    placed = []
+    for piece in pieces:
+        T = _free_place(plan, _blocks(piece), taken, rng)
         if T is not None:
-            placed = moved(piece, T)
-            floor.taken.append(bounds(placed))
-            parts += placed
-    return parts + _wall_hangings(plan, shop, floor)
+            placed.append(moved(piece, T))
+            taken = taken + _blocks(placed[-1])
+    return placed
 
 
-def _kept_clear(plan: RoomPlan) -> list[NDArray[np.float64]]:
+def _blocks(parts: list[Part]) -> list[Box]:
+    """What parts occupy; rugs can be stood on and block nothing."""
+    boxes = [bounds([part]) for part in parts]
+    return [b for b in boxes if b[1, 2] - b[0, 2] > _FLAT_M]
+
+
+def _kept_clear(plan: RoomPlan) -> list[Box]:
     """Boxes before doors and windows, and the way of the camera in the middle."""
     clear = []
     for opening in plan.openings:
         left, low, right, high = opening.extent_m
-        deep = 0.12 if opening.kind == "window" else 0.9
-        margin = 0.3 if opening.kind == "window" else 0.1
-        corners = np.array([[left - margin, -deep, low], [right + margin, 0.0, high]])
-        origin = plan.on_wall(opening.side, 0.0)
-        clear.append(_world_box(origin, corners))
+        if opening.kind == "window":
+            corners = np.array([[left - 0.35, -0.15, low - 0.25], [right + 0.35, 0.0, high + 0.2]])
+        else:
+            corners = np.array([[left - 0.1, -0.9, low], [right + 0.1, 0.0, high]])
+        if opening.kind == "passage":
+            lane = np.array([[left, -_half_way(plan, opening), 0.95], [right, 0.0, high]])
+            clear.append(_moved_box(plan.on_wall(opening.side, 0.0), lane))
+        clear.append(_moved_box(plan.on_wall(opening.side, 0.0), corners))
     x, y = plan.centre_m
     reach = path_reach_m(plan) + 0.5
-    clear.append(
-        np.array([[x - reach[0], y - reach[1], 0.95], [x + reach[0], y + reach[1], 2.2]])
-    )
+    clear.append(np.array([[x - reach[0], y - reach[1], 0.95], [x + reach[0], y + reach[1], 2.2]]))
     return clear
+
+
+def _half_way(plan: RoomPlan, opening: Opening) -> float:
+    """Distance from a wall to the middle of the room, metres."""
+    return plan.size_m[1 if opening.side in ("north", "south") else 0] / 2
 
 
 def path_reach_m(plan: RoomPlan) -> NDArray[np.float64]:
     """Half axes [2] of the loop that the camera walks in a room, metres."""
-    size = np.array([plan.x1 - plan.x0, plan.y1 - plan.y0])
-    return np.clip(size / 2 - 1.6, 0.25, 1.0)
+    return np.clip(np.array(plan.size_m) / 2 - 1.75, 0.2, 0.8)
 
 
-def _world_box(T: NDArray, corners: NDArray) -> NDArray[np.float64]:
-    world = corners @ T[:3, :3].T + T[:3, 3]
+def _moved_box(T: NDArray, box_m: Box) -> Box:
+    """The box about a box turned by a multiple of a right angle, and shifted."""
+    world = box_m @ T[:3, :3].T + T[:3, 3]
     return np.stack([world.min(axis=0), world.max(axis=0)])
 
 
 def _free_place(
-    plan: RoomPlan, size: NDArray, floor: _Floor, rng: np.random.Generator
+    plan: RoomPlan, blocks: list[Box], taken: list[Box], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """A motion [4, 4] to a free place along a wall, or None where there is none."""
+    lowest = np.min([b[0] for b in blocks], axis=0)
+    highest = np.max([b[1] for b in blocks], axis=0)
+    others = np.stack(taken)
     places: list[tuple[Side, float]] = []
     for side in SIDES:
-        first = 0.05 - size[0, 0]
-        last = plan.wall_length_m(side) - 0.05 - size[1, 0]
-        places += [(side, along) for along in np.arange(first, last, _STEP_M)]
+        last = plan.wall_length_m(side) - _GAP_M - highest[0]
+        places += [(side, along) for along in np.arange(_GAP_M - lowest[0], last, _STEP_M)]
     for number in rng.permutation(len(places)):
         side, along = places[number]
         T = plan.on_wall(side, along, gap_m=_GAP_M)
-        box_m = _world_box(T, size)
-        inside = box_m[0] > [plan.x0, plan.y0, -0.01]
-        inside &= box_m[1] < [plan.x1, plan.y1, plan.height_m]
-        if inside.all() and floor.is_free(box_m):
+        if _fits(plan, [_moved_box(T, b) for b in blocks], others):
             return T
     return None
 
 
-def _wall_hangings(plan: RoomPlan, shop: Workshop, floor: _Floor) -> list[Part]:
+def _fits(plan: RoomPlan, blocks: list[Box], others: NDArray[np.float64]) -> bool:
+    x0, y0, x1, y1 = plan.bounds_m
+    for low, high in blocks:
+        inside = (low > [x0, y0, -0.01]) & (high < [x1, y1, plan.height_m])
+        apart = (low >= others[:, 1]) | (high <= others[:, 0])
+        if not (inside.all() and apart.any(axis=1).all()):
+            return False
+    return True
+
+
+def _wall_hangings(plan: RoomPlan, shop: Workshop, taken: list[Box]) -> list[Part]:
     """Pictures and a clock at eye height, a switch beside each door."""
     parts: list[Part] = []
     for opening in plan.openings:
@@ -189,16 +218,18 @@ def _wall_hangings(plan: RoomPlan, shop: Workshop, floor: _Floor) -> list[Part]:
             parts += moved(small.switch(shop), T)
     hangings: list[Group] = [
         small.clock,
-        small.picture,
-        lambda s: small.picture(s, 0.5, 0.65),
         lambda s: small.picture(s, 0.9, 0.6),
+        lambda s: small.picture(s, 0.7, 0.5),
+        lambda s: small.picture(s, 0.5, 0.65),
         lambda s: small.picture(s, 0.4, 0.4),
     ]
     for group in hangings:
+        # The gap is taken back: what hangs touches the wall.
         piece = moved(group(shop), placement(0.0, _GAP_M, 1.65))
-        T = _free_place(plan, bounds(piece) - [[0.1, 0, 0], [-0.1, 0, 0]], floor, shop.rng)
-        if T is not None:
-            placed = moved(piece, T)
-            floor.taken.append(bounds(placed))
-            parts += placed
+        # Nothing may stand before it either.
+        around = bounds(piece) + np.array([[-0.12, -0.35, -0.05], [0.12, -_GAP_M, 0.05]])
+        place = _free_place(plan, [around], taken, shop.rng)
+        if place is not None:
+            parts += moved(piece, place)
+            taken = [*taken, _moved_box(place, around)]
     return parts

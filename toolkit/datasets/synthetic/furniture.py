@@ -18,6 +18,7 @@ from toolkit.datasets.synthetic.patches import (
     lathe,
 )
 from toolkit.datasets.synthetic.textures import Colour, Texture
+from toolkit.geometry import se3
 
 WOODS: tuple[Colour, ...] = ((0.62, 0.42, 0.25), (0.45, 0.28, 0.17), (0.78, 0.6, 0.4))
 CLOTHS: tuple[Colour, ...] = (
@@ -88,7 +89,7 @@ def sofa(shop: Workshop) -> list[Part]:
     )
     for x in (-0.385, 0.385):
         body += cushion((0.77, 0.66, 0.18), (x, -0.53, 0.26), 8.0)
-    parts = [shop.part("sofa", body, tx.weave(cloth, 0.018, 0.2))]
+    parts = [shop.part("sofa", body, tx.weave(cloth, 0.018, 0.11))]
     for x, lean in ((-0.5, 0.25), (0.48, -0.2)):
         patches = [_leaning(p, x, lean) for p in cushion((0.44, 0.44, 0.14), (0.0, 0.0, 0.0))]
         bands = (shop.pick(CLOTHS), PALE)
@@ -98,8 +99,6 @@ def sofa(shop: Workshop) -> list[Part]:
 
 def _leaning(patch: Patch, x: float, yaw_rad: float) -> Patch:
     """A lying cushion set upright on the sofa's seat against its back."""
-    from toolkit.geometry import se3
-
     upright = se3.exp_so3(np.array([0.0, 0.0, yaw_rad])) @ se3.exp_so3(np.array([1.15, 0.0, 0.0]))
     place = np.array([x, -0.36, 0.66])
     return patch.transformed(se3.from_rotation_translation(upright, place))
@@ -112,7 +111,7 @@ def wardrobe(shop: Workshop) -> list[Part]:
     handles = [p for x in (-0.06, 0.06) for p in box((0.02, 0.03, 0.22), (x, -0.585, 0.95))]
     return [
         shop.part("wardrobe", box((1.2, 0.55, 2.05), (0.0, -0.275, 0.0)), tx.wood(colour)),
-        shop.part("wardrobe", doors, tx.wood(shop.pick(WOODS), 0.2)),
+        shop.part("wardrobe", doors, tx.wood(shop.pick(WOODS), 0.11)),
         shop.part("wardrobe", handles, tx.speckled(DARK)),
     ]
 
@@ -122,17 +121,19 @@ def desk(shop: Workshop) -> list[Part]:
     top = box((1.3, 0.65, 0.04), (0.0, -0.325, 0.7))
     body = _legs(1.3, 0.65, 0.7, 0.05) + box((0.36, 0.5, 0.4), (0.42, -0.3, 0.3))
     return [
-        shop.part("desk", top, tx.wood(shop.pick(WOODS), 0.2)),
+        shop.part("desk", top, tx.wood(shop.pick(WOODS), 0.11)),
         shop.part("desk", body, tx.wood(shop.pick(WOODS))),
     ]
 
 
-def table(shop: Workshop, width: float = 1.2, depth: float = 0.8, height: float = 0.74) -> list[Part]:
+def table(
+    shop: Workshop, width: float = 1.2, depth: float = 0.8, height: float = 0.74
+) -> list[Part]:
     """A table, its back edge on y = 0."""
     top = box((width, depth, 0.035), (0.0, -depth / 2, height - 0.035))
     legs = _legs(width, depth, height - 0.035, 0.06)
     colour = shop.pick(WOODS)
-    return [shop.part("table", top + legs, tx.wood(colour, 0.2))]
+    return [shop.part("table", top + legs, tx.wood(colour, 0.11))]
 
 
 def round_table(shop: Workshop, radius: float = 0.45, height: float = 0.45) -> list[Part]:
@@ -140,7 +141,7 @@ def round_table(shop: Workshop, radius: float = 0.45, height: float = 0.45) -> l
     x, y = 0.0, -radius
     patches = cylinder(radius, 0.03, (x, y, height - 0.03))
     patches += cylinder(0.035, height - 0.05, (x, y, 0.02)) + cylinder(0.22, 0.02, (x, y, 0.0))
-    return [shop.part("table", patches, tx.wood(shop.pick(WOODS), 0.2))]
+    return [shop.part("table", patches, tx.wood(shop.pick(WOODS), 0.11))]
 
 
 def chair(shop: Workshop) -> list[Part]:
@@ -154,7 +155,7 @@ def chair(shop: Workshop) -> list[Part]:
     seat = cushion((0.43, 0.42, 0.05), (0.0, -0.24, 0.445), 6.0)
     return [
         shop.part("chair", wood, tx.wood(shop.pick(WOODS))),
-        shop.part("chair", seat, tx.weave(shop.pick(CLOTHS), 0.02, 0.2)),
+        shop.part("chair", seat, tx.weave(shop.pick(CLOTHS), 0.02, 0.11)),
     ]
 
 
@@ -162,7 +163,7 @@ def stool(shop: Workshop) -> list[Part]:
     """A round stool, 0.34 m wide."""
     patches = cylinder(0.17, 0.05, (0.0, -0.17, 0.42)) + cylinder(0.03, 0.42, (0.0, -0.17, 0.0))
     patches += cylinder(0.15, 0.025, (0.0, -0.17, 0.0))
-    return [shop.part("stool", patches, tx.wood(shop.pick(WOODS), 0.2))]
+    return [shop.part("stool", patches, tx.wood(shop.pick(WOODS), 0.11))]
 
 
 def shelf(shop: Workshop, width: float = 0.9, height: float = 1.85) -> list[Part]:
@@ -182,7 +183,7 @@ def shelf(shop: Workshop, width: float = 0.9, height: float = 1.85) -> list[Part
 
 def _book_row(shop: Workshop, length: float, z: float) -> list[Part]:
     """Books side by side from the left until a random place."""
-    parts = []
+    parts: list[Part] = []
     x = -length / 2
     end = x + length * shop.rng.uniform(0.55, 1.0)
     while True:
@@ -205,7 +206,7 @@ def cabinet(shop: Workshop, width: float = 1.1, name: str = "cabinet") -> list[P
             knobs += box((0.12, 0.02, 0.02), (x, -0.448, z + 0.1))
     return [
         shop.part(name, body, tx.wood(shop.pick(WOODS))),
-        shop.part(name, drawers, tx.wood(shop.pick(WOODS), 0.22)),
+        shop.part(name, drawers, tx.wood(shop.pick(WOODS), 0.12)),
         shop.part(name, knobs, tx.speckled(DARK)),
     ]
 
@@ -216,7 +217,7 @@ def nightstand(shop: Workshop) -> list[Part]:
     fronts = [p for z in (0.05, 0.27) for p in box((0.41, 0.016, 0.2), (0.0, -0.408, z))]
     return [
         shop.part("nightstand", body, tx.wood(shop.pick(WOODS))),
-        shop.part("nightstand", fronts, tx.wood(shop.pick(WOODS), 0.22)),
+        shop.part("nightstand", fronts, tx.wood(shop.pick(WOODS), 0.12)),
     ]
 
 
@@ -241,7 +242,9 @@ def table_lamp(shop: Workshop) -> list[Part]:
     ]
 
 
-def _shade(top: float, bottom: float, height: float, base: tuple[float, float, float]) -> list[Patch]:
+def _shade(
+    top: float, bottom: float, height: float, base: tuple[float, float, float]
+) -> list[Patch]:
     x, y, z = base
     rings = np.linspace(0.0, 1.0, 4)
     profile = [(top + (bottom - top) * s, height * (1 - s)) for s in rings]
@@ -257,7 +260,7 @@ def curtain(shop: Workshop, width: float, height: float) -> list[Part]:
     flat = fine_plate((-width / 2, -0.06, height), (width, 0, 0), (0, 0, -height), (40, 8))
     phase = shop.rng.uniform(0, 2 * np.pi)
 
-    def folds(u: NDArray, v: NDArray) -> NDArray:
+    def folds(u: NDArray, _: NDArray) -> NDArray:
         return 0.03 * np.sin(u / 0.11 * 2 * np.pi / 1.2 + phase)
 
     texture = tx.plaid(shop.pick(CLOTHS), (shop.pick(CLOTHS), PALE), 0.17)

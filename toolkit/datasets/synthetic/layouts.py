@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.datasets.synthetic.furnishing import furnish, path_reach_m
 from toolkit.datasets.synthetic.furniture import Workshop
-from toolkit.datasets.synthetic.parts import Part
+from toolkit.datasets.synthetic.parts import Part, moved
+from toolkit.datasets.synthetic.patches import placement
 from toolkit.datasets.synthetic.paths import WayPoint
-from toolkit.datasets.synthetic.shell import Opening, RoomPlan, room_shell
+from toolkit.datasets.synthetic.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
 
-EYE_M = 1.45
+_EYE_M = 1.45
+_WALL_M = 2 * WALL_HALF_M
 
 
 @dataclass(frozen=True)
@@ -25,40 +29,138 @@ class Layout:
         looks: for each room the number that decides what is in it; rooms with the same
             number, size and openings are identical.
         way: what the camera passes and looks at.
-        frames: how many frames a person's pace gives at 30 Hz.
     """
 
     rooms: tuple[RoomPlan, ...]
     looks: tuple[int, ...]
     way: tuple[WayPoint, ...]
-    frames: int
 
 
 def single_room() -> Layout:
     """One furnished room, 5.4 x 4.6 m; the camera walks a loop and looks around."""
-    openings = (
-        Opening("north", 4.2, "window"),
-        Opening("south", 4.4, "door"),
+    openings = (Opening("north", 4.2, "window"), Opening("south", 4.4, "door"))
+    plan = RoomPlan((0.0, 0.0), (5.4, 4.6), openings, "studio")
+    return Layout((plan,), (0,), tuple(_look_around(plan, 0.0, math.radians(368))))
+
+
+def ring_of_rooms() -> Layout:
+    """Four rooms, each joined to two others; the camera comes back to the first one."""
+    size = (4.0, 4.0)
+    pitch = (size[0] + _WALL_M) / 2
+    middle = size[0] / 2
+    # Counter-clockwise from the south-west; each room's door to the next comes last.
+    plans = [
+        RoomPlan((sx * pitch, sy * pitch), size, openings, style)
+        for sx, sy, style, openings in (
+            (-1, -1, "living", _ring_openings("north", "east", "south", middle)),
+            (1, -1, "office", _ring_openings("west", "north", "east", middle)),
+            (1, 1, "bedroom", _ring_openings("south", "west", "north", middle)),
+            (-1, 1, "dining", _ring_openings("east", "south", "west", middle)),
+        )
+    ]
+    # Turning the long way round shows the whole of each room.
+    turn = math.radians(-270)
+    way: list[WayPoint] = []
+    for number in (0, 1, 2, 3, 0):
+        plan = plans[number]
+        entry, leave = plan.openings[0], plan.openings[1]
+        way += _visit(plan, entry if way else None, leave, _heading(plan, entry, inward=True), turn)
+    return Layout(tuple(plans), (0, 1, 2, 3), tuple(way[:-2]))
+
+
+def _ring_openings(entry: str, leave: str, window: str, middle: float) -> tuple[Opening, ...]:
+    return (
+        Opening(entry, middle, "passage"),  # type: ignore[arg-type]
+        Opening(leave, middle, "passage"),  # type: ignore[arg-type]
+        Opening(window, middle, "window"),  # type: ignore[arg-type]
     )
-    plan = RoomPlan(-2.7, -2.3, 2.7, 2.3, openings, "studio")
-    return Layout((plan,), (0,), tuple(round_walk(plan, 0.0, 2 * math.pi)), 300)
 
 
-def round_walk(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayPoint]:
+def rooms_with_corridor() -> Layout:
+    """Three different rooms north of a corridor, visited one after the other."""
+    return _corridor_layout(("office", "bedroom", "dining"), (1, 2, 3))
+
+
+def twin_rooms() -> Layout:
+    """Two identical rooms beside a third, on one corridor: what looks equal is not."""
+    return _corridor_layout(("office", "living", "office"), (1, 2, 1))
+
+
+def _corridor_layout(styles: tuple[str, ...], looks: tuple[int, ...]) -> Layout:
+    """Rooms in a row along x, each with a door to a corridor in the south."""
+    size = (4.2, 4.0)
+    corridor_depth = 1.9
+    pitch = size[0] + _WALL_M
+    door = size[0] / 2
+    openings = (Opening("south", door, "passage"), Opening("north", 2.2, "window"))
+    rooms = [
+        RoomPlan((number * pitch, 0.0), size, openings, style)
+        for number, style in enumerate(styles)
+    ]
+    length = pitch * len(rooms) - _WALL_M
+    centre = (pitch * (len(rooms) - 1) / 2, -(size[1] + corridor_depth) / 2 - _WALL_M)
+    doors = tuple(
+        Opening("north", number * pitch + door, "passage") for number in range(len(rooms))
+    )
+    corridor = RoomPlan(centre, (length, corridor_depth), doors, "corridor")
+    way: list[WayPoint] = []
+    for number, room in enumerate(rooms):
+        entry, north = room.openings[0], math.pi / 2
+        way += _visit(room, entry if way else None, entry, north, math.pi)
+        if number + 1 < len(rooms):
+            way += _walk_corridor(corridor, room, rooms[number + 1])
+    return Layout((*rooms, corridor), (*looks, 9), tuple(way))
+
+
+def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[WayPoint]:
+    """Way points in the corridor from one room's door towards the next one's."""
+    y = corridor.centre_m[1] + 0.1
+    x0, x1 = start.centre_m[0], end.centre_m[0]
+    stands = np.linspace(x0 + 0.35, x1 - 0.35, 4)
+    return [_looking((x, y), 0.0 if x < x1 - 0.6 else 0.6) for x in stands]
+
+
+def _visit(
+    plan: RoomPlan, entry: Opening | None, leave: Opening, heading_rad: float, turn_rad: float
+) -> list[WayPoint]:
+    """Through the entry, around the room by a turn, and out by another door."""
+    way: list[WayPoint] = []
+    if entry is not None:
+        sill, _ = plan.door_way(entry)
+        way.append(_looking(sill, heading_rad))
+    way += _look_around(plan, heading_rad, turn_rad)
+    sill, outward = plan.door_way(leave)
+    out = heading_rad + turn_rad
+    return [*way, _looking(sill - 0.8 * outward, out), _looking(sill, out)]
+
+
+def _heading(plan: RoomPlan, door: Opening, inward: bool) -> float:
+    _, outward = plan.door_way(door)
+    x, y = -outward if inward else outward
+    return math.atan2(y, x)
+
+
+def _looking(stand: NDArray | tuple[float, float], heading_rad: float) -> WayPoint:
+    """Straight ahead and a little down."""
+    x, y = stand
+    ahead = (x + 2 * math.cos(heading_rad), y + 2 * math.sin(heading_rad), _EYE_M - 0.25)
+    return WayPoint((float(x), float(y), _EYE_M), ahead)
+
+
+def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayPoint]:
     """A loop about the middle of a room, looking across at what stands by the walls."""
-    count = max(3, round(abs(turn_rad) / math.radians(30))) + 1
-    centre, reach = plan.centre_m, path_reach_m(plan)
-    wall = np.array([plan.x1 - plan.x0, plan.y1 - plan.y0]) / 2
+    count = max(2, round(abs(turn_rad) / math.radians(30))) + 1
+    centre, reach = np.array(plan.centre_m), path_reach_m(plan)
+    wall = np.array(plan.size_m) / 2
     points = []
     for number, angle in enumerate(np.linspace(start_rad, start_rad + turn_rad, count)):
         direction = np.array([math.cos(angle), math.sin(angle)])
         # Standing on the far side of the loop, the camera sees the most of the wall.
-        stand = centre - reach * direction
-        ahead = angle + 0.15
-        target = centre + wall * [math.cos(ahead), math.sin(ahead)]
-        height = EYE_M + 0.12 * math.sin(2.3 * number)
-        look = 0.85 + 0.3 * math.sin(1.7 * number)
-        points.append(WayPoint((*stand, height), (*target, look)))
+        x, y = centre - reach * direction
+        target_x, target_y = centre + wall * direction
+        height = _EYE_M + 0.1 * math.sin(2.3 * number)
+        look = 0.85 + 0.25 * math.sin(1.7 * number)
+        points.append(WayPoint((x, y, height), (target_x, target_y, look)))
     return points
 
 
@@ -66,15 +168,29 @@ def build_parts(layout: Layout, seed: int) -> list[Part]:
     """All surfaces of a layout."""
     parts: list[Part] = []
     for plan, look in zip(layout.rooms, layout.looks, strict=True):
-        shop = Workshop(np.random.default_rng([seed, look]))
-        parts += room_shell(plan, shop)
-        parts += furnish(plan, shop)
+        # Built about the origin, so that twins are equal to the last bit before they move.
+        shop = Workshop(np.random.default_rng([seed, 1, look]))
+        at_origin = replace(plan, centre_m=(0.0, 0.0))
+        room = room_shell(at_origin, shop) + furnish(at_origin, shop)
+        parts += moved(room, placement(*plan.centre_m))
     return parts
 
 
-def lamp_places(layout: Layout) -> np.ndarray:
-    """Middles [R, 3] of the rooms' ceiling lamps, metres."""
-    return np.array([[*plan.centre_m, plan.height_m - 0.15] for plan in layout.rooms])
+def lamp_places(layout: Layout) -> NDArray[np.float64]:
+    """Middles [L, 3] of the ceiling lamps, metres; long rooms have several."""
+    lamps = []
+    for plan in layout.rooms:
+        (x, y), (width, _) = plan.centre_m, plan.size_m
+        count = max(1, round(width / 5.0))
+        for number in range(count):
+            along = x + width * ((number + 0.5) / count - 0.5)
+            lamps.append([along, y, plan.height_m - 0.15])
+    return np.array(lamps)
 
 
-LAYOUTS = {"room": single_room}
+LAYOUTS: dict[str, Callable[[], Layout]] = {
+    "room": single_room,
+    "rooms": rooms_with_corridor,
+    "ring": ring_of_rooms,
+    "twins": twin_rooms,
+}

@@ -24,7 +24,7 @@ _CLEARANCE_M = 0.012
 
 def vertex_light(
     patches: list[Patch], lamps_m: NDArray[np.float64], scene: Any
-) -> list[NDArray[np.float32]]:
+) -> list[NDArray[np.floating]]:
     """Brightness [R, C] of every patch's points, about 1 where well lit.
 
     Args:
@@ -37,10 +37,12 @@ def vertex_light(
     points = points + _CLEARANCE_M * normals
     light = _AMBIENT * _openness(points, normals, scene)
     light = light + _DIRECT * _lamp_light(points, normals, lamps_m, scene)
-    light = np.clip(light, 0.3, 1.25).astype(np.float32)
+    brightness = np.clip(light, 0.3, 1.25).astype(np.float32)
     sizes = [patch.points.shape[:2] for patch in patches]
     ends = np.cumsum([rows * columns for rows, columns in sizes])[:-1]
-    return [part.reshape(size) for part, size in zip(np.split(light, ends), sizes, strict=True)]
+    return [
+        part.reshape(size) for part, size in zip(np.split(brightness, ends), sizes, strict=True)
+    ]
 
 
 def _off_the_border(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,7 +97,7 @@ def _lamp_light(
     total = np.zeros(len(points))
     for lamp in np.asarray(lamps_m, dtype=float).reshape(-1, 3):
         for dx, dy in ((-half, -half), (-half, half), (half, -half), (half, half)):
-            towards = lamp + [dx, dy, 0.0] - points
+            towards = lamp + np.array([dx, dy, 0.0]) - points
             distance = np.linalg.norm(towards, axis=1)
             cosine = np.einsum("ij,ij->i", normals, towards) / np.maximum(distance, 1e-9)
             lit = np.flatnonzero((cosine > 0.0) & (distance < 6.0))

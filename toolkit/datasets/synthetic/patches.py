@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,7 +106,7 @@ def _cuts(length: float, edges: list[float]) -> NDArray[np.float64]:
     stops = np.unique(np.clip([0.0, *edges, length], 0.0, length))
     pieces = [
         np.linspace(a, b, max(1, math.ceil((b - a) / _VERTEX_STEP_M)), endpoint=False)
-        for a, b in zip(stops[:-1], stops[1:], strict=True)
+        for a, b in pairwise(stops)
     ]
     return np.concatenate([*pieces, [length]])
 

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 
+# A person's pace at 30 Hz: one frame is about this far, or a turn by this much.
+_STEP_M = 0.0155
+_TURN_RAD = math.radians(1.27)
+
 
 @dataclass(frozen=True)
 class WayPoint:
@@ -33,28 +37,30 @@ def look_at(position_m: NDArray, target_m: NDArray) -> NDArray[np.float64]:
 
 
 def hand_held_path(
-    way_points: list[WayPoint], frames: int, share: float, rng: np.random.Generator
+    way_points: tuple[WayPoint, ...], frames: int | None, share: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Poses [frames, 4, 4] along way points, evenly paced, with sway.
 
     Args:
         way_points: at least three.
-        frames: how many poses.
+        frames: how many poses; None: as many as a person's pace gives at 30 Hz.
         share: the part of the path that is walked, in (0, 1].
         rng: for the sway.
     """
-    dense = _spline(way_points, 2000)
+    dense = _spline(way_points, 200 * len(way_points))
     pace = _evenly_paced(dense)
+    if frames is None:
+        frames = max(2, round(share * _pace_length(dense) / _STEP_M))
     moments = np.interp(np.linspace(0.0, share, frames), pace, np.linspace(0.0, 1.0, len(dense)))
     position, angles = _at(dense, moments)
     # The sway follows the way walked, so that a shorter walk is the start of a longer one.
-    sway = _sway(np.linspace(0.0, share, frames) * pace_length(dense), rng)
+    sway = _sway(np.linspace(0.0, share, frames) * _pace_length(dense), rng)
     return np.stack(
         [_pose(p + s[:3], a + s[3:5], s[5]) for p, a, s in zip(position, angles, sway, strict=True)]
     )
 
 
-def _spline(way_points: list[WayPoint], count: int) -> NDArray[np.float64]:
+def _spline(way_points: tuple[WayPoint, ...], count: int) -> NDArray[np.float64]:
     """Points [count, 5] on a cubic through the way points: position, yaw, pitch."""
     positions = np.array([w.position_m for w in way_points])
     forward = np.array([w.target_m for w in way_points]) - positions
@@ -80,14 +86,15 @@ def _catmull_rom(knots: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _effort(dense: NDArray) -> NDArray[np.float64]:
-    """Length of each step, metres, where a turn counts as well: 1.2 degrees as 1.5 cm."""
+    """Length of each step, metres, where turning takes time as well."""
     change = np.diff(dense, axis=0)
     turn = np.hypot(change[:, 3] * np.cos(dense[:-1, 4]), change[:, 4])
     walk = np.linalg.norm(change[:, :3], axis=1)
-    return np.hypot(walk, turn * 0.015 / math.radians(1.2))
+    # A soft maximum: one turns while walking, up to the limits of both.
+    return (walk**4 + (turn * _STEP_M / _TURN_RAD) ** 4) ** 0.25
 
 
-def pace_length(dense: NDArray) -> float:
+def _pace_length(dense: NDArray) -> float:
     """Whole effort of a path, metres."""
     return float(_effort(dense).sum())
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic.atlas import Atlas, paint_atlas
+from toolkit.datasets.synthetic.atlas import paint_atlas
 from toolkit.datasets.synthetic.lighting import vertex_light
 from toolkit.datasets.synthetic.parts import Part
 from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
 
+# No lens is sharper than this; without it edges alias on the pixel grid.
+_LENS_BLUR_PIXELS = 0.4
 _MISS = np.uint32(0xFFFFFFFF)
 
 
@@ -65,9 +68,7 @@ class Scene:
         )
         self.atlas, texels = paint_atlas(parts, texel_m)
         light = vertex_light(patches, lamps_m, self.casting)
-        light = [
-            np.maximum(values, part.glow) for values, part in zip(light, owners, strict=True)
-        ]
+        light = [np.maximum(values, part.glow) for values, part in zip(light, owners, strict=True)]
         self._vertex_looks = np.concatenate(
             [
                 np.concatenate([xy, shade[..., None]], axis=-1).reshape(-1, 3)
@@ -106,11 +107,17 @@ class Scene:
             cosine=np.where(hit, hits.cosine, 0.0).astype(np.float32).reshape(shape),
         )
 
+    def render_depth(self, camera: Camera, T_world_camera: NDArray) -> NDArray[np.float32]:
+        """The z-depth [H, W] alone, metres, 0 where nothing is hit."""
+        hits = self._cast(camera, T_world_camera)
+        depth_m = np.where(hits.triangle != _MISS, hits.depth_m, 0.0)
+        return depth_m.astype(np.float32).reshape(camera.height, camera.width)
+
     def _colour(self, camera: Camera, T_world_camera: NDArray, samples: int) -> NDArray:
         fine = camera.scaled(samples, samples, camera.width * samples, camera.height * samples)
         hits = self._cast(fine, T_world_camera)
         hit = hits.triangle != _MISS
-        looks = self._triangle_looks[np.where(hit, hits.triangle, 0)]
+        looks = self._triangle_looks.take(np.where(hit, hits.triangle, 0), axis=0)
         u, v = hits.barycentric[:, :1], hits.barycentric[:, 1:]
         here = looks[:, :3] + u * looks[:, 3:6] + v * looks[:, 6:]
         # The texture is averaged over the ray's share of the surface; at grazing angles
@@ -120,8 +127,10 @@ class Scene:
         level = np.log2(np.maximum(spacing_m / stretch / self.atlas.texel_m, 1e-3))
         colour = self.atlas.sample(here[:, :2], level.astype(np.float32))
         colour *= (here[:, 2] * hit / 255.0)[:, None]
-        blocks = colour.reshape(camera.height, samples, camera.width, samples, 3)
-        return np.clip(blocks.mean(axis=(1, 3), dtype=np.float32), 0.0, 1.0)
+        image = colour.reshape(fine.height, fine.width, 3)
+        image = cv2.GaussianBlur(image, (0, 0), _LENS_BLUR_PIXELS * samples)
+        image = cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)
+        return np.clip(image, 0.0, 1.0).astype(np.float32)
 
     def _cast(self, camera: Camera, T_world_camera: NDArray) -> _Hits:
         """One ray a pixel, through pixel centres.
@@ -134,12 +143,13 @@ class Scene:
         rays[:, :3] = T[:3, 3]
         rays[:, 3:] = directions
         answer = self.casting.cast_rays(open3d().core.Tensor.from_numpy(rays), nthreads=1)
-        toward = np.einsum("ij,ij->i", answer["primitive_normals"].numpy(), rays[:, 3:])
+        ahead = rays[:, 3:]
+        toward = np.einsum("ij,ij->i", answer["primitive_normals"].numpy(), ahead)
         return _Hits(
             triangle=answer["primitive_ids"].numpy(),
             barycentric=answer["primitive_uvs"].numpy(),
             depth_m=answer["t_hit"].numpy(),
-            cosine=np.abs(toward) / np.linalg.norm(rays[:, 3:], axis=1),
+            cosine=np.abs(toward) / np.sqrt(np.einsum("ij,ij->i", ahead, ahead)),
         )
 
 
@@ -155,6 +165,3 @@ def _barycentric_form(corners: NDArray[np.float32]) -> NDArray[np.float32]:
     """Per triangle [M, 9]: value at the first corner and its change along both edges."""
     first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
     return np.concatenate([first, second - first, third - first], axis=1)
-
-
-__all__ = ["Atlas", "Scene", "View"]

@@ -43,7 +43,12 @@ class Opening:
         """(left, bottom, right, top) on the wall, metres from its left end and the floor."""
         if self.kind == "window":
             return self.centre_m - 0.7, 0.95, self.centre_m + 0.7, 2.15
-        return self.centre_m - DOOR_WIDTH_M / 2, 0.0, self.centre_m + DOOR_WIDTH_M / 2, DOOR_HEIGHT_M
+        return (
+            self.centre_m - DOOR_WIDTH_M / 2,
+            0.0,
+            self.centre_m + DOOR_WIDTH_M / 2,
+            DOOR_HEIGHT_M,
+        )
 
 
 @dataclass(frozen=True)
@@ -51,28 +56,28 @@ class RoomPlan:
     """A rectangular room.
 
     Attributes:
-        x0, y0, x1, y1: its inner walls, metres.
+        centre_m: middle (x, y) of its floor.
+        size_m: (along x, along y) between its walls.
         openings: doors and windows.
         style: which furniture it gets.
         height_m: of the ceiling.
     """
 
-    x0: float
-    y0: float
-    x1: float
-    y1: float
+    centre_m: tuple[float, float]
+    size_m: tuple[float, float]
     openings: tuple[Opening, ...]
     style: str
     height_m: float = 2.6
 
     @property
-    def centre_m(self) -> NDArray[np.float64]:
-        """Middle of the floor [2]."""
-        return np.array([(self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2])
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """Inner walls (x0, y0, x1, y1)."""
+        (x, y), (width, depth) = self.centre_m, self.size_m
+        return x - width / 2, y - depth / 2, x + width / 2, y + depth / 2
 
     def wall_length_m(self, side: Side) -> float:
         """Length of a wall."""
-        return self.x1 - self.x0 if side in ("north", "south") else self.y1 - self.y0
+        return self.size_m[0] if side in ("north", "south") else self.size_m[1]
 
     def on_wall(self, side: Side, along_m: float, z_m: float = 0.0, gap_m: float = 0.0) -> NDArray:
         """Motion [4, 4] that puts something with its back (+y) to a wall.
@@ -83,20 +88,27 @@ class RoomPlan:
             z_m: height.
             gap_m: free space behind it.
         """
+        x0, y0, x1, y1 = self.bounds_m
         if side == "north":
-            return placement(self.x0 + along_m, self.y1 - gap_m, z_m, 0.0)
+            return placement(x0 + along_m, y1 - gap_m, z_m, 0.0)
         if side == "east":
-            return placement(self.x1 - gap_m, self.y1 - along_m, z_m, -math.pi / 2)
+            return placement(x1 - gap_m, y1 - along_m, z_m, -math.pi / 2)
         if side == "south":
-            return placement(self.x1 - along_m, self.y0 + gap_m, z_m, math.pi)
-        return placement(self.x0 + gap_m, self.y0 + along_m, z_m, math.pi / 2)
+            return placement(x1 - along_m, y0 + gap_m, z_m, math.pi)
+        return placement(x0 + gap_m, y0 + along_m, z_m, math.pi / 2)
+
+    def door_way(self, opening: Opening) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Middle [2] of an opening's sill and the direction [2] that leads out by it."""
+        T = self.on_wall(opening.side, opening.centre_m)
+        return T[:2, 3], T[:2, 1]
 
 
 def room_shell(plan: RoomPlan, shop: Workshop) -> list[Part]:
     """Floor, ceiling, walls, doors and windows of a room."""
-    width, depth = plan.x1 - plan.x0, plan.y1 - plan.y0
-    floor = plate((plan.x0, plan.y1, 0.0), (width, 0, 0), (0, -depth, 0))
-    ceiling = plate((plan.x0, plan.y0, plan.height_m), (width, 0, 0), (0, depth, 0))
+    width, depth = plan.size_m
+    x0, y0, _, y1 = plan.bounds_m
+    floor = plate((x0, y1, 0.0), (width, 0, 0), (0, -depth, 0))
+    ceiling = plate((x0, y0, plan.height_m), (width, 0, 0), (0, depth, 0))
     papers = _wall_papers(shop)
     parts = [
         shop.part("floor", [floor], _floor_texture(shop)),
@@ -125,10 +137,10 @@ def _wall_papers(shop: Workshop) -> list[tx.Texture]:
     tints = ((0.82, 0.76, 0.64), (0.62, 0.72, 0.76), (0.74, 0.8, 0.68), (0.84, 0.7, 0.62))
     first, second = shop.pick(tints), shop.pick(tints)
     papers = [
-        tx.stripes(first, tuple(0.84 * c for c in first), 0.16),  # type: ignore[arg-type]
+        tx.stripes(first, tuple(0.9 * c for c in first), 0.16),  # type: ignore[arg-type]
         tx.brick((0.66, 0.4, 0.3)),
-        tx.plaster(second, 0.07),
-        tx.damask(first, tuple(0.78 * c for c in first)),  # type: ignore[arg-type]
+        tx.plaster(second, 0.04),
+        tx.damask(first, tuple(0.82 * c for c in first)),  # type: ignore[arg-type]
     ]
     return [papers[i] for i in shop.rng.permutation(4)]
 
@@ -186,11 +198,13 @@ def _closed_door(shop: Workshop) -> list[Part]:
         for z, high in ((0.2, 0.65), (1.05, 0.8))
         for p in box((0.36, 0.02, high), (x, 0.008, z))
     ]
-    handle = box((0.14, 0.025, 0.025), (0.36, -0.04, 1.02)) + box((0.03, 0.07, 0.03), (0.42, -0.02, 1.018))
+    handle = box((0.14, 0.025, 0.025), (0.36, -0.04, 1.02)) + box(
+        (0.03, 0.07, 0.03), (0.42, -0.02, 1.018)
+    )
     return [
         shop.part("door", _frame(DOOR_WIDTH_M, 0.0, DOOR_HEIGHT_M, 0.08), tx.wood(PALE, 0.08)),
         shop.part("door", leaf, tx.wood(colour)),
-        shop.part("door", fields, tx.wood(shop.pick(WOODS), 0.22)),
+        shop.part("door", fields, tx.wood(shop.pick(WOODS), 0.12)),
         shop.part("door", handle, tx.speckled((0.6, 0.6, 0.58))),
     ]
 

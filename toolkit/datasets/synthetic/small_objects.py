@@ -46,7 +46,9 @@ def bottle(shop: Workshop) -> list[Part]:
     profile = [(0.014, 0.28), (0.014, 0.21), (0.036, 0.16), (0.036, 0.0)]
     return [
         shop.part(
-            "bottle", [lathe(profile), disk(0.014, (0, 0, 0.28))], tx.banded((0.2, 0.4, 0.28), PALE, 0.12)
+            "bottle",
+            [lathe(profile), disk(0.014, (0, 0, 0.28))],
+            tx.banded((0.2, 0.4, 0.28), PALE, 0.12),
         )
     ]
 
@@ -85,7 +87,7 @@ def basket(shop: Workshop) -> list[Part]:
     """A wicker basket, 0.3 m high."""
     profile = [(0.2, 0.3), (0.22, 0.15), (0.18, 0.0)]
     patches = [lathe(profile), disk(0.2, (0, 0, 0.28))]
-    return [shop.part("basket", patches, tx.weave((0.66, 0.5, 0.3), 0.03, 0.35))]
+    return [shop.part("basket", patches, tx.weave((0.66, 0.5, 0.3), 0.03, 0.22))]
 
 
 def ball(shop: Workshop) -> list[Part]:
@@ -118,13 +120,20 @@ def keyboard(shop: Workshop) -> list[Part]:
 
 def computer(shop: Workshop) -> list[Part]:
     """A desktop computer's case, 0.42 m high."""
-    return [shop.part("desktop-computer", box((0.19, 0.42, 0.42)), tx.stripes(DARK, (0.4, 0.4, 0.42), 0.05))]
+    return [
+        shop.part(
+            "desktop-computer", box((0.19, 0.42, 0.42)), tx.stripes(DARK, (0.4, 0.4, 0.42), 0.05)
+        )
+    ]
 
 
 def plant(shop: Workshop, height: float = 1.3) -> list[Part]:
     """A pot with a plant of arching leaves, about 0.9 m wide."""
     pot_height = 0.3
-    pot = [lathe([(0.17, pot_height), (0.16, 0.2), (0.12, 0.0)]), disk(0.165, (0, 0, pot_height - 0.02))]
+    pot = [
+        lathe([(0.17, pot_height), (0.16, 0.2), (0.12, 0.0)]),
+        disk(0.165, (0, 0, pot_height - 0.02)),
+    ]
     stem = cylinder(0.018, (height - pot_height) * 0.6, (0, 0, pot_height - 0.02))
     leaves = [
         _leaf(shop.rng, number, pot_height + (height - pot_height) * 0.55 * number / 13)
@@ -152,7 +161,9 @@ def _leaf(rng: np.random.Generator, number: int, z: float) -> Patch:
         ],
         axis=-1,
     )
-    uv_m = np.stack([(half[:, None] * across) + width / 2, np.repeat(along[:, None] * length, 5, 1)], -1)
+    uv_m = np.stack(
+        [(half[:, None] * across) + width / 2, np.repeat(along[:, None] * length, 5, 1)], -1
+    )
     turn = number * math.radians(137.5) + rng.uniform(-0.2, 0.2)
     T = se3.from_rotation_translation(se3.exp_so3(np.array([0, 0, turn])), np.array([0, 0, z]))
     return Patch(points, uv_m, np.ones((8, 4), dtype=bool)).transformed(T)
@@ -178,15 +189,17 @@ def television(shop: Workshop) -> list[Part]:
     face = fine_plate((-0.535, -0.0515, 0.305), (1.07, 0, 0), (0, 0, -0.61), (6, 4))
     return [
         shop.part("tv-screen", case, tx.speckled(DARK, 0.12)),
-        shop.part("tv-screen", [face], tx.landscape(), glow=0.95),
+        shop.part("tv-screen", [face], tx.landscape(bar_m=0.0), glow=0.95),
     ]
 
 
 def blinds(shop: Workshop, width: float, height: float) -> list[Part]:
     """Horizontal blinds of slats, hanging from z = 0 down to -height."""
-    flat = fine_plate((-width / 2, -0.05, 0.0), (width, 0, 0), (0, 0, -height), (6, int(height / 0.02)))
+    flat = fine_plate(
+        (-width / 2, -0.05, 0.0), (width, 0, 0), (0, 0, -height), (6, int(height / 0.02))
+    )
 
-    def slats(u: NDArray, v: NDArray) -> NDArray:
+    def slats(_: NDArray, v: NDArray) -> NDArray:
         return 0.012 * (v / 0.08 % 1.0)
 
     return [shop.part("blinds", [bent(flat, slats)], tx.banded(PALE, shop.pick(WOODS), 0.08))]
@@ -194,7 +207,9 @@ def blinds(shop: Workshop, width: float, height: float) -> list[Part]:
 
 def switch(shop: Workshop) -> list[Part]:
     """A light switch."""
-    patches = box((0.09, 0.012, 0.09), (0, -0.006, -0.045)) + box((0.04, 0.02, 0.05), (0, -0.01, -0.025))
+    patches = box((0.09, 0.012, 0.09), (0, -0.006, -0.045)) + box(
+        (0.04, 0.02, 0.05), (0, -0.01, -0.025)
+    )
     return [shop.part("switch", patches, tx.speckled((0.9, 0.89, 0.85)))]
 
 

@@ -18,7 +18,7 @@ Colour = tuple[float, float, float]
 Texture = Callable[[Canvas], Image]
 
 
-def plaster(colour: Colour, contrast: float = 0.05) -> Texture:
+def plaster(colour: Colour, contrast: float = 0.03) -> Texture:
     """Painted plaster: faint clouds and fine grain."""
 
     def paint(canvas: Canvas) -> Image:
@@ -29,7 +29,7 @@ def plaster(colour: Colour, contrast: float = 0.05) -> Texture:
     return paint
 
 
-def wood(colour: Colour, contrast: float = 0.16) -> Texture:
+def wood(colour: Colour, contrast: float = 0.08) -> Texture:
     """Wood with its grain along the longer side."""
 
     def paint(canvas: Canvas) -> Image:
@@ -51,18 +51,18 @@ def planks(colour: Colour, board_m: float = 0.14, length_m: float = 1.1) -> Text
         row = np.floor(v / board_m).astype(int)
         shift = canvas.rng.random(row.max() + 1).astype(np.float32)[row] * length_m
         board = np.floor((u + shift) / length_m).astype(int)
-        tones = canvas.rng.normal(1.0, 0.12, (row.max() + 1, board.max() + 1))
-        grain = canvas.noise((0.4, 0.035), 2) * 0.11
+        tones = canvas.rng.normal(1.0, 0.08, (row.max() + 1, board.max() + 1))
+        grain = canvas.noise((0.4, 0.035), 2) * 0.06
         value = tones.astype(np.float32)[row, board] * (1.0 + grain)
         joints = np.maximum(
             canvas.pulse(v, board_m, 0.006), canvas.pulse(u + shift, length_m, 0.006)
         )
-        return canvas.flat(colour) * (value * (1.0 - 0.55 * joints))[..., None]
+        return canvas.flat(colour) * (value * (1.0 - 0.4 * joints))[..., None]
 
     return paint
 
 
-def brick(colour: Colour, mortar: Colour = (0.72, 0.7, 0.66)) -> Texture:
+def brick(colour: Colour, mortar: Colour = (0.66, 0.58, 0.52)) -> Texture:
     """Brickwork, 24 x 8 cm."""
     width_m, height_m = 0.24, 0.08
 
@@ -71,8 +71,8 @@ def brick(colour: Colour, mortar: Colour = (0.72, 0.7, 0.66)) -> Texture:
         row = np.floor(v / height_m).astype(int)
         shifted = u + (row % 2) * width_m / 2
         column = np.floor(shifted / width_m).astype(int)
-        tones = canvas.rng.normal(1.0, 0.15, (row.max() + 1, column.max() + 1))
-        value = tones.astype(np.float32)[row, column] * (1.0 + 0.08 * canvas.noise(0.05, 2))
+        tones = canvas.rng.normal(1.0, 0.08, (row.max() + 1, column.max() + 1))
+        value = tones.astype(np.float32)[row, column] * (1.0 + 0.05 * canvas.noise(0.05, 2))
         joints = np.maximum(canvas.pulse(v, height_m, 0.014), canvas.pulse(shifted, width_m, 0.014))
         return mix(canvas.flat(colour) * value[..., None], mortar, joints)
 
@@ -95,7 +95,7 @@ def tiles(light: Colour, dark: Colour, size_m: float = 0.3) -> Texture:
     return paint
 
 
-def weave(colour: Colour, thread_m: float = 0.014, contrast: float = 0.16) -> Texture:
+def weave(colour: Colour, thread_m: float = 0.014, contrast: float = 0.09) -> Texture:
     """Coarse cloth: crossing threads, uneven in tone."""
 
     def paint(canvas: Canvas) -> Image:
@@ -119,7 +119,7 @@ def plaid(ground: Colour, bands: tuple[Colour, ...], period_m: float = 0.2) -> T
             offset = period_m * number / len(bands)
             width = period_m * (0.32 if number == 0 else 0.12)
             for axis in (u, v):
-                image = mix(image, colour, 0.55 * canvas.pulse(axis - offset, period_m, width))
+                image = mix(image, colour, 0.45 * canvas.pulse(axis - offset, period_m, width))
         return image * (1.0 + 0.06 * canvas.noise(0.03, 2))[..., None]
 
     return paint
@@ -137,7 +137,7 @@ def carpet(colour: Colour, second: Colour | None = None) -> Texture:
             width, height = canvas.size_m
             border = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
             image = mix(image, second, canvas.inside(0.03 - np.abs(border - 0.08)))
-        return image * (1.0 + 0.13 * canvas.noise(0.05, 3))[..., None]
+        return image * (1.0 + 0.08 * canvas.noise(0.05, 3))[..., None]
 
     return paint
 
@@ -150,12 +150,12 @@ def stripes(first: Colour, second: Colour, period_m: float = 0.12) -> Texture:
         image = mix(canvas.flat(first), second, canvas.pulse(u, period_m, period_m / 2))
         thin = canvas.pulse(u - period_m / 2, period_m, period_m / 10)
         image = mix(image, second, 0.7 * thin)
-        return image * (1.0 + 0.05 * canvas.noise(0.06, 3))[..., None]
+        return image * (1.0 + 0.03 * canvas.noise(0.06, 3))[..., None]
 
     return paint
 
 
-def speckled(colour: Colour, contrast: float = 0.07) -> Texture:
+def speckled(colour: Colour, contrast: float = 0.05) -> Texture:
     """Plastic, painted metal and ceramics: fine specks and faint clouds."""
 
     def paint(canvas: Canvas) -> Image:
@@ -197,6 +197,11 @@ def painting(palette: NDArray[np.float64]) -> Texture:
     return paint
 
 
+def _random_colour(rng: np.random.Generator, low: float, high: float) -> Colour:
+    red, green, blue = rng.uniform(low, high, 3)
+    return float(red), float(green), float(blue)
+
+
 def _fill(image: Image, outline: NDArray[np.float64], colour: NDArray[np.float64]) -> None:
     """Fill an antialiased polygon [K, 2] (texels) in place."""
     fixed = np.round(outline * 16).astype(np.int32)
@@ -228,7 +233,7 @@ def screen() -> Texture:
             image = mix(image, (0.86, 0.87, 0.88), canvas.inside(window))
             ink = canvas.pulse(v - y, 0.026, 0.011) * (canvas.noise((0.05, 0.026)) > -0.2)
             text = ink * canvas.inside(window - 0.015)
-            image = mix(image, tuple(rng.uniform(0.1, 0.6, 3)), text)
+            image = mix(image, _random_colour(rng, 0.1, 0.6), text)
         return _framed(canvas, image, (0.07, 0.07, 0.08), 0.015)
 
     return paint
@@ -260,8 +265,8 @@ def panels(colour: Colour, size_m: float = 0.6) -> Texture:
     return paint
 
 
-def landscape() -> Texture:
-    """What a window shows: sky with clouds, hills and trees, behind a cross of bars."""
+def landscape(bar_m: float = 0.05) -> Texture:
+    """Sky with clouds, hills and trees; a window's bars of this width lie before it."""
 
     def paint(canvas: Canvas) -> Image:
         u, v = canvas.coordinates()
@@ -271,11 +276,13 @@ def landscape() -> Texture:
         hills = v - height * (0.6 + 0.06 * np.sin(u * 5.0) + 0.03 * np.sin(u * 13.0 + 1.0))
         image = mix(sky, (0.36, 0.5, 0.28), canvas.inside(hills))
         image *= (1.0 + 0.12 * canvas.inside(hills) * canvas.noise(0.08, 3))[..., None]
+        if bar_m == 0.0:
+            return image
         bars = np.maximum(
-            canvas.inside(0.025 - np.abs(u - width / 2)),
-            canvas.inside(0.025 - np.abs(v - height * 0.4)),
+            canvas.inside(bar_m / 2 - np.abs(u - width / 2)),
+            canvas.inside(bar_m / 2 - np.abs(v - height * 0.4)),
         )
-        return _framed(canvas, mix(image, (0.9, 0.9, 0.88), bars), (0.9, 0.9, 0.88), 0.05)
+        return _framed(canvas, mix(image, (0.9, 0.9, 0.88), bars), (0.9, 0.9, 0.88), bar_m)
 
     return paint
 
@@ -299,8 +306,8 @@ def spine() -> Texture:
         rng = canvas.rng
         _, v = canvas.coordinates()
         height = canvas.size_m[1]
-        image = canvas.flat(tuple(rng.uniform(0.12, 0.85, 3)))
-        accent = tuple(rng.uniform(0.3, 0.95, 3))
+        image = canvas.flat(_random_colour(rng, 0.15, 0.75))
+        accent = _random_colour(rng, 0.3, 0.9)
         for place in rng.uniform(0.08, 0.92, 3) * height:
             image = mix(image, accent, canvas.inside(0.008 - np.abs(v - place)))
         return image * (1.0 + 0.07 * canvas.noise(0.04, 2))[..., None]
@@ -316,8 +323,8 @@ def dial() -> Texture:
         x, y = u - canvas.size_m[0] / 2, v - canvas.size_m[1] / 2
         radius, reach = np.hypot(x, y), min(canvas.size_m) / 2
         image = canvas.flat((0.93, 0.91, 0.86)) * (1 + 0.03 * canvas.noise(0.05, 2))[..., None]
-        angle = np.arctan2(y, x)
-        tick = canvas.pulse(angle * radius, np.pi / 6 * reach * 0.8, 0.02)
+        around_m = np.arctan2(y, x) * 0.8 * reach
+        tick = canvas.pulse(around_m, np.pi / 6 * 0.8 * reach, 0.02)
         band = canvas.inside(0.02 - np.abs(radius - 0.8 * reach))
         hands = np.maximum(
             canvas.inside(0.008 - np.abs(x)) * (y < 0) * (y > -0.6 * reach),
@@ -344,6 +351,6 @@ def damask(ground: Colour, figure: Colour) -> Texture:
             canvas.inside(0.009 - np.abs(radius - petals)), canvas.inside(0.022 - radius)
         )
         image = mix(canvas.flat(ground), figure, ornament)
-        return image * (1.0 + 0.04 * canvas.noise(0.05, 3))[..., None]
+        return image * (1.0 + 0.03 * canvas.noise(0.05, 3))[..., None]
 
     return paint

@@ -40,8 +40,12 @@ def prepare_folder(path: Path) -> None:
                 (folder / name).mkdir(parents=True, exist_ok=True)
                 for old in (folder / name).glob("*.png"):
                     old.unlink()
+        # Empty until the room is whole; it lets an interrupted room be made again.
+        (path / MARKER).write_text("")
     except OSError as error:
-        raise DatasetError(f"cannot write {path}: {error.strerror}; choose another folder") from error
+        raise DatasetError(
+            f"cannot write {path}: {error.strerror}; choose another folder"
+        ) from error
 
 
 def write_sequence(
@@ -59,9 +63,9 @@ def write_sequence(
     rows = np.asarray(T_world_camera).reshape(-1, 16)
     lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
     _write_text(path / "traj.txt", "\n".join(lines) + "\n")
-    _write_json(path / "cam_params.json", {"camera": _intrinsics(camera)})
+    write_json(path / "cam_params.json", {"camera": _intrinsics(camera)})
     classes = {str(number): name for name, number in CLASS_IDS.items()}
-    _write_json(path / "labels" / "classes.json", {"void": 0, "classes": classes})
+    write_json(path / "labels" / "classes.json", {"void": 0, "classes": classes})
 
 
 def write_mesh(path: Path, scene: Scene) -> None:
@@ -92,7 +96,7 @@ def _write_png(path: Path, image: NDArray) -> None:
         raise DatasetError(f"cannot write {path}; check free space and permission")
 
 
-def _write_json(path: Path, content: dict) -> None:
+def write_json(path: Path, content: dict) -> None:
     _write_text(path, json.dumps(content, indent=1) + "\n")
 
 
@@ -100,4 +104,6 @@ def _write_text(path: Path, text: str) -> None:
     try:
         path.write_text(text)
     except OSError as error:
-        raise DatasetError(f"cannot write {path}: {error.strerror}; choose another folder") from error
+        raise DatasetError(
+            f"cannot write {path}: {error.strerror}; choose another folder"
+        ) from error

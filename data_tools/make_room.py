@@ -1,0 +1,11 @@
+"""Make a synthetic room from a checkout: `python data_tools/make_room.py --out DIR ...`."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from toolkit.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main(["make-room", *sys.argv[1:]]))

@@ -1,0 +1,172 @@
+"""What a cheap RGB-D camera makes of an ideal view."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.synthetic.ray_casting import View
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+# A structured-light camera: 580 px at 640 columns, 7.5 cm apart, 1/8 px disparity steps.
+_BASELINE_PIXELS_M = 580.0 * 0.075
+_DISPARITY_STEP = 0.125
+_NEAREST_M, _FARTHEST_M = 0.35, 8.0
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """Which effects are on.
+
+    Attributes:
+        axial_noise: depth noise of sigma = 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 (Nguyen 2012).
+        quantisation: depth in steps of 1/8 pixel of disparity.
+        holes: no depth at grazing angles, beside depth edges, too near and too far.
+        motion_blur: colour is averaged over 30 % of the time between frames.
+        exposure_drift: gain wanders by up to 8 %.
+        colour_noise: 1 % of white, independent in pixels and channels.
+        label_noise: borders of labels wander, and some blobs get a wrong class.
+    """
+
+    axial_noise: bool = True
+    quantisation: bool = True
+    holes: bool = True
+    motion_blur: bool = True
+    exposure_drift: bool = True
+    colour_noise: bool = True
+    label_noise: bool = True
+
+
+class Sensor:
+    """Applies a model to the views of a sequence.
+
+    Args:
+        model: which effects are on.
+        camera: of all views.
+        T_world_camera: [N, 4, 4] poses, from which the motion during exposure follows.
+        rng: source of all randomness; frames draw from streams of their own.
+    """
+
+    def __init__(
+        self, model: SensorModel, camera: Camera, T_world_camera: NDArray, rng: np.random.Generator
+    ) -> None:
+        self._model = model
+        self._camera = camera
+        self._poses = np.asarray(T_world_camera, dtype=np.float64)
+        self._phases = rng.uniform(0.0, 2 * math.pi, 2)
+        self._streams = rng.spawn(len(self._poses))
+
+    def observe(self, index: int, view: View) -> View:
+        """The view of frame `index` as the sensor delivers it."""
+        model = self._model
+        colour, depth, wrong = self._streams[index].spawn(3)
+        rgb, depth_m, labels = view.rgb, view.depth_m, view.labels
+        if model.motion_blur:
+            rgb = _motion_blurred(rgb, depth_m, self._camera, self._motion(index))
+        if model.exposure_drift:
+            rgb = rgb * self._gain(index)
+        if model.colour_noise:
+            rgb = rgb + 0.01 * colour.standard_normal(rgb.shape, dtype=np.float32)
+        if model.axial_noise:
+            depth_m = _noisy(depth_m, depth)
+        if model.quantisation:
+            depth_m = _quantised(depth_m)
+        if model.holes:
+            depth_m = _with_holes(depth_m, view, depth)
+        if model.label_noise:
+            labels = _wrong_labels(labels, wrong)
+        return View(
+            np.clip(rgb, 0.0, 1.0).astype(np.float32),
+            depth_m.astype(np.float32),
+            labels,
+            view.cosine,
+        )
+
+    def _motion(self, index: int) -> NDArray[np.float64]:
+        """T_next_now [4, 4] from this frame to the next (the last one repeats its own)."""
+        last = len(self._poses) - 1
+        now = max(0, min(index, last - 1))
+        return se3.inverse(self._poses[min(now + 1, last)]) @ self._poses[now]
+
+    def _gain(self, index: int) -> float:
+        slow, fast = index / 90.0, index / 31.0
+        first, second = self._phases
+        return (
+            1.0
+            + 0.05 * math.sin(2 * math.pi * slow + first)
+            + 0.03 * math.sin(2 * math.pi * fast + second)
+        )
+
+
+def _motion_blurred(
+    rgb: NDArray, depth_m: NDArray, camera: Camera, T_next_now: NDArray
+) -> NDArray[np.floating]:
+    """Mean of the image shifted along its motion, over 30 % of the frame time.
+
+    The image is moved by its own flow instead of being cast again for every moment:
+    the same but for what comes out from behind an edge, and much cheaper.
+    """
+    points = se3.transform_points(T_next_now, camera.unproject(depth_m))
+    points[..., 2] = np.maximum(points[..., 2], 1e-3)
+    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    here = np.stack([x, y], axis=-1)
+    flow = np.where(depth_m[..., None] > 0, camera.project(points) - here, 0.0)
+    total = np.zeros(rgb.shape, dtype=np.float32)
+    moments = np.linspace(-0.15, 0.15, 5)
+    for moment in moments:
+        place = (here + moment * flow).astype(np.float32)
+        total += cv2.remap(rgb, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return total / np.float32(len(moments))
+
+
+def _noisy(depth_m: NDArray, rng: np.random.Generator) -> NDArray[np.floating]:
+    sigma = 0.0012 + 0.0019 * (depth_m - 0.4) ** 2
+    noisy = depth_m + sigma * rng.standard_normal(depth_m.shape, dtype=np.float32)
+    return np.where(depth_m > 0, noisy, 0.0)
+
+
+def _quantised(depth_m: NDArray) -> NDArray[np.floating]:
+    disparity = _BASELINE_PIXELS_M / np.maximum(depth_m, 0.05)
+    steps = np.maximum(np.round(disparity / _DISPARITY_STEP), 1.0)
+    return np.where(depth_m > 0, _BASELINE_PIXELS_M / (steps * _DISPARITY_STEP), 0.0)
+
+
+def _with_holes(depth_m: NDArray, view: View, rng: np.random.Generator) -> NDArray[np.floating]:
+    """Holes where the pattern is not seen: slanted surfaces, and ragged ones at edges."""
+    chance = rng.random(depth_m.shape, dtype=np.float32)
+    # From 75 degrees on ever fewer pixels answer; beyond 84 none do.
+    grazing = view.cosine < 0.1 + 0.16 * chance
+    true = view.depth_m
+    kernel = np.ones((3, 3), dtype=np.uint8)
+    nearest, farthest = cv2.erode(true, kernel), cv2.dilate(true, kernel)
+    edge = (farthest - nearest > 0.04 + 0.03 * nearest) & (chance < 0.8)
+    out_of_range = (depth_m < _NEAREST_M) | (depth_m > _FARTHEST_M)
+    return np.where(grazing | edge | out_of_range, 0.0, depth_m)
+
+
+def _wrong_labels(labels: NDArray, rng: np.random.Generator) -> NDArray[np.int32]:
+    height, width = labels.shape
+    # Smooth shifts of about one pixel in 320 columns make borders wander.
+    coarse = rng.standard_normal((2, max(2, height // 12), max(2, width // 12)))
+    shift = [
+        cv2.resize(plane.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
+        for plane in coarse * (1.2 * width / 320)
+    ]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    wandered = cv2.remap(
+        labels.astype(np.float32), x + shift[0], y + shift[1], cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_REPLICATE,
+    )  # fmt: skip
+    out = wandered.astype(np.int32)
+    present = np.unique(out)
+    for _ in range(rng.poisson(2.0)):
+        centre = rng.uniform([0, 0], [width, height])
+        radius = rng.uniform(0.015, 0.05) * width
+        blob = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2
+        out[blob] = rng.choice(present)
+    return out
