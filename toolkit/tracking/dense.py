@@ -63,7 +63,7 @@ class DenseOptions:
 
 # Start and bounds of the residual scales, which every step re-estimates.
 _START = Scales(intensity=0.05, depth_m=0.01)
-_LEAST = Scales(intensity=0.004, depth_m=0.0004)
+_LEAST = Scales(intensity=0.002, depth_m=0.0001)
 _MOST = Scales(intensity=0.2, depth_m=0.05)
 
 # Steps below these end a level: a thousandth of a pixel at usual focal lengths.

@@ -1,0 +1,113 @@
+"""Keyframes: which frames become one, and which of them a mapping call works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+# Covisibility is judged on every n-th pixel in each direction.
+_STRIDE = 16
+
+
+@dataclass
+class Keyframe:
+    """A frame that the map is optimised against.
+
+    Attributes:
+        index: the frame's index in the sequence.
+        T_map_camera: [4, 4] float64; local bundle adjustment may move it.
+        rgb: [3, H, W] uint8 and depth_m: [H, W] float32, as observed.
+        gain, bias: exposure against the map, map = gain * observed + bias.
+        points: [P, 3] float32 sparse observed points in camera coordinates (m).
+    """
+
+    index: int
+    timestamp_s: float
+    T_map_camera: NDArray[np.float64]
+    rgb: Tensor
+    depth_m: Tensor
+    camera: Camera
+    gain: float
+    bias: float
+    points: NDArray[np.float32]
+
+    @classmethod
+    def from_frame(
+        cls, frame: Frame, T_map_camera: NDArray[np.float64], gain: float = 1.0, bias: float = 0.0
+    ) -> Keyframe:
+        """A keyframe of a tracked frame."""
+        levels = torch.from_numpy(np.rint(frame.rgb * 255.0).astype(np.uint8))
+        sparse = frame.camera.unproject(frame.depth_m)[::_STRIDE, ::_STRIDE]
+        return cls(
+            index=frame.index,
+            timestamp_s=frame.timestamp_s,
+            T_map_camera=T_map_camera.copy(),
+            rgb=levels.permute(2, 0, 1).contiguous(),
+            depth_m=torch.from_numpy(frame.depth_m),
+            camera=frame.camera,
+            gain=gain,
+            bias=bias,
+            points=sparse[sparse[..., 2] > 0].astype(np.float32),
+        )
+
+    def target_rgb(self) -> Tensor:
+        """Observed colour [3, H, W] at the map's exposure."""
+        return (self.rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
+
+    def share_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
+        """Share of this keyframe's points inside the image of a camera at another pose."""
+        if len(self.points) == 0:
+            return 0.0
+        T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
+        points = se3.transform_points(T_other_self, self.points)
+        ahead = points[:, 2] > 0.05
+        uv = self.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+        inside = ahead & (uv >= 0).all(axis=1)
+        inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
+        return float(inside.mean())
+
+
+@dataclass(frozen=True)
+class KeyframePolicy:
+    """When a tracked frame becomes a keyframe.
+
+    Attributes:
+        interval: every so many frames (G: d_k).
+        least_visible: sooner, when the map explains less than this share of the frame.
+    """
+
+    interval: int = 5
+    least_visible: float = 0.85
+
+    def wants(self, frames_since_last: int, visible_fraction: float) -> bool:
+        """Whether the newest frame should become a keyframe."""
+        if frames_since_last >= self.interval:
+            return True
+        return frames_since_last >= 1 and visible_fraction < self.least_visible
+
+
+def choose_window(
+    keyframes: list[Keyframe],
+    size: int,
+    least_overlap: float,
+    generator: np.random.Generator,
+) -> list[Keyframe]:
+    """The newest keyframe and random ones among those that see the same place.
+
+    When fewer than `size` overlap, the rest is drawn from everywhere: recent views would
+    otherwise pull the old ones out of shape.
+    """
+    newest = keyframes[-1]
+    others = keyframes[:-1]
+    overlapping = [k for k in others if newest.share_seen_by(k.T_map_camera) > least_overlap]
+    count = min(size - 1, len(overlapping))
+    chosen = [overlapping[i] for i in generator.choice(len(overlapping), count, replace=False)] if count else []
+    return [newest, *chosen]

@@ -1,0 +1,121 @@
+"""Adam that touches only the Gaussians a view shows, and follows the map as it changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.rendering.native import address, kernels
+
+PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Step sizes.
+
+    Attributes:
+        means: in units of a Gaussian's own radius, so that scenes of any scale behave alike.
+        log_radii, opacity_logits, colours, features: in the parameter's own unit.
+        settle_steps: a Gaussian's rates fall as 1 / (1 + its steps / settle_steps).
+    """
+
+    means: float = 0.04
+    log_radii: float = 0.01
+    opacity_logits: float = 0.05
+    colours: float = 0.01
+    features: float = 0.02
+    settle_steps: float = 60.0
+
+
+BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
+
+
+class SparseAdam:
+    """Moments and step counts of every Gaussian of one map."""
+
+    def __init__(self, rates: LearningRates, feature_channels: int = 0) -> None:
+        self.rates = rates
+        empty = GaussianCloud.empty(feature_channels)
+        self._first = {name: torch.zeros_like(getattr(empty, name)) for name in PARAMETERS}
+        self._second = {name: torch.zeros_like(getattr(empty, name)) for name in PARAMETERS}
+        self.steps = torch.zeros(0, dtype=torch.int32)
+
+    def extend(self, count: int) -> None:
+        """Make room for new Gaussians at the end."""
+        self.steps = torch.cat([self.steps, self.steps.new_zeros(count)])
+        for moments in (self._first, self._second):
+            for name, moment in moments.items():
+                moments[name] = torch.cat([moment, moment.new_zeros(count, *moment.shape[1:])])
+
+    def keep(self, mask: Tensor) -> None:
+        """Forget the Gaussians that a mask [N] drops."""
+        index = mask.nonzero().squeeze(1)
+        self.steps = self.steps.index_select(0, index)
+        for moments in (self._first, self._second):
+            for name, moment in moments.items():
+                moments[name] = moment.index_select(0, index)
+
+    def step(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
+        """Move the Gaussians `ids` [V] of a cloud in place against compact gradients [V, ...].
+
+        Parameters without a gradient in the dictionary stay as they are.
+        """
+        module = kernels()
+        if module is None:
+            self._step_torch(cloud, gradients, ids)
+            return
+        groups = []
+        # Centres first: their unit is the radius before this step, as below.
+        for name, gradient in sorted(gradients.items(), key=lambda item: item[0] != "means"):
+            parameter = getattr(cloud, name)
+            width = parameter[0].numel() if len(parameter) else 1
+            if width == 0:
+                continue
+            tensors = (parameter, self._first[name], self._second[name], gradient)
+            unit = address(cloud.log_radii) if name == "means" else 0
+            rate = getattr(self.rates, name)
+            groups.append((*(address(t) for t in tensors), width, rate, unit))
+        settings = (BETA1, BETA2, EPSILON, self.rates.settle_steps)
+        module.adam(address(ids), len(ids), address(self.steps), groups, settings)
+
+    def _step_torch(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
+        self.steps[ids] += 1
+        steps = self.steps[ids].to(torch.float32)
+        settle = self.rates.settle_steps
+        settled = 1.0 / (1.0 + steps / settle) if settle else torch.ones_like(steps)
+        radii = cloud.log_radii[ids].exp()
+        for name, gradient in gradients.items():
+            first, second = self._first[name], self._second[name]
+            wide = (slice(None),) + (None,) * (gradient.ndim - 1)
+            m = first[ids] * BETA1 + gradient * (1.0 - BETA1)
+            v = second[ids] * BETA2 + gradient**2 * (1.0 - BETA2)
+            first[ids], second[ids] = m, v
+            rate = getattr(self.rates, name) * settled / (1.0 - BETA1**steps)
+            if name == "means":
+                rate = rate * radii
+            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + EPSILON
+            getattr(cloud, name)[ids] -= rate[wide] * m / scale
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays that `restore` takes."""
+        arrays: dict[str, NDArray] = {"steps": self.steps.numpy()}
+        for kind, moments in (("first", self._first), ("second", self._second)):
+            arrays.update({f"{kind}_{name}": m.numpy() for name, m in moments.items()})
+        return arrays
+
+    def restore(self, arrays: dict[str, NDArray]) -> None:
+        """Take over the moments of an earlier `state`."""
+        self.steps = torch.from_numpy(np.array(arrays["steps"]))
+        for kind, moments in (("first", self._first), ("second", self._second)):
+            for name in moments:
+                moments[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
+
+    def moments(self, name: str) -> tuple[Tensor, Tensor]:
+        """First and second moments of one parameter, [N, ...] each."""
+        return self._first[name], self._second[name]
