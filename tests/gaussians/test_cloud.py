@@ -1,0 +1,109 @@
+"""The Gaussian cloud: checks, conversions, selection and rigid motion."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+
+NAMES = tuple(f.name for f in fields(GaussianCloud))
+
+
+def random_cloud(seed: int = 0, count: int = 8, channels: int = 3) -> GaussianCloud:
+    rng = torch.Generator().manual_seed(seed)
+    return GaussianCloud.from_values(
+        torch.randn(count, 3, generator=rng),
+        torch.rand(count, generator=rng) + 0.01,
+        torch.rand(count, generator=rng) * 0.98 + 0.01,
+        torch.rand(count, 3, generator=rng),
+        torch.randn(count, channels, generator=rng),
+    )
+
+
+def assert_equal(a: GaussianCloud, b: GaussianCloud) -> None:
+    for name in NAMES:
+        assert torch.equal(getattr(a, name), getattr(b, name)), name
+
+
+@settings(deadline=None, max_examples=30)
+@given(radius_m=st.floats(1e-5, 50.0), opacity=st.floats(1e-4, 0.999))
+def test_radii_and_opacities_come_back(radius_m: float, opacity: float) -> None:
+    cloud = GaussianCloud.from_values(
+        torch.zeros(1, 3), torch.tensor([radius_m]), torch.tensor([opacity]), torch.zeros(1, 3)
+    )
+    assert float(cloud.radii_m) == pytest.approx(radius_m, rel=1e-5)
+    assert float(cloud.opacities) == pytest.approx(opacity, rel=1e-4)
+    assert cloud.features.shape == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "message"),
+    [
+        ("means", (8, 2), r"means must have shape \[8, 3\], got \[8, 2\]"),
+        ("log_radii", (8, 1), r"log_radii must have shape \[8\], got \[8, 1\]"),
+        ("opacity_logits", (7,), r"opacity_logits must have shape \[8\], got \[7\]"),
+        ("colours", (3, 8), r"colours must have shape \[8, 3\], got \[3, 8\]"),
+        ("features", (9, 3), r"features must have shape \[8, 3\], got \[9, 3\]"),
+    ],
+)
+def test_wrong_shapes_are_named(name: str, shape: tuple[int, ...], message: str) -> None:
+    cloud = random_cloud()
+    parts = {n: getattr(cloud, n) for n in NAMES} | {name: torch.zeros(shape)}
+    with pytest.raises(ValueError, match=message):
+        GaussianCloud(**parts)
+
+
+def test_says_what_it_is() -> None:
+    assert str(random_cloud()) == "8 Gaussians, 3 feature channels"
+    assert len(GaussianCloud.empty(5)) == 0
+    assert GaussianCloud.empty(5).features.shape == (0, 5)
+
+
+def test_select_by_mask_and_by_index_agree() -> None:
+    cloud = random_cloud()
+    mask = torch.tensor([True, False, False, True, False, True, False, False])
+    assert_equal(cloud.select(mask), cloud.select(torch.tensor([0, 3, 5])))
+    assert torch.equal(cloud.select(torch.tensor([5, 0])).means, cloud.means[[5, 0]])
+    assert len(cloud.select(torch.zeros(8, dtype=torch.bool))) == 0
+
+
+def test_concatenate_is_undone_by_select() -> None:
+    parts = [random_cloud(1, 4), GaussianCloud.empty(3), random_cloud(2, 6)]
+    whole = GaussianCloud.concatenate(parts)
+    assert len(whole) == 10
+    assert_equal(whole.select(torch.arange(4)), parts[0])
+    assert_equal(whole.select(torch.arange(4, 10)), parts[2])
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_rigid_motion_moves_centres_alone(seed: int) -> None:
+    cloud = random_cloud()
+    T_new_old = se3.exp(np.random.default_rng(seed).normal(size=6))
+    moved = cloud.transformed(T_new_old)
+    np.testing.assert_allclose(
+        moved.means.numpy(), se3.transform_points(T_new_old, cloud.means.numpy()), atol=1e-5
+    )
+    assert moved.means.dtype == torch.float32
+    for name in NAMES[1:]:
+        assert torch.equal(getattr(moved, name), getattr(cloud, name)), name
+    back = moved.transformed(se3.inverse(T_new_old))
+    np.testing.assert_allclose(back.means.numpy(), cloud.means.numpy(), atol=1e-5)
+
+
+def test_gradients_pass_but_for_detached() -> None:
+    cloud = random_cloud()
+    cloud.means.requires_grad_()
+    moved = cloud.transformed(np.eye(4)).select(torch.tensor([1, 2]))
+    assert moved.means.requires_grad
+    assert not moved.detached().means.requires_grad
+    moved.means.sum().backward()
+    assert cloud.means.grad is not None
+    assert cloud.means.grad.sum(dim=1).tolist() == [0, 3, 3, 0, 0, 0, 0, 0]

@@ -1,0 +1,106 @@
+"""Trajectories check themselves, measure themselves and find poses by time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolkit.errors import FormatError
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def wandering(seed: int, poses: int = 12) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    T = [se3.exp(rng.normal(size=6))]
+    for tangent in rng.normal(scale=0.1, size=(poses - 1, 6)):
+        T.append(T[-1] @ se3.exp(tangent))
+    return Trajectory(np.cumsum(rng.uniform(0.01, 0.05, poses)), np.stack(T))
+
+
+def straight(count: int = 5) -> Trajectory:
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, 0, 3] = 0.5 * np.arange(count)
+    return Trajectory(np.arange(count, dtype=float), T)
+
+
+def test_measures_itself() -> None:
+    path = straight()
+    assert len(path) == 5
+    assert path.path_length_m == pytest.approx(2.0)
+    assert str(path) == "5 poses, 2.000 m"
+    np.testing.assert_array_equal(path.positions_m[:, 0], [0.0, 0.5, 1.0, 1.5, 2.0])
+
+
+def test_empty_and_single() -> None:
+    empty = Trajectory(np.empty(0), np.empty((0, 4, 4)))
+    assert len(empty) == 0
+    assert empty.path_length_m == 0.0
+    assert empty.at(0.0) is None
+    assert straight(1).path_length_m == 0.0
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ([0.0, 1.0], "2 times but 3 poses"),
+        ([0.0, 1.0, 1.0], "strictly increasing"),
+        ([0.0, 2.0, 1.0], "strictly increasing"),
+        ([0.0, np.nan, 1.0], "finite"),
+        ([0.0, 1.0, np.inf], "finite"),
+    ],
+)
+def test_bad_times_are_refused(times: list[float], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        Trajectory(np.array(times), straight(3).T_world_camera)
+
+
+def test_a_pose_that_is_no_motion_is_named_by_its_time() -> None:
+    T = straight(3).T_world_camera.copy()
+    T[1, :3, :3] *= 1.1
+    with pytest.raises(FormatError, match=r"pose at 1\.000000 s is not a rigid motion"):
+        Trajectory(np.arange(3.0), T)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=seeds)
+def test_a_new_world_changes_no_relative_motion(seed: int) -> None:
+    path = wandering(seed)
+    moved = path.transformed(se3.exp(np.random.default_rng(seed).normal(size=6)))
+    assert moved.path_length_m == pytest.approx(path.path_length_m)
+
+    def steps(t: Trajectory) -> np.ndarray:
+        return se3.inverse(t.T_world_camera[:-1]) @ t.T_world_camera[1:]
+
+    np.testing.assert_allclose(steps(moved), steps(path), atol=1e-10)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=seeds, time=st.floats(-0.1, 0.8), tolerance_s=st.floats(0.0, 0.05))
+def test_at_finds_the_nearest_pose_or_none(seed: int, time: float, tolerance_s: float) -> None:
+    path = wandering(seed)
+    found = path.at(time, tolerance_s)
+    differences = np.abs(path.timestamps_s - time)
+    if differences.min() > tolerance_s:
+        assert found is None
+    else:
+        np.testing.assert_array_equal(found, path.T_world_camera[np.argmin(differences)])
+
+
+def test_association_keeps_the_asked_times() -> None:
+    path = straight()
+    asked = np.array([-3.0, 0.02, 1.4, 2.98, 9.0])
+    found = path.associated_to(asked, max_difference_s=0.05)
+    np.testing.assert_array_equal(found.timestamps_s, [0.02, 2.98])
+    np.testing.assert_array_equal(found.positions_m[:, 0], [0.0, 1.5])
+    assert len(path.associated_to(np.array([50.0]), 0.1)) == 0
+
+
+def test_association_with_itself_changes_nothing() -> None:
+    path = wandering(3)
+    again = path.associated_to(path.timestamps_s, 0.0)
+    np.testing.assert_array_equal(again.T_world_camera, path.T_world_camera)
