@@ -56,10 +56,10 @@ def instruction_sets() -> dict[str, list[str]]:
 
 def native_extensions() -> list[Extension]:
     """One extension per instruction set, from all sources of the folder."""
-    sources = sorted(str(path) for path in SOURCES.glob("*.cpp"))
-    headers = sorted(str(path) for path in SOURCES.glob("*.h*"))
-    if not sources:
+    if os.environ.get("SEMSPLAT_NATIVE") == "0":  # for whoever wants only Python
         return []
+    sources = sorted(str(path) for path in SOURCES.glob("*.cpp"))
+    headers = sorted(str(path) for path in SOURCES.glob("*.hpp"))
     return [
         Extension(
             f"toolkit.rendering._native_{name}",

@@ -1,0 +1,97 @@
+# Every target sets up what it needs. Variables that may be given:
+#   PYTHON       the interpreter that creates .venv
+#   TORCH_INDEX  where torch comes from besides PyPI, whose build for Linux brings
+#                gigabytes of CUDA; `make TORCH_INDEX= ...` takes that one, for a GPU
+PYTHON ?= python3
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+
+PIP := .venv/bin/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
+NATIVE_SOURCES := $(wildcard toolkit/rendering/native_src/*)
+DEMO := runs/demo
+DEMO_ROOM := runs/demo-room
+
+# $(call apt,PACKAGES,PURPOSE): install as root, else stop with the line to run.
+define apt
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		apt-get update -qq && apt-get install -y -qq $(1); \
+	else \
+		echo "make: $(2) missing; run: sudo apt-get install -y $(1)" >&2; exit 1; \
+	fi
+endef
+
+.PHONY: help demo test bench lint ready clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo   make a synthetic room, track and map it, say where the results are"
+	@echo "make test   run the tests"
+	@echo "make bench  measure the renderer, and the whole beside Open3D's dense SLAM"
+	@echo "make lint   ruff, mypy, and the order of the layers"
+	@echo "make clean  remove what was built and cached, but neither .venv nor runs/"
+
+demo: ready $(DEMO_ROOM)/unseen/cam_params.json
+	rm -rf $(DEMO)
+	.venv/bin/semsplat run --dataset.kind synthetic --dataset.path $(DEMO_ROOM) --out $(DEMO)
+	@echo
+	@echo "renders     $(DEMO)/renders/*.png"
+	@echo "trajectory  $(DEMO)/trajectory.txt"
+	@echo "splats      $(DEMO)/map.ply"
+	@echo "report      $(DEMO)/report.html"
+
+# Written last, so that its presence means a whole room.
+$(DEMO_ROOM)/unseen/cam_params.json: | ready
+	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
+
+# One thread a worker: two workers share the machine, and pools would fight.
+test: ready
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
+
+bench: ready $(DEMO_ROOM)/unseen/cam_params.json
+	.venv/bin/python benchmarks/renderer.py
+	.venv/bin/python benchmarks/compare_open3d.py --dataset.kind synthetic \
+		--dataset.path $(DEMO_ROOM) --max-frames 100
+
+lint: ready
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+ready: .stamps/system-libraries .stamps/dependencies .stamps/native
+
+.stamps:
+	mkdir -p .stamps
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "make: Python 3.11 or newer is needed; run: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { $(call apt,python3-venv,python3-venv is); }
+	$(PYTHON) -m venv .venv
+
+.stamps/dependencies: setup.cfg pyproject.toml constraints.txt | .venv/bin/python .stamps
+	$(PIP) setuptools wheel pybind11
+	$(PIP) --no-deps --retries 1 $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) torch
+	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --editable '.[dev]'
+	@touch $@
+
+# Compiled here and not by pip, which would start from nothing each time.
+.stamps/native: setup.py $(NATIVE_SOURCES) .stamps/dependencies
+	.venv/bin/python setup.py --quiet build_ext --inplace
+	@touch $@
+
+# What `import open3d` loads besides Python packages. Only Linux lacks it.
+.stamps/system-libraries: | .stamps
+	@if [ "$$(uname)" = Linux ]; then \
+		known="$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p)"; \
+		for library in libusb-1.0.so.0 libGL.so.1 libEGL.so.1; do \
+			case "$$known" in *"$$library"*) ;; *) missing=yes ;; esac; \
+		done; \
+		if [ -n "$$missing" ]; then \
+			$(call apt,libusb-1.0-0 libgl1 libegl1,the system libraries of Open3D are); \
+		fi; \
+	fi
+	@touch $@
+
+clean:
+	rm -rf .stamps build *.egg-info toolkit/rendering/_native_*.so
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
