@@ -1,0 +1,316 @@
+"""Times the native renderer and prints Markdown tables.
+
+    python benchmarks/renderer.py [--repeats 9] [--rival RAS_SO] [--quick]
+
+Forward is one call that projects, sorts, bins and composites; backward returns the
+gradients of all parameters and of the pose. A width of C channels is 3 colour, 1 depth
+and C - 4 features; the silhouette comes with them. Figures are medians in milliseconds;
+all contestants of a row take turns within each repetition, so that a busy machine slows
+them alike.
+
+Scene: per layer one Gaussian a pixel, 0.7-1.5 px standard deviation, opacity 0.3-0.95,
+around a wavy surface at 2 m.
+
+--rival takes a compiled rasteriser with the C functions `bin`, `fwd` and `bwd` of the rough
+prototype (widths 4, 7, 24 and 32) and adds its argsort + bin + fwd, its bwd, and the ratio of
+its time to ours at the widths both have. SEMSPLAT_ISA forces an instruction set.
+--quick leaves out the widest scene and the growth tables: a check that the program works.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import math
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.backend import ForwardPass
+from toolkit.rendering.native import NativeBackend, require_kernels
+
+CHANNELS = (4, 18, 30, 32, 105)
+RIVAL_CHANNELS = (4, 7, 24, 32)
+SCENES = ((320, 240, 1), (320, 240, 2), (640, 480, 2))
+THREADS = 2
+Array = NDArray[np.float32]
+Step = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class PixelScene:
+    """Gaussians in pixels, as the rival takes them: all [N] float32."""
+
+    width: int
+    height: int
+    u: Array
+    v: Array
+    depth_m: Array
+    sigma_px: Array
+    opacity: Array
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    @property
+    def camera(self) -> Camera:
+        """A camera with a field of view of about 60 degrees."""
+        focal = 0.9 * self.width
+        return Camera(focal, focal, self.width / 2, self.height / 2, self.width, self.height)
+
+    def cloud(self, channels: int) -> GaussianCloud:
+        """The same Gaussians in metres, with channels - 4 features."""
+        camera, z = self.camera, self.depth_m
+        x, y = (self.u - camera.cx) / camera.fx * z, (self.v - camera.cy) / camera.fy * z
+        generator = torch.Generator().manual_seed(0)
+        return GaussianCloud.from_values(
+            torch.from_numpy(np.stack([x, y, z], axis=1).astype(np.float32)),
+            torch.from_numpy((self.sigma_px * z / camera.focal).astype(np.float32)),
+            torch.from_numpy(self.opacity),
+            torch.rand(len(self), 3, generator=generator),
+            torch.rand(len(self), channels - 4, generator=generator),
+        )
+
+
+def make_scene(width: int, height: int, layers: int, seed: int = 0) -> PixelScene:
+    """One jittered Gaussian a pixel and layer."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    shape = (layers, height, width)
+
+    def flat(values: NDArray) -> Array:
+        return np.ascontiguousarray(values.reshape(-1), dtype=np.float32)
+
+    return PixelScene(
+        width,
+        height,
+        flat(x + rng.uniform(-0.5, 0.5, shape)),
+        flat(y + rng.uniform(-0.5, 0.5, shape)),
+        flat(2.0 + 0.5 * np.sin(x / 40.0) + 0.02 * rng.standard_normal(shape)),
+        flat(rng.uniform(0.7, 1.5, shape)),
+        flat(rng.uniform(0.3, 0.95, shape)),
+    )
+
+
+class Ours:
+    """The native backend on one cloud and camera."""
+
+    def __init__(self, cloud: GaussianCloud, camera: Camera):
+        self._backend, self._cloud, self._camera = NativeBackend(), cloud, camera
+        self._drawn: ForwardPass | None = None
+        self._gradients = torch.empty(0)
+
+    def forward(self) -> None:
+        """Draw."""
+        self._drawn = None  # hands its buffers to this view, as in a running system
+        self._drawn = self._backend.forward(
+            self._cloud, self._camera, np.eye(4), self._cloud.features, None
+        )
+
+    def backward(self) -> None:
+        """Gradients of the view drawn last."""
+        assert self._drawn is not None
+        if self._gradients.shape != self._drawn.images.shape:
+            generator = torch.Generator().manual_seed(1)
+            self._gradients = torch.randn(self._drawn.images.shape, generator=generator)
+        self._drawn.backward(self._gradients)
+
+
+class Rival:
+    """The rough prototype's own path, called as its own benchmark calls it."""
+
+    def __init__(self, library: Path, scene: PixelScene, channels: int):
+        self._library, self._scene, self._channels = ctypes.CDLL(str(library)), scene, channels
+        n, w, h = len(scene), scene.width, scene.height
+        rng = np.random.default_rng(0)
+        self._inverse_variance = (1.0 / scene.sigma_px**2).astype(np.float32)
+        reach = scene.sigma_px * np.sqrt(2.0 * np.log(255.0 * scene.opacity))
+        self._reach = reach.astype(np.float32)
+        self._values = rng.random((n, channels), dtype=np.float32)
+        tiles = -(-w // 16) * -(-h // 16)
+        self._offsets = np.zeros(tiles + 1, np.int32)
+        self._last = np.zeros(tiles, np.int32)
+        self._pairs = np.zeros(8 * n, np.int32)
+        self._image = np.zeros((h, w, channels), np.float32)
+        self._transmittance = np.zeros((h, w), np.float32)
+        self._d_image = rng.standard_normal((h, w, channels)).astype(np.float32)
+        self._d_transmittance = np.zeros((h, w), np.float32)
+        self._sinks = [np.zeros(n, np.float32) for _ in range(4)]
+        self._sinks.append(np.zeros((n, channels), np.float32))
+
+    def forward(self) -> None:
+        """Sort, bin and composite."""
+        s = self._scene
+        order = np.argsort(s.depth_m, kind="stable").astype(np.int32)
+        pairs = self._library.bin(
+            len(s),
+            *_addresses(s.u, s.v, s.depth_m, self._reach),
+            s.width,
+            s.height,
+            *_addresses(self._offsets, self._pairs),
+            len(self._pairs),
+            *_addresses(order),
+        )
+        if pairs < 0:
+            raise RuntimeError(f"the rival needs room for {-pairs} pairs")
+        self._call(self._library.fwd, self._image, self._transmittance, self._last)
+
+    def backward(self) -> None:
+        """Gradients; the sums go on growing, as in its own benchmark."""
+        self._call(
+            self._library.bwd,
+            self._transmittance,
+            self._last,
+            self._d_image,
+            self._d_transmittance,
+            *self._sinks,
+        )
+
+    def _call(self, function: Callable[..., int], *arrays: NDArray) -> None:
+        s = self._scene
+        inputs = (self._offsets, self._pairs, s.u, s.v, self._inverse_variance, s.opacity)
+        function(
+            self._channels,
+            s.width,
+            s.height,
+            *_addresses(*inputs, self._reach, self._values, *arrays),
+        )
+
+
+def _addresses(*arrays: NDArray) -> list[ctypes.c_void_p]:
+    return [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
+
+
+def interleaved_medians_ms(steps: dict[str, tuple[int, Step]], repeats: int) -> dict[str, float]:
+    """Median time of each step, all run in turn; a step is (threads, call)."""
+    times: dict[str, list[float]] = {name: [] for name in steps}
+    for repeat in range(repeats + 1):
+        for name, (threads, call) in steps.items():
+            torch.set_num_threads(threads)
+            start = time.perf_counter()
+            call()
+            if repeat:  # the first round warms caches and buffers
+                times[name].append(1e3 * (time.perf_counter() - start))
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def measure(ours: Ours, repeats: int, threads: tuple[int, ...] = (THREADS,)) -> dict[str, float]:
+    """Medians named "forward 1", "backward 1", ... by the number of threads."""
+    steps: dict[str, tuple[int, Step]] = {}
+    for count in threads:
+        steps[f"forward {count}"] = (count, ours.forward)
+        steps[f"backward {count}"] = (count, ours.backward)
+    return interleaved_medians_ms(steps, repeats)
+
+
+def table(*columns: str) -> None:
+    """Start a Markdown table."""
+    print("\n| " + " | ".join(columns) + " |")
+    print("|" + " ---: |" * len(columns))
+
+
+def row(*cells: object) -> None:
+    """One row; floats with two digits."""
+    texts = [f"{c:.2f}" if isinstance(c, float) else str(c) for c in cells]
+    print("| " + " | ".join(texts) + " |", flush=True)
+
+
+def print_widths(scenes: tuple[tuple[int, int, int], ...], repeats: int) -> None:
+    """Every width on every scene, and what a second thread gains."""
+    table(
+        *("Gaussians", "image", "channels", "forward ms", "backward ms"),
+        *(f"gain of {THREADS} threads, forward", "backward"),
+    )
+    for width, height, layers in scenes:
+        scene = make_scene(width, height, layers)
+        for channels in CHANNELS:
+            ms = measure(Ours(scene.cloud(channels), scene.camera), repeats, (1, THREADS))
+            forward, backward = ms[f"forward {THREADS}"], ms[f"backward {THREADS}"]
+            row(
+                *(len(scene), f"{width}x{height}", channels, forward, backward),
+                *(ms["forward 1"] / forward, ms["backward 1"] / backward),
+            )
+
+
+def print_growth(repeats: int) -> None:
+    """Time against the number of Gaussians, then of pixels, the other held still.
+
+    The exponent is that of a power law through this row and the one before: 1 is linear.
+    """
+    small = make_scene(320, 240, 1)
+    more = [(len(s), s.cloud(4), s.camera) for s in (make_scene(320, 240, n) for n in (1, 2, 4))]
+    cloud, camera = make_scene(320, 240, 2).cloud(4), small.camera
+    finer = []
+    for scale in (1, 2, 4):
+        zoomed = camera.scaled(scale, scale, scale * camera.width, scale * camera.height)
+        finer.append((zoomed.width * zoomed.height, cloud, zoomed))
+    for name, points in (("Gaussians at 320x240", more), ("pixels of 153600 Gaussians", finer)):
+        table(name, "forward ms", "backward ms", "forward exponent", "backward exponent")
+        before: tuple[int, float, float] | None = None
+        for size, gaussians, view in points:
+            ms = measure(Ours(gaussians, view), repeats)
+            now = size, ms[f"forward {THREADS}"], ms[f"backward {THREADS}"]
+            row(*now, *(exponents(before, now) if before else ("", "")))
+            before = now
+
+
+def exponents(a: tuple[int, float, float], b: tuple[int, float, float]) -> tuple[float, float]:
+    """Powers with which the two times grow from (size, time, time) a to b."""
+    growth = math.log(b[0] / a[0])
+    return math.log(b[1] / a[1]) / growth, math.log(b[2] / a[2]) / growth
+
+
+def print_rival(library: Path, scenes: tuple[tuple[int, int, int], ...], repeats: int) -> None:
+    """Ours and the rival's in turn; a ratio above 1 says that ours is faster."""
+    table(
+        *("Gaussians", "image", "channels", "forward ms", "rival ms", "ratio"),
+        *("backward ms", "rival ms", "ratio"),
+    )
+    for width, height, layers in scenes:
+        scene = make_scene(width, height, layers)
+        for channels in RIVAL_CHANNELS:
+            ours = Ours(scene.cloud(channels), scene.camera)
+            rival = Rival(library, scene, channels)
+            steps = {
+                "ours forward": (THREADS, ours.forward),
+                "rival forward": (THREADS, rival.forward),
+                "ours backward": (THREADS, ours.backward),
+                "rival backward": (THREADS, rival.backward),
+            }
+            ms = interleaved_medians_ms(steps, repeats)
+            pairs = [(ms[f"ours {step}"], ms[f"rival {step}"]) for step in ("forward", "backward")]
+            cells = [cell for a, b in pairs for cell in (a, b, b / a)]
+            row(len(scene), f"{width}x{height}", channels, *cells)
+
+
+def main() -> None:
+    """Print all tables."""
+    parser = argparse.ArgumentParser(description="Time the native renderer.")
+    parser.add_argument("--repeats", type=int, default=9, help="runs behind each median")
+    parser.add_argument("--rival", type=Path, help="the rough prototype's compiled library")
+    parser.add_argument("--quick", action="store_true", help="only check that this works")
+    arguments = parser.parse_args()
+    if arguments.repeats < 1:
+        parser.error("--repeats must be at least 1")
+    if arguments.rival and not arguments.rival.is_file():
+        parser.error(f"--rival {arguments.rival} is not a file; compile the prototype first")
+    scenes = SCENES[:1] if arguments.quick else SCENES
+    name = require_kernels().__name__.rpartition("_native_")[2]
+    print(f"Instruction set {name}; medians of {arguments.repeats}; times with {THREADS} threads.")
+    print_widths(scenes, arguments.repeats)
+    if not arguments.quick:
+        print_growth(arguments.repeats)
+    if arguments.rival:
+        print_rival(arguments.rival.resolve(), scenes, arguments.repeats)
+
+
+if __name__ == "__main__":
+    main()
