@@ -32,7 +32,7 @@ class SeedingOptions:
 
     radius: float = 0.6
     opacity: float = 0.95
-    largest_cell: int = 1
+    largest_cell: int = 2
     flat_colour: float = 0.04
     flat_depth: float = 0.005
 

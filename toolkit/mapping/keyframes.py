@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -38,6 +39,37 @@ class Keyframe:
     gain: float
     bias: float
     points: NDArray[np.float32]
+
+    ARRAYS: ClassVar = ("T_map_camera", "rgb", "depth_m", "points")
+
+    def arrays(self) -> dict[str, NDArray]:
+        """The arrays of a checkpoint."""
+        return {name: np.asarray(getattr(self, name)) for name in self.ARRAYS}
+
+    def values(self) -> dict[str, Any]:
+        """The rest of a checkpoint, as JSON holds it."""
+        return {
+            "index": self.index,
+            "timestamp_s": self.timestamp_s,
+            "camera": asdict(self.camera),
+            "gain": self.gain,
+            "bias": self.bias,
+        }
+
+    @classmethod
+    def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Keyframe:
+        """The keyframe that `arrays` and `values` came from."""
+        return cls(
+            index=int(values["index"]),
+            timestamp_s=float(values["timestamp_s"]),
+            T_map_camera=np.array(arrays["T_map_camera"]),
+            rgb=torch.from_numpy(np.array(arrays["rgb"])),
+            depth_m=torch.from_numpy(np.array(arrays["depth_m"])),
+            camera=Camera(**values["camera"]),
+            gain=float(values["gain"]),
+            bias=float(values["bias"]),
+            points=np.array(arrays["points"]),
+        )
 
     @classmethod
     def from_frame(
@@ -81,17 +113,16 @@ class KeyframePolicy:
 
     Attributes:
         interval: every so many frames (G: d_k).
-        least_visible: sooner, when the map explains less than this share of the frame.
+        least_overlap: sooner, when less than this share of the last keyframe's points is
+            still in view.
     """
 
     interval: int = 5
-    least_visible: float = 0.85
+    least_overlap: float = 0.95
 
-    def wants(self, frames_since_last: int, visible_fraction: float) -> bool:
+    def wants(self, frames_since_last: int, overlap: float) -> bool:
         """Whether the newest frame should become a keyframe."""
-        if frames_since_last >= self.interval:
-            return True
-        return frames_since_last >= 1 and visible_fraction < self.least_visible
+        return frames_since_last >= self.interval or overlap < self.least_overlap
 
 
 def choose_window(

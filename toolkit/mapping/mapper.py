@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
-from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
+from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
 from toolkit.rendering import backend
 from toolkit.rendering.output import RenderOutput
 
@@ -89,12 +90,13 @@ class Mapper:
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
 
-    def wants(self, frame: Frame, visible_fraction: float) -> bool:
+    def wants(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
         """Whether a tracked frame should become a keyframe."""
         if not self.keyframes:
             return True
-        since = frame.index - self.keyframes[-1].index
-        return self.options.keyframes.wants(since, visible_fraction)
+        last = self.keyframes[-1]
+        overlap = last.share_seen_by(T_map_camera)
+        return self.options.keyframes.wants(frame.index - last.index, overlap)
 
     def add_keyframe(
         self,
@@ -124,6 +126,33 @@ class Mapper:
             for i in self._generator.permutation(len(self.keyframes)):
                 self._step(self.keyframes[i])
         self._prune()
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
+        arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
+        for number, keyframe in enumerate(self.keyframes):
+            arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
+        values = {
+            "keyframes": [keyframe.values() for keyframe in self.keyframes],
+            "generator": self._generator.bit_generator.state,
+        }
+        return arrays, values
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Take over an earlier `state`."""
+        tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
+        self.gaussians = GaussianCloud(**tensors)
+        self.optimiser.restore(
+            {k.split("/", 1)[1]: a for k, a in arrays.items() if k.startswith("optimiser/")}
+        )
+        self.keyframes = [
+            Keyframe.from_state(
+                {k: arrays[f"keyframes/{number}/{k}"] for k in Keyframe.ARRAYS}, value
+            )
+            for number, value in enumerate(values["keyframes"])
+        ]
+        self._generator.bit_generator.state = values["generator"]
 
     def render(self, keyframe: Keyframe) -> RenderOutput:
         """The map as a keyframe sees it."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame, NullRecorder, Recorder
@@ -30,8 +31,6 @@ from toolkit.tracking.alignment import (
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.motion import ConstantVelocity
 from toolkit.tracking.result import TrackingResult
-
-import torch
 
 
 @dataclass(frozen=True)
@@ -101,9 +100,20 @@ class DenseTracker:
         self._recorder = recorder or NullRecorder()
         self._scales = _START
 
-    def start(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> None:
-        """Take a frame's pose as known (the first frame, or a relocalised one)."""
-        self.motion.update(frame.timestamp_s, T_map_camera)
+    def first_pose(self, frame: Frame) -> NDArray[np.float64]:
+        """The map's frame is the first camera's."""
+        self.motion.update(frame.timestamp_s, np.eye(4))
+        return np.eye(4)
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        scales = np.array([self._scales.intensity, self._scales.depth_m])
+        return {**self.motion.state(), "scales": scales}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self.motion = ConstantVelocity.from_state(state)
+        self._scales = Scales(*(float(s) for s in state["scales"]))
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """Pose of a frame against the map; the motion model follows unless it is lost."""

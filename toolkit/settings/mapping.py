@@ -1,0 +1,67 @@
+"""Settings of the mapper."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from toolkit.settings.base import Settings
+
+
+class KeyframeSettings(Settings):
+    """When a tracked frame becomes a keyframe."""
+
+    interval: int = Field(5, ge=1, description="every so many frames (G: d_k)")
+    least_overlap: float = Field(0.95, ge=0, le=1, description="sooner below this overlap")
+
+
+class SeedingSettings(Settings):
+    """How a pixel becomes a Gaussian."""
+
+    radius: float = Field(0.6, gt=0, description="standard deviation in units of d / f")
+    opacity: float = Field(0.95, gt=0, lt=1, description="start opacity")
+    largest_cell: Literal[1, 2, 4] = Field(2, description="pixels a side on plain surfaces")
+    flat_colour: float = Field(0.04, ge=0, description="colour range that counts as plain")
+    flat_depth: float = Field(0.005, ge=0, description="bend that counts as plane, of depth")
+
+
+class LearningRateSettings(Settings):
+    """Step sizes of the map's optimiser."""
+
+    means: float = Field(0.04, ge=0, description="in units of the Gaussian's radius")
+    log_radii: float = Field(0.01, ge=0)
+    opacity_logits: float = Field(0.05, ge=0)
+    colours: float = Field(0.01, ge=0)
+    features: float = Field(0.02, ge=0)
+    settle_steps: float = Field(60.0, ge=0, description="rates halve after so many steps")
+
+
+class LossSettings(Settings):
+    """Weights of the mapping loss (H-24 by default; G-3: colour 1, depth 0.5)."""
+
+    colour: float = Field(0.5, ge=0)
+    depth: float = Field(1.0, ge=0)
+    structure: float = Field(0.2, ge=0, le=1, description="share of SSIM in the colour term")
+    least_silhouette: float = Field(0.5, ge=0, le=1, description="depth counts above it")
+
+
+class MappingSettings(Settings):
+    """The mapper."""
+
+    iterations: int = Field(12, ge=0, description="steps a keyframe, while mapping")
+    first_iterations: int = Field(40, ge=0, description="steps on the first keyframe")
+    final_iterations: int = Field(10, ge=0, description="steps a keyframe at the end")
+    window: int = Field(8, ge=1, description="keyframes a mapping call works on")
+    newest_share: float = Field(0.4, gt=0, le=1, description="of the steps, for the newest")
+    least_overlap: float = Field(0.15, ge=0, le=1, description="that joins the window")
+    least_silhouette: float = Field(0.5, gt=0, lt=1, description="seed below it (tau_sil)")
+    depth_floor: float = Field(0.03, ge=0, description="depth error that seeds, of depth")
+    depth_factor: float = Field(20.0, ge=0, description="the same in medians of the error")
+    settle_rounds: int = Field(2, ge=0, description="depth corrections of new seeds")
+    least_opacity: float = Field(0.005, ge=0, description="prune below it")
+    largest_radius_m: float = Field(0.5, gt=0, description="prune beyond it")
+    keyframes: KeyframeSettings = KeyframeSettings()
+    seeding: SeedingSettings = SeedingSettings()
+    rates: LearningRateSettings = LearningRateSettings()
+    loss: LossSettings = LossSettings()

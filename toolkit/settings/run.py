@@ -1,0 +1,43 @@
+"""All settings of one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from toolkit.settings.base import Settings
+from toolkit.settings.mapping import MappingSettings
+from toolkit.settings.tracking import TrackingSettings
+
+DatasetKind = Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
+
+
+class DatasetSettings(Settings):
+    """The sequence."""
+
+    kind: DatasetKind = Field("synthetic", description="its layout")
+    path: Path | None = Field(None, description="its folder; a synthetic room needs none")
+
+
+class CheckpointSettings(Settings):
+    """How often a run saves itself."""
+
+    every_s: float = Field(30.0, gt=0, description="at least so often, seconds")
+    every_keyframes: int = Field(50, ge=1, description="at least so often, keyframes")
+
+
+class RunSettings(Settings):
+    """Everything that decides the outcome of a run."""
+
+    dataset: DatasetSettings = DatasetSettings()
+    image_size: tuple[int, int] | None = Field(None, description="width height; native if unset")
+    seed: int = Field(0, ge=0, description="of all random choices")
+    max_frames: int | None = Field(None, ge=1, description="stop after so many")
+    hold_out: int | None = Field(None, ge=2, description="keep every n-th frame out of the map")
+    poses: Literal["slam", "given"] = Field("slam", description="track, or take the truth's")
+    backend: Literal["auto", "native", "reference", "cuda"] = Field("auto", description="renderer")
+    tracking: TrackingSettings = TrackingSettings()
+    mapping: MappingSettings = MappingSettings()
+    checkpoint: CheckpointSettings = CheckpointSettings()

@@ -1,0 +1,146 @@
+"""The method on one page: track each frame, map the keyframes, refine at the end."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.tracker import Tracker
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What became of one frame.
+
+    Attributes:
+        index: the frame's index in its sequence.
+        T_map_camera: [4, 4] float64 pose in the map's frame, or None if the frame is lost.
+        tracking: the tracker's full answer; None for the frame that started the map.
+        mapping: what mapping did; None unless the frame became a keyframe.
+    """
+
+    index: int
+    T_map_camera: NDArray[np.float64] | None
+    tracking: TrackingResult | None
+    mapping: MappingResult | None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the frame has no pose."""
+        return self.T_map_camera is None
+
+
+@dataclass(frozen=True)
+class _TrackedFrame:
+    """A frame's place, relative to the keyframe before it so that it moves with the map."""
+
+    index: int
+    timestamp_s: float
+    keyframe: int
+    gain: float
+    bias: float
+
+
+class Slam:
+    """RGB-D Gaussian SLAM: feed it frames in order, then call `finish`."""
+
+    def __init__(self, tracker: Tracker, mapper: Mapper, recorder: Recorder | None = None) -> None:
+        self.tracker = tracker
+        self.mapper = mapper
+        self._recorder = recorder or NullRecorder()
+        self._tracked: list[_TrackedFrame] = []
+        self._T_keyframe_camera: list[NDArray[np.float64]] = []
+        self.lost_frames: list[int] = []
+
+    def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
+        """Track one frame and, where it adds something, map it.
+
+        Args:
+            may_map: False keeps the frame out of the map (a held-out view).
+        """
+        tracking = None
+        if not self.mapper.keyframes:
+            T_map_camera = self.tracker.first_pose(frame) if may_map else None
+        else:
+            with self._recorder.timed("tracking"):
+                tracking = self.tracker.track(frame, self.mapper.gaussians)
+            T_map_camera = None if tracking.lost else tracking.T_map_camera
+        if T_map_camera is None:
+            self.lost_frames.append(frame.index)
+            return FrameResult(frame.index, None, tracking, None)
+
+        mapping = None
+        if may_map and self.mapper.wants(frame, T_map_camera):
+            exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
+            with self._recorder.timed("mapping"):
+                mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
+
+        self._remember(frame, T_map_camera, tracking)
+        return FrameResult(frame.index, T_map_camera, tracking, mapping)
+
+    def finish(self) -> None:
+        """Refine the map over all keyframes."""
+        with self._recorder.timed("refinement"):
+            self.mapper.refine()
+
+    def _remember(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
+    ) -> None:
+        last = len(self.mapper.keyframes) - 1
+        T_map_keyframe = self.mapper.keyframes[last].T_map_camera
+        gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
+        self._tracked.append(_TrackedFrame(frame.index, frame.timestamp_s, last, gain, bias))
+        self._T_keyframe_camera.append(se3.inverse(T_map_keyframe) @ T_map_camera)
+
+    @property
+    def tracked_indices(self) -> list[int]:
+        """Indices of the frames that have a pose, in order."""
+        return [f.index for f in self._tracked]
+
+    @property
+    def exposures(self) -> NDArray[np.float64]:
+        """(gain, bias) [M, 2] of the tracked frames: map = gain * observed + bias."""
+        return np.array([(f.gain, f.bias) for f in self._tracked]).reshape(-1, 2)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of the tracked frames, in the map's frame."""
+        keyframes = self.mapper.keyframes
+        poses = [
+            se3.orthonormalise(keyframes[f.keyframe].T_map_camera @ T)
+            for f, T in zip(self._tracked, self._T_keyframe_camera, strict=True)
+        ]
+        times = np.array([f.timestamp_s for f in self._tracked])
+        return Trajectory(times, np.array(poses).reshape(-1, 4, 4))
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues to identical results."""
+        arrays, values = self.mapper.state()
+        arrays = {f"mapper/{k}": a for k, a in arrays.items()}
+        arrays |= {f"tracker/{k}": a for k, a in self.tracker.state().items()}
+        arrays["T_keyframe_camera"] = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
+        return arrays, {
+            "mapper": values,
+            "tracked": [asdict(f) for f in self._tracked],
+            "lost_frames": self.lost_frames,
+        }
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Take over an earlier `state`."""
+
+        def below(prefix: str) -> dict[str, NDArray]:
+            return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
+
+        self.mapper.restore(below("mapper/"), values["mapper"])
+        self.tracker.restore(below("tracker/"))
+        self._tracked = [_TrackedFrame(**f) for f in values["tracked"]]
+        self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
+        self.lost_frames = [int(i) for i in values["lost_frames"]]

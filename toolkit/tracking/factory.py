@@ -1,0 +1,18 @@
+"""Trackers from settings."""
+
+from __future__ import annotations
+
+from toolkit.frame import Recorder
+from toolkit.settings.tracking import TrackingSettings
+from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.health import HealthLimits
+from toolkit.tracking.tracker import Tracker
+
+
+def build_tracker(
+    settings: TrackingSettings, backend_name: str = "auto", recorder: Recorder | None = None
+) -> Tracker:
+    """The tracker that the settings name."""
+    limits = HealthLimits(**settings.health.model_dump())
+    options = DenseOptions(**settings.dense.model_dump())
+    return DenseTracker(options, limits, backend_name, recorder)

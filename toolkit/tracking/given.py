@@ -1,0 +1,48 @@
+"""Poses from a table: the tracker of `--poses given`, for mapping alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.tracking.result import Health, TrackingResult
+
+
+class GivenPoses:
+    """Looks each frame's pose up by its time; frames without one count as lost.
+
+    The map's frame is then the trajectory's world.
+    """
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """T_map_camera [4, 4] of the first frame, None where the table has none."""
+        return self._trajectory.at(frame.timestamp_s)
+
+    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+        """The table's pose."""
+        T_map_camera = self._trajectory.at(frame.timestamp_s)
+        return TrackingResult(
+            T_map_camera=np.eye(4) if T_map_camera is None else T_map_camera,
+            converged=T_map_camera is not None,
+            iterations=0,
+            renders=0,
+            intensity_residual=0.0,
+            depth_residual_m=0.0,
+            visible_fraction=1.0,
+            information=np.zeros((6, 6)),
+            health=Health.LOST if T_map_camera is None else Health.GOOD,
+            reason="the given trajectory has no pose for it" if T_map_camera is None else "",
+        )
+
+    def state(self) -> dict[str, NDArray]:
+        """Nothing: the table is read again on resume."""
+        return {}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Nothing to take over."""

@@ -1,0 +1,32 @@
+"""What every tracker offers."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.tracking.result import TrackingResult
+
+
+class Tracker(Protocol):
+    """Finds the pose of each frame against the map."""
+
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """T_map_camera [4, 4] of the frame that starts the map; None refuses the frame."""
+        ...
+
+    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+        """The pose of a frame against the Gaussians, with a verdict on it."""
+        ...
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        ...
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        ...
