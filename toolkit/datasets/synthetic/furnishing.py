@@ -132,7 +132,7 @@ def _arrange(
     taken = _kept_clear(plan)
     placed = []
     for piece in pieces:
-        T = _free_place(plan, _blocks(piece), taken, rng)
+        T = _free_place(plan, bounds(piece), _blocks(piece), taken, rng)
         if T is not None:
             placed.append(moved(piece, T))
             taken = taken + _blocks(placed[-1])
@@ -181,11 +181,18 @@ def _moved_box(T: NDArray, box_m: Box) -> Box:
 
 
 def _free_place(
-    plan: RoomPlan, blocks: list[Box], taken: list[Box], rng: np.random.Generator
+    plan: RoomPlan, extent: Box, blocks: list[Box], taken: list[Box], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """A motion [4, 4] to a free place along a wall, or None where there is none."""
-    lowest = np.min([b[0] for b in blocks], axis=0)
-    highest = np.max([b[1] for b in blocks], axis=0)
+    """A motion [4, 4] to a free place along a wall, or None where there is none.
+
+    Args:
+        plan: the room.
+        extent: about the whole piece; must lie inside the room.
+        blocks: about its parts; must not meet those that are taken.
+        taken: boxes in the room.
+        rng: for the order in which places are tried.
+    """
+    lowest, highest = extent
     others = np.stack(taken)
     places: list[tuple[Side, float]] = []
     for side in SIDES:
@@ -194,19 +201,23 @@ def _free_place(
     for number in rng.permutation(len(places)):
         side, along = places[number]
         T = plan.on_wall(side, along, gap_m=_GAP_M)
-        if _fits(plan, [_moved_box(T, b) for b in blocks], others):
+        if _is_inside(plan, _moved_box(T, extent)) and all(
+            _is_apart(_moved_box(T, block), others) for block in blocks
+        ):
             return T
     return None
 
 
-def _fits(plan: RoomPlan, blocks: list[Box], others: NDArray[np.float64]) -> bool:
+def _is_inside(plan: RoomPlan, box_m: Box) -> bool:
     x0, y0, x1, y1 = plan.bounds_m
-    for low, high in blocks:
-        inside = (low > [x0, y0, -0.01]) & (high < [x1, y1, plan.height_m])
-        apart = (low >= others[:, 1]) | (high <= others[:, 0])
-        if not (inside.all() and apart.any(axis=1).all()):
-            return False
-    return True
+    low, high = box_m
+    return bool((low > [x0, y0, -0.01]).all() and (high < [x1, y1, plan.height_m]).all())
+
+
+def _is_apart(box_m: Box, others: NDArray[np.float64]) -> bool:
+    low, high = box_m
+    apart = (low >= others[:, 1]) | (high <= others[:, 0])
+    return bool(apart.any(axis=1).all())
 
 
 def _wall_hangings(plan: RoomPlan, shop: Workshop, taken: list[Box]) -> list[Part]:
@@ -228,7 +239,7 @@ def _wall_hangings(plan: RoomPlan, shop: Workshop, taken: list[Box]) -> list[Par
         piece = moved(group(shop), placement(0.0, _GAP_M, 1.65))
         # Nothing may stand before it either.
         around = bounds(piece) + np.array([[-0.12, -0.35, -0.05], [0.12, -_GAP_M, 0.05]])
-        place = _free_place(plan, [around], taken, shop.rng)
+        place = _free_place(plan, around, [around], taken, shop.rng)
         if place is not None:
             parts += moved(piece, place)
             taken = [*taken, _moved_box(place, around)]

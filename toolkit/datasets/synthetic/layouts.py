@@ -14,6 +14,7 @@ from toolkit.datasets.synthetic.furniture import Workshop
 from toolkit.datasets.synthetic.parts import Part, moved
 from toolkit.datasets.synthetic.patches import placement
 from toolkit.datasets.synthetic.paths import WayPoint
+from toolkit.datasets.synthetic.ray_casting import Scene
 from toolkit.datasets.synthetic.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
 
 _EYE_M = 1.45
@@ -186,6 +187,11 @@ def lamp_places(layout: Layout) -> NDArray[np.float64]:
             along = x + width * ((number + 0.5) / count - 0.5)
             lamps.append([along, y, plan.height_m - 0.15])
     return np.array(lamps)
+
+
+def build_scene(layout: Layout, seed: int, texel_m: float) -> Scene:
+    """The layout's surfaces, painted and lit, ready to be looked at."""
+    return Scene(build_parts(layout, seed), lamp_places(layout), texel_m)
 
 
 LAYOUTS: dict[str, Callable[[], Layout]] = {

@@ -103,6 +103,8 @@ def plate(
 
 def _cuts(length: float, edges: list[float]) -> NDArray[np.float64]:
     """Grid lines from 0 to length that contain the edges, evenly spaced between them."""
+    if not edges:
+        return np.linspace(0.0, length, max(1, math.ceil(length / _VERTEX_STEP_M)) + 1)
     stops = np.unique(np.clip([0.0, *edges, length], 0.0, length))
     pieces = [
         np.linspace(a, b, max(1, math.ceil((b - a) / _VERTEX_STEP_M)), endpoint=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.synthetic import writer
-from toolkit.datasets.synthetic.layouts import LAYOUTS, Layout, build_parts, lamp_places
+from toolkit.datasets.synthetic.layouts import LAYOUTS, Layout, build_scene
 from toolkit.datasets.synthetic.paths import hand_held_path
 from toolkit.datasets.synthetic.ray_casting import Scene
 from toolkit.datasets.synthetic.sensor import Sensor, SensorModel
@@ -96,7 +97,7 @@ def make_room(path: Path | str, settings: RoomSettings | None = None) -> None:
     path = Path(path)
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
-    scene = _scene(layout, settings)
+    scene = build_scene(layout, settings.seed, _texel_m(settings))
     camera, poses = settings.camera, _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     writer.write_sequence(path, _frames(scene, settings, poses), camera, poses)
@@ -122,14 +123,20 @@ def tiny_room(
     settings = RoomSettings("room", seed, frames, share, width, height, sensor)
     layout = LAYOUTS[settings.layout]()
     poses = _poses(layout, settings)
-    made = list(_frames(_scene(layout, settings), settings, poses))
+    scene = _shared_scene(settings.layout, seed, _texel_m(settings))
+    made = list(_frames(scene, settings, poses))
     return made, Trajectory(np.arange(frames) / RATE_HZ, poses)
 
 
-def _scene(layout: Layout, settings: RoomSettings) -> Scene:
-    # About one texel a pixel at one metre: finer detail would only alias.
-    texel_m = max(1.0 / settings.camera.focal, 0.0015)
-    return Scene(build_parts(layout, settings.seed), lamp_places(layout), texel_m)
+def _texel_m(settings: RoomSettings) -> float:
+    """About one texel a pixel at one metre: finer detail would only alias."""
+    return max(1.0 / settings.camera.focal, 0.0015)
+
+
+@functools.lru_cache(maxsize=2)
+def _shared_scene(layout_name: str, seed: int, texel_m: float) -> Scene:
+    """Scenes of tiny rooms are small and asked for often."""
+    return build_scene(LAYOUTS[layout_name](), seed, texel_m)
 
 
 def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:

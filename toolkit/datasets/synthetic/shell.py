@@ -180,13 +180,13 @@ def _frame(width: float, low: float, high: float, depth: float) -> list[Patch]:
 
 def _passage(shop: Workshop) -> list[Part]:
     frame = _frame(DOOR_WIDTH_M, 0.0, DOOR_HEIGHT_M, WALL_HALF_M)
-    sill = fine_plate(
-        (-DOOR_WIDTH_M / 2, WALL_HALF_M, 0.0), (DOOR_WIDTH_M, 0, 0), (0, -WALL_HALF_M, 0), (8, 1)
-    )
-    return [
-        shop.part("door", frame, tx.wood(shop.pick(WOODS))),
-        shop.part("floor", [sill], tx.wood(shop.pick(WOODS))),
-    ]
+    return [shop.part("door", frame, tx.wood(shop.pick(WOODS))), _sill(shop, WALL_HALF_M)]
+
+
+def _sill(shop: Workshop, depth: float) -> Part:
+    """The floor within an opening."""
+    flat = fine_plate((-DOOR_WIDTH_M / 2, depth, 0.0), (DOOR_WIDTH_M, 0, 0), (0, -depth, 0), (8, 1))
+    return shop.part("floor", [flat], tx.wood(shop.pick(WOODS)))
 
 
 def _closed_door(shop: Workshop) -> list[Part]:
@@ -204,6 +204,7 @@ def _closed_door(shop: Workshop) -> list[Part]:
     return [
         shop.part("door", _frame(DOOR_WIDTH_M, 0.0, DOOR_HEIGHT_M, 0.08), tx.wood(PALE, 0.08)),
         shop.part("door", leaf, tx.wood(colour)),
+        _sill(shop, 0.08),
         shop.part("door", fields, tx.wood(shop.pick(WOODS), 0.12)),
         shop.part("door", handle, tx.speckled((0.6, 0.6, 0.58))),
     ]

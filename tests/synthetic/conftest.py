@@ -1,0 +1,17 @@
+"""Scenes are made once: making one costs most of a second."""
+
+import pytest
+
+from toolkit.datasets.synthetic.layouts import Layout, build_scene, single_room
+from toolkit.datasets.synthetic.ray_casting import Scene
+
+
+@pytest.fixture(scope="session")
+def layout() -> Layout:
+    return single_room()
+
+
+@pytest.fixture(scope="session")
+def scene(layout: Layout) -> Scene:
+    """The default room with coarse textures."""
+    return build_scene(layout, seed=0, texel_m=0.016)

@@ -1,0 +1,93 @@
+"""Depth, labels and colour of views of simple and furnished scenes."""
+
+import cv2
+import numpy as np
+import pytest
+
+from toolkit.datasets.synthetic import textures as tx
+from toolkit.datasets.synthetic.parts import Part
+from toolkit.datasets.synthetic.patches import box, plate
+from toolkit.datasets.synthetic.paths import hand_held_path, look_at
+from toolkit.datasets.synthetic.ray_casting import Scene
+from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic.writer import DEPTH_SCALE
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)
+NO_LAMPS = np.array([[0.0, 0.0, 3.0]])
+
+
+def _part(name, patches, texture=None):
+    return Part(name, patches, texture or tx.plaster((0.5, 0.5, 0.5)), np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def wall_and_box():
+    """A wall on y = 2, a box before it."""
+    wall = plate((-4, 2, 3), (8, 0, 0), (0, 0, -6))
+    return Scene(
+        [_part("wall", [wall]), _part("box", box((0.6, 0.4, 0.6), (0.19, 1.0, -0.3)))],
+        NO_LAMPS,
+        0.02,
+    )
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5, -0.6])
+def test_written_depth_lies_on_the_wall_to_within_a_millimetre(wall_and_box, yaw):
+    T = look_at(np.array([0.1, 0.0, 0.2]), np.array([0.1 + np.sin(yaw), np.cos(yaw), 0.1]))
+    view = wall_and_box.render(CAMERA, T)
+    written = np.round(view.depth_m * DEPTH_SCALE) / DEPTH_SCALE
+    points = se3.transform_points(T, CAMERA.unproject(written))
+    on_wall = view.labels == CLASS_IDS["wall"]
+    assert on_wall.sum() > 1000
+    # Half a pixel of offset, or ray length for z-depth, would give centimetres here.
+    assert np.abs(points[on_wall, 1] - 2.0).max() < 1e-3
+
+
+def test_labels_change_where_depth_changes(wall_and_box):
+    view = wall_and_box.render(CAMERA, look_at(np.zeros(3), np.array([0.0, 1.0, 0.0])))
+    assert set(np.unique(view.labels)) == {CLASS_IDS["wall"], CLASS_IDS["box"]}
+    assert view.depth_m[view.labels == CLASS_IDS["box"]].max() < 1.25
+    assert view.depth_m[view.labels == CLASS_IDS["wall"]].min() > 1.95
+
+
+def test_a_corner_of_the_box_is_seen_where_it_projects_to(wall_and_box):
+    T = look_at(np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    box_columns = np.flatnonzero((wall_and_box.render(CAMERA, T).labels == CLASS_IDS["box"])[48])
+    corners = np.array([[-0.11, 0.8, 0.0], [0.49, 0.8, 0.0]])
+    left, right = CAMERA.project(se3.transform_points(se3.inverse(T), corners))[:, 0]
+    assert box_columns[0] == np.ceil(left)
+    assert box_columns[-1] == np.floor(right)
+
+
+def test_nothing_is_void_inside_a_room(scene, layout):
+    for T in hand_held_path(layout.way, 5, 1.0, np.random.default_rng(0)):
+        view = scene.render(CAMERA, T)
+        assert (view.labels > 0).all()
+        assert (view.depth_m > 0.3).all()
+        assert 0.2 < view.rgb.mean() < 0.7
+        assert view.rgb.std() > 0.08
+
+
+def test_two_views_agree_on_the_colour_of_a_surface(scene, layout):
+    first, second = hand_held_path(layout.way, 300, 1.0, np.random.default_rng(0))[[100, 108]]
+    seen, other = scene.render(CAMERA, first), scene.render(CAMERA, second)
+    points = se3.transform_points(se3.inverse(second) @ first, CAMERA.unproject(seen.depth_m))
+    place = CAMERA.project(points).astype(np.float32)
+    moved = cv2.remap(other.rgb, place, None, cv2.INTER_LINEAR)
+    depth = cv2.remap(other.depth_m, place, None, cv2.INTER_LINEAR)
+    # Away from edges, where both see the same surface.
+    same = np.abs(depth - points[..., 2]) < 0.01
+    assert same.mean() > 0.6
+    assert np.abs(moved - seen.rgb)[same].mean() < 0.015
+    assert np.abs(moved - seen.rgb)[~same].mean() > 0.03
+
+
+def test_colour_is_averaged_over_pixels_but_labels_are_not_mixed(wall_and_box):
+    T = look_at(np.zeros(3), np.array([0.05, 1.0, 0.03]))
+    coarse = wall_and_box.render(CAMERA, T, samples=1)
+    fine = wall_and_box.render(CAMERA, T, samples=3)
+    assert (coarse.labels == fine.labels).all()
+    assert (coarse.depth_m == fine.depth_m).all()
+    assert np.abs(coarse.rgb - fine.rgb).max() > 0.01
