@@ -74,10 +74,11 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --editable '.[dev]'
 	@touch $@
 
-# Compiled here and not by pip, which would start from nothing each time.
+# Compiled here and not by pip, which would start from nothing each time. Without a
+# compiler this says so, leaves no stamp, and tries again next time.
 .stamps/native: setup.py $(NATIVE_SOURCES) .stamps/dependencies
 	.venv/bin/python setup.py --quiet build_ext --inplace
-	@touch $@
+	@if ls toolkit/rendering/_native_*.so >/dev/null 2>&1; then touch $@; fi
 
 # What `import open3d` loads besides Python packages. Only Linux lacks it.
 .stamps/system-libraries: | .stamps
