@@ -1,0 +1,173 @@
+"""How close a rendered image is to the photograph: PSNR, SSIM, MS-SSIM, LPIPS.
+
+PSNR here is over all pixels of one view; the mean over views is a mean of decibels.
+SSIM (Wang et al. 2004) and MS-SSIM (Wang et al. 2003) are different numbers:
+SplaTAM and Hier-SLAM print the second under the name of the first.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32] | Tensor
+
+WINDOW_SIZE = 11
+WINDOW_SIGMA = 1.5
+# The original MS-SSIM weights, finest scale first.
+MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+# An exact copy has no finite PSNR; above this a difference is below float32's own.
+MAX_PSNR_DB = 100.0
+
+_MARGIN = WINDOW_SIZE // 2
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def psnr_db(rendered: Image, truth: Image) -> float:
+    """Peak signal-to-noise ratio in dB over all pixels and channels, at most 100.
+
+    Args:
+        rendered: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
+        truth: the same.
+
+    Raises:
+        ValueError: shapes differ or are not those of images.
+    """
+    a, b = _as_pair(rendered, truth)
+    mean_square = float(np.mean((a - b) ** 2))
+    if mean_square <= 10.0 ** (-MAX_PSNR_DB / 10.0):
+        return MAX_PSNR_DB
+    return -10.0 * math.log10(mean_square)
+
+
+def ssim(rendered: Image, truth: Image) -> float | None:
+    """Structural similarity: Gaussian window 11x11, sigma 1.5, data range 1.
+
+    The mean over all pixels and channels, the border mirrored (as in torchmetrics).
+
+    Args:
+        rendered: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
+        truth: the same.
+
+    Returns:
+        A number of at most 1, or None for an image smaller than the window.
+
+    Raises:
+        ValueError: shapes differ or are not those of images.
+    """
+    a, b = _as_pair(rendered, truth)
+    if min(a.shape[:2]) < WINDOW_SIZE:
+        return None
+    similarity, _ = _ssim_maps(a, b)
+    return float(similarity.mean())
+
+
+def ms_ssim(rendered: Image, truth: Image) -> float | None:
+    """Multi-scale structural similarity over five scales, each half the one before.
+
+    As in torchmetrics: contrast over pixels whose window lies inside the image, the
+    coarsest scale's similarity over all pixels, channels pooled.
+
+    Args:
+        rendered: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
+        truth: the same.
+
+    Returns:
+        A number in [0, 1]; None where the shorter side is below 176 pixels, since the
+        window no longer fits the coarsest scale and fewer scales are another metric.
+
+    Raises:
+        ValueError: shapes differ or are not those of images.
+    """
+    a, b = _as_pair(rendered, truth)
+    if min(a.shape[:2]) < WINDOW_SIZE * 2 ** (len(MS_SSIM_WEIGHTS) - 1):
+        return None
+    product = 1.0
+    for scale, weight in enumerate(MS_SSIM_WEIGHTS):
+        if scale > 0:
+            a, b = _halved(a), _halved(b)
+        similarity, contrast = _ssim_maps(a, b)
+        is_coarsest = scale == len(MS_SSIM_WEIGHTS) - 1
+        inside = contrast[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
+        factor = float((similarity if is_coarsest else inside).mean())
+        # Anticorrelated structure is negative, and has no real fractional power.
+        product *= max(factor, 0.0) ** weight
+    return product
+
+
+def lpips(rendered: Image, truth: Image) -> float | None:
+    """Learned perceptual distance (AlexNet), or None where package or weights are absent."""
+    network = _lpips_network()
+    if network is None:
+        return None
+    a, b = (
+        torch.from_numpy(2.0 * image - 1.0).float().permute(2, 0, 1)[None]
+        for image in _as_pair(rendered, truth)
+    )
+    with torch.no_grad():
+        return float(network(a, b))
+
+
+def mean_or_none(values: Sequence[float | None]) -> float | None:
+    """The mean of the values that exist, None if none does."""
+    present = [value for value in values if value is not None]
+    return float(np.mean(present)) if present else None
+
+
+@functools.cache
+def _lpips_network() -> Any | None:
+    try:
+        package = importlib.import_module("lpips")
+        return package.LPIPS(net="alex", verbose=False).eval()
+    except (ImportError, OSError, RuntimeError):  # not installed, or no weights and no network
+        return None
+
+
+def _as_pair(rendered: Image, truth: Image) -> tuple[Array, Array]:
+    """Both images as [H, W, 3] float64: variances are differences of near equals."""
+    pair = []
+    for name, image in (("rendered", rendered), ("truth", truth)):
+        if image.ndim != 3 or image.shape[2] != 3:
+            raise ValueError(f"{name} must have shape [H, W, 3], got {list(image.shape)}")
+        values = image.detach().cpu().numpy() if isinstance(image, Tensor) else image
+        pair.append(np.clip(values.astype(np.float64), 0.0, 1.0))
+    if pair[0].shape != pair[1].shape:
+        raise ValueError(
+            f"images must be of one size, got {list(rendered.shape)} and {list(truth.shape)}"
+        )
+    return pair[0], pair[1]
+
+
+def _ssim_maps(a: Array, b: Array) -> tuple[Array, Array]:
+    """SSIM and its contrast-structure factor, each [H, W, 3]."""
+    mean_a, mean_b = _blur(a), _blur(b)
+    variance_a = _blur(a * a) - mean_a**2
+    variance_b = _blur(b * b) - mean_b**2
+    covariance = _blur(a * b) - mean_a * mean_b
+    contrast = (2.0 * covariance + _C2) / (variance_a + variance_b + _C2)
+    luminance = (2.0 * mean_a * mean_b + _C1) / (mean_a**2 + mean_b**2 + _C1)
+    return luminance * contrast, contrast
+
+
+def _blur(image: Array) -> Array:
+    """Gaussian window with mirrored border."""
+    size = (WINDOW_SIZE, WINDOW_SIZE)
+    blurred = cv2.GaussianBlur(image, size, WINDOW_SIGMA, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred, dtype=np.float64)
+
+
+def _halved(image: Array) -> Array:
+    """Means of 2x2 pixels; an odd last row or column is left out."""
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    blocks = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3)
+    return np.asarray(blocks.mean(axis=(1, 3)))
