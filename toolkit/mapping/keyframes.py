@@ -140,5 +140,9 @@ def choose_window(
     others = keyframes[:-1]
     overlapping = [k for k in others if newest.share_seen_by(k.T_map_camera) > least_overlap]
     count = min(size - 1, len(overlapping))
-    chosen = [overlapping[i] for i in generator.choice(len(overlapping), count, replace=False)] if count else []
+    chosen = (
+        [overlapping[i] for i in generator.choice(len(overlapping), count, replace=False)]
+        if count
+        else []
+    )
     return [newest, *chosen]

@@ -208,7 +208,9 @@ class Mapper:
         behind = torch.where(measured & ~thin, drawn.depth_m - depth_m, torch.zeros_like(depth_m))
         errors = behind.abs()[measured & ~thin]
         median = float(errors.median()) if errors.numel() else 0.0
-        threshold = (self.options.depth_floor * depth_m).clamp(min=self.options.depth_factor * median)
+        threshold = (self.options.depth_floor * depth_m).clamp(
+            min=self.options.depth_factor * median
+        )
         return measured & (thin | (behind > threshold))
 
     def _settle(self, keyframe: Keyframe, first_new: int) -> None:

@@ -104,7 +104,9 @@ def accumulate(
     a = value[:, 1] * camera.fx / Y[:, 2]
     b = value[:, 2] * camera.fy / Y[:, 2]
     slope = np.stack([a, b, -(a * Y[:, 0] + b * Y[:, 1]) / Y[:, 2]], axis=1)
-    J = np.concatenate([_jacobian(slope, Y)[:, :6], -own[:, None], -np.ones_like(own)[:, None]], axis=1)
+    J = np.concatenate(
+        [_jacobian(slope, Y)[:, :6], -own[:, None], -np.ones_like(own)[:, None]], axis=1
+    )
     residual = value[:, 0] - (gain * own + bias)
     _add(H, g, tail, 0, (J, residual, np.full(len(own), 1.0 / sigma_intensity)))
     return np.concatenate([H[np.triu_indices(8)], g, tail])

@@ -117,26 +117,34 @@ class DenseTracker:
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """Pose of a frame against the map; the motion model follows unless it is lost."""
-        levels = pyramid(
-            FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)),
-            self.options.levels,
-        )
-        estimate = _Estimate(self.motion.predict(frame.timestamp_s), self._scales)
-        renders = 0
-        while renders < self.options.renders:
-            T_map_view = estimate.T_map_camera.copy()
-            view = self._draw_levels(gaussians, frame.camera, T_map_view)
-            renders += 1
-            self._align(view, levels, T_map_view, estimate, coarse=renders == 1)
-            if not self._moved_far(T_map_view, estimate.T_map_camera, frame):
-                break
-        result = self._result(estimate, renders, levels[0])
+        result = self.locate(frame, gaussians, self.motion.predict(frame.timestamp_s))
         if result.lost:
             self.motion.forget_velocity()
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
-            self._scales = estimate.scales
+            self._scales = Scales(result.intensity_residual, result.depth_residual_m)
         return result
+
+    def locate(
+        self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64]
+    ) -> TrackingResult:
+        """Pose of a frame from a start near it; the tracker's own state stays as it is."""
+        levels = pyramid(
+            FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)),
+            self.options.levels,
+        )
+        estimate = _Estimate(T_map_camera.copy(), self._scales)
+        renders = 0
+        while renders < self.options.renders:
+            T_map_view = estimate.T_map_camera.copy()
+            with self._recorder.timed("tracking render"):
+                view = self._draw_levels(gaussians, frame.camera, T_map_view)
+            renders += 1
+            with self._recorder.timed("tracking align"):
+                self._align(view, levels, T_map_view, estimate, coarse=renders == 1)
+            if not self._moved_far(T_map_view, estimate.T_map_camera, frame):
+                break
+        return self._result(estimate, renders, levels[0])
 
     def _draw_levels(
         self, gaussians: GaussianCloud, camera: Camera, T_map_view: NDArray[np.float64]
@@ -245,6 +253,10 @@ def _rescaled(scales: Scales, linear: Linearisation, options: DenseOptions) -> S
     intensity = scales.intensity * np.sqrt(linear.intensity_variance / options.photometric_weight)
     depth = scales.depth_m * np.sqrt(linear.depth_variance)
     return Scales(
-        float(np.clip(intensity, _LEAST.intensity, _MOST.intensity)) if linear.intensity_pixels else scales.intensity,
-        float(np.clip(depth, _LEAST.depth_m, _MOST.depth_m)) if linear.depth_pixels else scales.depth_m,
+        float(np.clip(intensity, _LEAST.intensity, _MOST.intensity))
+        if linear.intensity_pixels
+        else scales.intensity,
+        float(np.clip(depth, _LEAST.depth_m, _MOST.depth_m))
+        if linear.depth_pixels
+        else scales.depth_m,
     )

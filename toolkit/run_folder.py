@@ -1,0 +1,202 @@
+"""What a run leaves on disk: outputs, and checkpoints from which it continues.
+
+    config.yaml  trajectory.txt  map.ply  frames.json  renders/  metrics.json  report.html
+    loops.jsonl  log.txt  checkpoint/{0,1}
+
+Checkpoints come in two generations: the older one is replaced, so a whole one exists at any
+moment. They fall on frame boundaries and change no state.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit import __version__
+from toolkit.errors import FormatError, RunFolderError, SettingsError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.arrays import read_array_tree, write_array_tree
+from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.splats import read_splats, write_splat_ply
+from toolkit.io.trajectories import read_tum, write_tum
+
+_log = logging.getLogger(__name__)
+
+_GENERATIONS = ("0", "1")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A saved moment of a run.
+
+    Attributes:
+        next_frame: position in the sequence at which to go on.
+        arrays, values: what the run's `state` was.
+    """
+
+    next_frame: int
+    arrays: dict[str, NDArray]
+    values: dict[str, Any]
+
+
+class RunFolder:
+    """The folder of one run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.yaml"
+        self.trajectory = path / "trajectory.txt"
+        self.map = path / "map.ply"
+        self.frames = path / "frames.json"
+        self.renders = path / "renders"
+        self.metrics = path / "metrics.json"
+        self.report = path / "report.html"
+        self.loops = path / "loops.jsonl"
+        self.log = path / "log.txt"
+        self.checkpoints = path / "checkpoint"
+
+    @classmethod
+    def create(cls, path: Path, config: str) -> RunFolder:
+        """Start a run in a new or empty folder.
+
+        Raises:
+            RunFolderError: something is there already, or it cannot be written.
+        """
+        folder = cls(path)
+        if folder.config.exists():
+            raise RunFolderError(
+                f"{path} already holds a run; continue it with --resume, or choose another --out"
+            )
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise RunFolderError(f"{path} is not an empty folder; choose another --out")
+        try:
+            for part in (path, folder.renders, folder.checkpoints):
+                part.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise cannot_write(path, error) from error
+        folder.loops.touch()
+        write_bytes(folder.config, config.encode())
+        return folder
+
+    @classmethod
+    def open(cls, path: Path) -> RunFolder:
+        """An existing run.
+
+        Raises:
+            RunFolderError: there is none.
+        """
+        folder = cls(path)
+        if not folder.config.is_file():
+            raise RunFolderError(f"{path} holds no run: there is no config.yaml in it")
+        return folder
+
+    def check_config(self, config: str) -> None:
+        """Refuse to go on with other settings than those the run began with.
+
+        Raises:
+            SettingsError: they differ; the first differing line is named.
+        """
+        before = self.config.read_text(encoding="utf-8").splitlines()
+        for old, new in zip(before, config.splitlines(), strict=False):
+            if old != new:
+                raise SettingsError(
+                    f"cannot resume {self.path} with other settings: it began with "
+                    f"'{old.strip()}', now '{new.strip()}'"
+                )
+
+    def save_checkpoint(
+        self, next_frame: int, arrays: dict[str, NDArray], values: dict[str, Any]
+    ) -> None:
+        """Replace the older generation.
+
+        Raises:
+            RunFolderError: the disk is full or may not be written.
+        """
+        newest = self._generations()
+        serial = newest[0][1] + 1 if newest else 0
+        target = self.checkpoints / _GENERATIONS[serial % 2]
+        metadata = {
+            "serial": serial,
+            "next_frame": next_frame,
+            "threads": torch.get_num_threads(),
+            "version": __version__,
+            "values": values,
+        }
+        write_array_tree(target, arrays, metadata)
+
+    def load_checkpoint(self) -> Checkpoint | None:
+        """The newest whole generation, or None where there is none yet.
+
+        Raises:
+            RunFolderError: every generation is damaged, or it was made with another number
+                of threads, which would change the last bits.
+        """
+        damaged = []
+        for path, _ in self._generations():
+            try:
+                tree = read_array_tree(path)
+            except FormatError as error:
+                _log.warning("checkpoint %s is damaged, trying the one before: %s", path, error)
+                damaged.append(path)
+                continue
+            threads = tree.metadata["threads"]
+            if threads != torch.get_num_threads():
+                raise RunFolderError(
+                    f"{self.path} was begun with {threads} threads, here are "
+                    f"{torch.get_num_threads()}; set OMP_NUM_THREADS={threads} to resume it"
+                )
+            return Checkpoint(tree.metadata["next_frame"], tree.arrays, tree.metadata["values"])
+        if damaged:
+            raise RunFolderError(f"no checkpoint in {self.checkpoints} can be read; start anew")
+        return None
+
+    def _generations(self) -> list[tuple[Path, int]]:
+        """(folder, serial number) of the generations, newest first."""
+        found = []
+        for name in _GENERATIONS:
+            path = self.checkpoints / name
+            try:
+                serial = json.loads((path / "metadata.json").read_text())["serial"]
+            except FileNotFoundError:
+                continue
+            except (OSError, ValueError, KeyError):
+                serial = -1  # unreadable: the first to be replaced
+            found.append((path, int(serial)))
+        return sorted(found, key=lambda item: -item[1])
+
+    def write_map(self, gaussians: GaussianCloud) -> None:
+        """`map.ply`, a standard 3DGS file."""
+        write_splat_ply(self.map, gaussians)
+
+    def read_map(self) -> GaussianCloud:
+        """The Gaussians of `map.ply`."""
+        return read_cloud(self.map)
+
+    def write_trajectory(self, trajectory: Trajectory) -> None:
+        """`trajectory.txt` in TUM format."""
+        write_tum(self.trajectory, trajectory)
+
+    def read_trajectory(self) -> Trajectory:
+        """The poses of `trajectory.txt`."""
+        return read_tum(self.trajectory)
+
+    def write_json(self, path: Path, content: dict[str, Any]) -> None:
+        """A JSON file of this folder, atomically."""
+        write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
+    """Gaussians of a splat file (.ply, .splat, .spz)."""
+    splats = read_splats(path)
+    tensors = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
+    values = [torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in tensors]
+    return GaussianCloud(*values, features=torch.zeros(len(values[0]), 0))
