@@ -91,3 +91,19 @@ def test_colour_is_averaged_over_pixels_but_labels_are_not_mixed(wall_and_box):
     assert (coarse.labels == fine.labels).all()
     assert (coarse.depth_m == fine.depth_m).all()
     assert np.abs(coarse.rgb - fine.rgb).max() > 0.01
+
+
+def test_a_texture_lies_where_its_chart_says():
+    def halves(canvas):
+        u, _ = canvas.coordinates()
+        return canvas.flat((0.1, 0.1, 0.1)) + canvas.inside(u - 1.0)[..., None] * 0.7
+
+    # Seen from the front, the left metre of the plate is dark and the right one bright.
+    front = plate((-1, 2, 1), (2, 0, 0), (0, 0, -2))
+    scene = Scene([_part("picture", [front], halves)], NO_LAMPS, 0.004)
+    view = scene.render(CAMERA, look_at(np.zeros(3), np.array([0.0, 1.0, 0.0])))
+    row = view.rgb[48, :, 0]
+    left, right = row[30], row[97]
+    edge = np.interp((left + right) / 2, row[60:68], np.arange(60, 68))
+    assert right > 3 * left
+    assert edge == pytest.approx(CAMERA.cx, abs=0.15)
