@@ -1,0 +1,194 @@
+"""Triangle meshes fused from depth images (TSDF), and point clouds, through Open3D."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import FormatError, ToolkitError
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.io.atomic import replacing
+
+PathLike = str | os.PathLike[str]
+
+MESH_SUFFIXES = (".ply",)
+POINT_SUFFIXES = (".ply", ".pcd")
+
+# Voxels along an edge of the blocks that Open3D allocates near surfaces.
+_BLOCK_EDGE = 16
+# The grid starts with room for this many blocks and grows by itself.
+_FIRST_BLOCKS = 2000
+
+
+@dataclass(frozen=True)
+class DepthView:
+    """Depth and colour seen from one pose, rendered or measured.
+
+    Attributes:
+        camera: intrinsics of both images.
+        T_world_camera: [4, 4] float64, camera to world, metres.
+        rgb: [H, W, 3] float32, RGB in [0, 1].
+        depth_m: [H, W] float32 z-depth in metres, 0 where there is none. A rendered depth
+            belongs divided by its silhouette, and set to 0 where that is low.
+    """
+
+    camera: Camera
+    T_world_camera: NDArray[np.float64]
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """A coloured surface.
+
+    Attributes:
+        vertices_m: [V, 3] float32, world, metres.
+        colours: [V, 3] float32, RGB in [0, 1].
+        triangles: [T, 3] int32, indices of vertices.
+    """
+
+    vertices_m: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+
+    def __str__(self) -> str:
+        return f"{len(self.vertices_m)} vertices, {len(self.triangles)} triangles"
+
+
+def fuse_views(
+    views: Iterable[DepthView], voxel_m: float, max_depth_m: float = 10.0
+) -> TriangleMesh:
+    """The surface of a truncated signed distance field, fused from depth images.
+
+    Args:
+        views: read once, one at a time.
+        voxel_m: edge of a voxel in metres, > 0; memory grows with its inverse square.
+        max_depth_m: depth beyond it is ignored, metres, > 0.
+
+    Raises:
+        ToolkitError: no view holds any depth within `max_depth_m`.
+    """
+    if voxel_m <= 0 or max_depth_m <= 0:
+        raise ValueError(f"voxel_m and max_depth_m must be > 0, got {voxel_m} and {max_depth_m}")
+    grid = _empty_grid(voxel_m)
+    fused = False
+    for view in views:
+        # Open3D stops on an image without a single depth in range.
+        if ((view.depth_m > 0) & (view.depth_m < max_depth_m)).any():
+            _integrate(grid, view, max_depth_m)
+            fused = True
+    if not fused:
+        raise ToolkitError(
+            f"no view has depth nearer than {max_depth_m:g} m to make a mesh of; "
+            "raise the maximum depth"
+        )
+    # The default threshold drops whatever fewer than three views have seen.
+    mesh = grid.extract_triangle_mesh(weight_threshold=0)
+    return TriangleMesh(
+        mesh.vertex.positions.numpy().astype(np.float32),
+        np.clip(mesh.vertex.colors.numpy(), 0.0, 1.0).astype(np.float32),
+        mesh.triangle.indices.numpy().astype(np.int32),
+    )
+
+
+def write_mesh(path: PathLike, mesh: TriangleMesh) -> None:
+    """Write a mesh as .ply, whole or not at all.
+
+    Raises:
+        FormatError: another suffix.
+        RunFolderError: the file cannot be written.
+    """
+    path = _with_suffix(path, MESH_SUFFIXES)
+    o3d = open3d()
+    surface = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices_m.astype(np.float64)),
+        o3d.utility.Vector3iVector(mesh.triangles),
+    )
+    surface.vertex_colors = o3d.utility.Vector3dVector(mesh.colours.astype(np.float64))
+    with replacing(path) as temporary:
+        _must(o3d.io.write_triangle_mesh(str(temporary), surface))
+
+
+def write_points(path: PathLike, points_m: NDArray, colours: NDArray) -> None:
+    """Write a coloured point cloud as .ply or .pcd, whole or not at all.
+
+    Args:
+        path: the file.
+        points_m: [N, 3], metres.
+        colours: [N, 3], RGB in [0, 1]; clamped.
+
+    Raises:
+        FormatError: another suffix.
+        RunFolderError: the file cannot be written.
+    """
+    path = _with_suffix(path, POINT_SUFFIXES)
+    o3d = open3d()
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m.astype(np.float64)))
+    cloud.colors = o3d.utility.Vector3dVector(np.clip(colours, 0.0, 1.0).astype(np.float64))
+    with replacing(path) as temporary:
+        _must(o3d.io.write_point_cloud(str(temporary), cloud))
+
+
+def _empty_grid(voxel_m: float) -> Any:
+    o3d = open3d()
+    float32 = o3d.core.float32
+    return o3d.t.geometry.VoxelBlockGrid(
+        attr_names=("tsdf", "weight", "color"),
+        attr_dtypes=(float32, float32, float32),
+        attr_channels=((1), (1), (3)),
+        voxel_size=voxel_m,
+        block_resolution=_BLOCK_EDGE,
+        block_count=_FIRST_BLOCKS,
+    )
+
+
+def _integrate(grid: Any, view: DepthView, max_depth_m: float) -> None:
+    o3d = open3d()
+    # Integration cuts projections off to integers, as if pixel centres lay at +0.5;
+    # ours lie at integers. Without the shift, slanted surfaces come out displaced.
+    K = view.camera.matrix
+    K[:2, 2] += 0.5
+    intrinsic = o3d.core.Tensor(K)
+    T_camera_world = o3d.core.Tensor(se3.inverse(view.T_world_camera))
+    # Floats both: Open3D takes no mixture of types.
+    depth = o3d.t.geometry.Image(_float_tensor(view.depth_m))
+    colour = o3d.t.geometry.Image(_float_tensor(view.rgb))
+    blocks = grid.compute_unique_block_coordinates(
+        depth, intrinsic, T_camera_world, depth_scale=1.0, depth_max=max_depth_m
+    )
+    grid.integrate(
+        blocks,
+        depth,
+        colour,
+        intrinsic,
+        intrinsic,
+        T_camera_world,
+        depth_scale=1.0,
+        depth_max=max_depth_m,
+    )
+
+
+def _float_tensor(image: NDArray) -> Any:
+    return open3d().core.Tensor(np.ascontiguousarray(image, dtype=np.float32))
+
+
+def _with_suffix(path: PathLike, suffixes: tuple[str, ...]) -> Path:
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise FormatError(f"{path}: the name must end in {' or '.join(suffixes)}")
+    return path
+
+
+def _must(written: bool) -> None:
+    # Open3D says no more than that it failed.
+    if not written:
+        raise OSError("Open3D could not write it")
