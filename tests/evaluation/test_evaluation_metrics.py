@@ -1,0 +1,137 @@
+"""The flat dictionary of a run's figures, and the recorder that times it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolkit.errors import FormatError
+from toolkit.evaluation.memory import peak_memory_mb
+from toolkit.evaluation.metrics import (
+    RunCosts,
+    assemble,
+    cost_metrics,
+    image_metrics,
+    read_metrics,
+    trajectory_metrics,
+    write_metrics,
+)
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.evaluation.views import ViewScores
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+
+COSTS = RunCosts(
+    frames=10,
+    frames_lost=1,
+    keyframes=3,
+    gaussians=1000,
+    tracking_ms=250.0,
+    mapping_ms=500.0,
+    refinement_ms=None,
+    peak_memory_mb=321.0,
+    map_mb=0.1,
+)
+
+
+SCORES = ViewScores(3, 35.0, 0.9, 0.95, None, 1.0, 0.5)
+NO_SCORES = ViewScores(0, None, None, None, None, None, None)
+
+
+def straight_path(step_m: float, turn_deg: float = 0.0) -> Trajectory:
+    step = se3.exp(np.array([step_m, 0, 0, 0, 0, np.radians(turn_deg)]))
+    poses = [np.linalg.matrix_power(step, i) for i in range(20)]
+    return Trajectory(np.arange(20) / 10.0, np.stack(poses))
+
+
+def test_trajectory_figures_are_in_centimetres_and_degrees() -> None:
+    metrics = trajectory_metrics(straight_path(0.11, 2.0), straight_path(0.10, 1.0))
+    assert metrics["rpe_rotation_deg"] == pytest.approx(1.0)
+    assert metrics["rpe_translation_cm"] == pytest.approx(1.0, abs=0.01)
+    assert metrics["ate_alignment"] == "se3"
+    assert metrics["ate_pairs"] == 20
+
+
+def test_drift_of_a_monocular_path_is_measured_at_its_fitted_scale() -> None:
+    metrics = trajectory_metrics(straight_path(0.05), straight_path(0.10), "sim3")
+    assert metrics["ate_scale"] == pytest.approx(2.0)
+    assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-9)
+    assert metrics["rpe_translation_cm"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_a_truth_errors_are_null_under_the_same_keys() -> None:
+    with_truth = trajectory_metrics(straight_path(0.1), straight_path(0.1))
+    without = trajectory_metrics(straight_path(0.1), None)
+    assert set(without) == set(with_truth)
+    assert without["ate_rmse_cm"] is None
+    assert without["rpe_rotation_deg"] is None
+
+
+def test_image_figures_carry_their_group_and_unit() -> None:
+    metrics = image_metrics(SCORES, "_unseen")
+    assert metrics["psnr_unseen_db"] == 35.0
+    assert metrics["depth_l1_unseen_cm"] == 1.0
+    assert metrics["depth_coverage_unseen_percent"] == pytest.approx(50.0)
+    assert metrics["lpips_unseen"] is None
+
+
+def test_times_are_per_frame_of_the_whole_run() -> None:
+    metrics = cost_metrics(COSTS)
+    assert metrics["tracking_ms_per_frame"] == 25.0
+    assert metrics["mapping_ms_per_frame"] == 50.0
+    assert metrics["refinement_ms_per_frame"] is None
+
+
+def test_the_file_is_stable_and_turns_missing_numbers_into_null(tmp_path: Path) -> None:
+    path = straight_path(0.1)
+    metrics = assemble(trajectory_metrics(path, path), SCORES, NO_SCORES, COSTS)
+    metrics["strange"] = float("nan")
+    write_metrics(tmp_path / "a.json", metrics)
+    write_metrics(tmp_path / "b.json", dict(reversed(metrics.items())))
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    stored = read_metrics(tmp_path / "a.json")
+    assert stored["strange"] is None
+    assert stored["psnr_unseen_db"] is None
+    assert stored["views_unseen"] == 0
+    assert all(not isinstance(value, (dict, list)) for value in stored.values())
+
+
+@pytest.mark.parametrize("content", ["{", json.dumps([1, 2])])
+def test_a_damaged_file_is_named_with_its_remedy(tmp_path: Path, content: str) -> None:
+    (tmp_path / "metrics.json").write_text(content)
+    with pytest.raises(FormatError, match="semsplat evaluate"):
+        read_metrics(tmp_path / "metrics.json")
+
+
+def test_the_recorder_keeps_a_call_that_raised() -> None:
+    recorder = StageRecorder()
+    with pytest.raises(ZeroDivisionError), recorder.timed("division"):
+        1 / 0  # noqa: B018
+    assert len(recorder.durations_ms["division"]) == 1
+
+
+def test_the_recorder_sums_calls_and_sorts_by_total() -> None:
+    recorder = StageRecorder()
+    recorder.durations_ms = {"often": [1.0, 3.0, 2.0], "long": [50.0]}
+    recorder.count("renders", 3)
+    longest, often = recorder.stage_times()
+    assert (longest.stage, longest.calls, longest.total_s) == ("long", 1, 0.05)
+    assert (often.median_ms, often.max_ms) == (2.0, 3.0)
+    assert recorder.total_ms("often") == 6.0
+    assert recorder.median_ms("often") == 2.0
+    assert recorder.total_ms("never") is recorder.median_ms("never") is None
+    assert recorder.counts == {"renders": [3.0]}
+
+
+def test_peak_memory_grows_with_what_is_held_and_does_not_fall_again() -> None:
+    before = peak_memory_mb()
+    block = np.ones(150_000_000, np.uint8)
+    held = peak_memory_mb()
+    del block
+    assert before > 20.0
+    # The kernel counts pages in batches, a fraction of a MB apart.
+    assert peak_memory_mb() == pytest.approx(held, abs=5.0)
+    assert held >= 150.0

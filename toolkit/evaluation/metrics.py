@@ -1,0 +1,173 @@
+"""A run's figures as one flat dictionary: units in the keys, conventions named.
+
+Published figures of this field differ in alignment, in masks and in which SSIM they
+mean, so each group carries the convention it follows. A figure that does not exist is
+None (null in the file), never 0.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from toolkit.errors import FormatError
+from toolkit.evaluation.trajectory import (
+    MAX_TIME_DIFFERENCE_S,
+    AlignmentKind,
+    absolute_trajectory_error,
+    relative_pose_error,
+)
+from toolkit.evaluation.views import ViewScores
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import atomic
+
+MetricValue = float | int | str | None
+Metrics = dict[str, MetricValue]
+
+IMAGE_CONVENTIONS: Metrics = {
+    "psnr_convention": "mean of per-view dB over all pixels, at most 100 dB a view",
+    "ssim_convention": "11x11 Gaussian window of sigma 1.5, data range 1, mirrored border",
+    "ms_ssim_convention": "5 scales; null where the shorter side is below 176 pixels",
+    "depth_l1_convention": "mean over views of the mean over pixels with measured and rendered "
+    "depth",
+}
+
+
+@dataclass(frozen=True)
+class RunCosts:
+    """What a run needed, in totals; None where it was not measured.
+
+    Attributes:
+        frames: frames given to the system.
+        frames_lost: frames without a pose.
+        keyframes, gaussians: of the final map.
+        tracking_ms, mapping_ms, refinement_ms: milliseconds, all frames together.
+        peak_memory_mb: largest resident memory of the process.
+        map_mb: the map's parameters.
+    """
+
+    frames: int
+    frames_lost: int
+    keyframes: int
+    gaussians: int
+    tracking_ms: float | None
+    mapping_ms: float | None
+    refinement_ms: float | None
+    peak_memory_mb: float | None
+    map_mb: float | None
+
+
+def trajectory_metrics(
+    estimate: Trajectory, truth: Trajectory | None, alignment: AlignmentKind = "se3"
+) -> Metrics:
+    """ATE and RPE in centimetres and degrees; all None without a true trajectory.
+
+    Raises:
+        DatasetError: there is a truth, but no poses pair up in time.
+    """
+    convention: Metrics = {
+        "ate_alignment": alignment,
+        "ate_max_time_difference_s": MAX_TIME_DIFFERENCE_S,
+        "rpe_delta_frames": 1,
+        "rpe_convention": "root mean square over steps between neighbouring tracked frames",
+    }
+    keys = ("ate_rmse_cm", "ate_mean_cm", "ate_median_cm", "ate_max_cm", "ate_pairs")
+    rpe_keys = ("rpe_translation_cm", "rpe_rotation_deg")
+    if truth is None or len(truth) == 0 or len(estimate) == 0:
+        return convention | dict.fromkeys((*keys, *rpe_keys))
+    ate = absolute_trajectory_error(estimate, truth, alignment)
+    metres = (ate.rmse_m, ate.mean_m, ate.median_m, ate.max_m)
+    values: Metrics = dict(zip(keys, (*(100.0 * m for m in metres), ate.pairs), strict=True))
+    if alignment == "sim3":
+        estimate = ate.alignment.applied_to(estimate)
+        values["ate_scale"] = ate.alignment.scale
+    rpe = relative_pose_error(estimate, truth)
+    values["rpe_translation_cm"] = 100.0 * rpe.translation_rmse_m if rpe else None
+    values["rpe_rotation_deg"] = rpe.rotation_rmse_deg if rpe else None
+    return convention | values
+
+
+def image_metrics(scores: ViewScores, suffix: str = "") -> Metrics:
+    """Scores of one group of views, as `psnr{suffix}_db`, `ssim{suffix}` and so on.
+
+    Args:
+        scores: means over the group, which may be empty.
+        suffix: "" for mapped views, "_unseen" for views kept out of the map.
+    """
+    coverage = scores.depth_coverage
+    return {
+        f"views{suffix}": scores.views,
+        f"psnr{suffix}_db": scores.psnr_db,
+        f"ssim{suffix}": scores.ssim,
+        f"ms_ssim{suffix}": scores.ms_ssim,
+        f"lpips{suffix}": scores.lpips,
+        f"depth_l1{suffix}_cm": scores.depth_l1_cm,
+        f"depth_coverage{suffix}_percent": None if coverage is None else 100.0 * coverage,
+    }
+
+
+def cost_metrics(costs: RunCosts) -> Metrics:
+    """Counts, means over frames and memory."""
+    per_frame = {
+        "tracking_ms_per_frame": costs.tracking_ms,
+        "mapping_ms_per_frame": costs.mapping_ms,
+        "refinement_ms_per_frame": costs.refinement_ms,
+    }
+    frames = max(costs.frames, 1)
+    return {
+        "frames": costs.frames,
+        "frames_lost": costs.frames_lost,
+        "keyframes": costs.keyframes,
+        "gaussians": costs.gaussians,
+        **{key: None if total is None else total / frames for key, total in per_frame.items()},
+        "timing_convention": "total over all frames divided by the number of frames",
+        "peak_memory_mb": costs.peak_memory_mb,
+        "map_mb": costs.map_mb,
+    }
+
+
+def assemble(
+    trajectory: Metrics, mapped: ViewScores, unseen: ViewScores, costs: RunCosts
+) -> Metrics:
+    """All figures of a run in a stable order."""
+    return {
+        **trajectory,
+        **image_metrics(mapped),
+        **image_metrics(unseen, "_unseen"),
+        **IMAGE_CONVENTIONS,
+        **cost_metrics(costs),
+    }
+
+
+def write_metrics(path: str | os.PathLike[str], metrics: Metrics) -> None:
+    """Write metrics.json: sorted keys, null for what does not exist, whole or not at all.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    finite = {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in metrics.items()
+    }
+    text = json.dumps(finite, indent=2, sort_keys=True, allow_nan=False)
+    atomic.write_bytes(path, (text + "\n").encode())
+
+
+def read_metrics(path: str | os.PathLike[str]) -> Metrics:
+    """Read metrics.json.
+
+    Raises:
+        FormatError: the file is missing or holds no flat dictionary.
+    """
+    try:
+        metrics = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FormatError(
+            f"{path} cannot be read as metrics ({error}); make it again with: semsplat evaluate"
+        ) from error
+    if not isinstance(metrics, dict):
+        raise FormatError(f"{path} holds no dictionary; make it again with: semsplat evaluate")
+    return metrics
