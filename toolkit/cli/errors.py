@@ -34,7 +34,9 @@ def one_line_errors(job: Callable[[], int]) -> int:
     Faults of our own (any other exception) pass through with their traceback.
     """
     try:
-        return job()
+        status = job()
+        sys.stdout.flush()  # here, where a failure is still caught
+        return status
     except BrokenPipeError:
         # The reader of our output left, as in `semsplat doctor | head`. What Python
         # still holds for it must go somewhere, or it complains once more on exit.

@@ -1,0 +1,29 @@
+"""What all tests share: repeatable property tests, and the real recordings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+# The same examples each time, and no limit on their time: machines differ.
+hypothesis.settings.register_profile("semsplat", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("semsplat")
+
+
+@pytest.fixture
+def real_data() -> Callable[[str], Path]:
+    """The folder of a real recording by name; skips where it is not at hand."""
+
+    def find(name: str) -> Path:
+        root = os.environ.get("SEMSPLAT_DATA")
+        if not root:
+            pytest.skip("SEMSPLAT_DATA is not set")
+        if not (Path(root) / name).exists():
+            pytest.skip(f"{name} is not in SEMSPLAT_DATA")
+        return Path(root) / name
+
+    return find

@@ -1,0 +1,53 @@
+"""The native build without a compiler, and the continuous check."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+TINY_SOURCE = """
+#include <pybind11/pybind11.h>
+PYBIND11_MODULE(SEMSPLAT_MODULE, m) {}
+"""
+
+
+def test_without_a_compiler_the_build_succeeds_and_says_so_in_one_line(checkout, tmp_path):
+    pytest.importorskip("pybind11")
+    for name in ("setup.py", "pyproject.toml"):
+        shutil.copy(checkout / name, tmp_path)
+    sources = tmp_path / "toolkit/rendering/native_src"
+    sources.mkdir(parents=True)
+    (sources / "tiny.cpp").write_text(TINY_SOURCE)
+    result = subprocess.run(
+        [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"],
+        cwd=tmp_path,
+        env=os.environ | {"CC": "no-such-compiler", "CXX": "no-such-compiler"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stderr.startswith("semsplat: native kernels missing")
+    assert "_native_base" in result.stderr
+    assert "apt-get install -y g++" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not list(tmp_path.rglob("*.so"))
+
+
+def test_a_failing_check_fails_the_continuous_check(checkout, tmp_path):
+    make = tmp_path / "make"
+    make.write_text('#!/bin/sh\necho "$@"\nexit 3\n')
+    make.chmod(0o755)
+    result = subprocess.run(
+        [checkout / ".ci/run"],
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
+    assert result.returncode == 3
+    assert result.stdout == "lint test\n"

@@ -1,0 +1,136 @@
+"""`semsplat JOB`: dispatch, and one line for whatever a user can mend."""
+
+import errno
+import subprocess
+import sys
+import types
+
+import pytest
+
+import toolkit
+from toolkit.cli import main as command
+from toolkit.cli.main import JOBS, main
+from toolkit.errors import DatasetError
+
+
+@pytest.fixture
+def failing_job(monkeypatch):
+    """Makes `semsplat fail` raise an error, or return what is not one."""
+
+    def install(outcome: BaseException | int) -> None:
+        def job(argv: list[str]) -> int:
+            if isinstance(outcome, BaseException):
+                raise outcome
+            return outcome
+
+        module = types.ModuleType("toolkit.cli.fail")
+        module.main = job
+        monkeypatch.setitem(sys.modules, "toolkit.cli.fail", module)
+        monkeypatch.setitem(command.JOBS, "fail", ("fail", "fails"))
+
+    return install
+
+
+def test_a_job_gets_its_words_and_gives_its_status(monkeypatch):
+    received = []
+    module = types.ModuleType("toolkit.cli.echo")
+    module.main = lambda argv: received.extend(argv) or 7
+    monkeypatch.setitem(sys.modules, "toolkit.cli.echo", module)
+    monkeypatch.setitem(command.JOBS, "echo", ("echo", "repeats"))
+    assert main(["echo", "--out", "x", "--verbose"]) == 7
+    assert received == ["--out", "x"]
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (DatasetError("room: no images;\n  check the path"), "room: no images; check the path"),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "out/map.ply"),
+            "out/map.ply: No space left on device; free some space or write elsewhere",
+        ),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "/root/x"),
+            "/root/x: Permission denied; choose a path that you may read and write",
+        ),
+        (OSError("strange"), "strange"),
+        (MemoryError(), "not enough memory; try a smaller --image-size or fewer frames"),
+        (
+            RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: ..."),
+            "not enough memory; try a smaller --image-size or fewer frames",
+        ),
+        (
+            ModuleNotFoundError("No module named 'gtsam'", name="gtsam"),
+            "the package 'gtsam' is missing; see: semsplat doctor",
+        ),
+    ],
+)
+def test_what_a_user_can_mend_is_one_line(failing_job, capsys, error, line):
+    failing_job(error)
+    assert main(["fail"]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"semsplat: error: {line}")
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+
+
+def test_an_interrupt_is_status_130(failing_job, capsys):
+    failing_job(KeyboardInterrupt())
+    assert main(["fail"]) == 130
+    assert capsys.readouterr().err == "semsplat: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        ValueError("a fault of ours"),
+        RuntimeError("a fault of ours"),
+        ModuleNotFoundError("No module named 'toolkit.nonsense'", name="toolkit.nonsense"),
+    ],
+)
+def test_our_own_faults_keep_their_traceback(failing_job, fault):
+    failing_job(fault)
+    with pytest.raises(type(fault)):
+        main(["fail"])
+
+
+def test_an_unknown_job_lists_the_jobs(capsys):
+    assert main(["dance"]) == 2
+    printed = capsys.readouterr().err
+    assert "'dance'" in printed
+    assert all(job in printed for job in JOBS)
+
+
+def test_help_and_version(capsys):
+    assert main(["--help"]) == 0
+    described = capsys.readouterr().out
+    assert all(f"\n  {job} " in described for job in JOBS)
+    assert main([]) == 2
+    assert capsys.readouterr().out == described
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"semsplat {toolkit.__version__}\n"
+
+
+def test_a_reader_that_leaves_early_causes_no_complaint(checkout):
+    program = (
+        "import sys, types; from toolkit.cli import main\n"
+        "module = types.ModuleType('toolkit.cli.talk')\n"
+        "module.main = lambda argv: print('words') or 0\n"
+        "sys.modules['toolkit.cli.talk'] = module\n"
+        "main.JOBS['talk'] = ('talk', 'talks')\n"
+        "sys.stdin.read()\n"
+        "sys.exit(main.main(['talk']))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        cwd=checkout,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    process.stdout.close()
+    process.stdin.close()
+    complaint = process.stderr.read()
+    process.stderr.close()
+    assert process.wait(timeout=60) == 1
+    assert complaint == b""
