@@ -21,7 +21,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import GaussianGradients
-from toolkit.rendering.backend import ALPHA_CUT, ALPHA_MAX, NEAR_M, Backend
+from toolkit.rendering.backend import ALPHA_CUT, ALPHA_MAX, NEAR_M, Backend, ForwardPass
 from toolkit.rendering.native import NativeBackend, _load
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -41,7 +41,7 @@ class Scene:
         """Images [5 + S, H, W]."""
         return self.forward(backend, region).images
 
-    def forward(self, backend: Backend, region: Tensor | None = None):
+    def forward(self, backend: Backend, region: Tensor | None = None) -> ForwardPass:
         return backend.forward(
             self.cloud, self.camera, self.T_camera_map, self.cloud.features, region
         )
@@ -163,7 +163,7 @@ def discontinuous_pixels(scene: Scene) -> NDArray[np.bool_]:
     """Pixels [H, W] where some alpha lies within rounding of the cut or of the cap."""
     alphas, _ = raw_alphas(scene)
     near = (np.abs(alphas - ALPHA_CUT) < BAND) | (np.abs(alphas - ALPHA_MAX) < BAND)
-    return near.any(axis=0)
+    return np.asarray(near.any(axis=0))
 
 
 def largest_value(scene: Scene) -> float:
