@@ -1,6 +1,7 @@
 """`semsplat JOB`: dispatch, and one line for whatever a user can mend."""
 
 import errno
+import os
 import subprocess
 import sys
 import types
@@ -124,6 +125,7 @@ def test_a_reader_that_leaves_early_causes_no_complaint(checkout):
     process = subprocess.Popen(
         [sys.executable, "-c", program],
         cwd=checkout,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
