@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.synthetic import pictures
 from toolkit.datasets.synthetic import textures as tx
 from toolkit.datasets.synthetic.parts import Part
 from toolkit.datasets.synthetic.patches import (
@@ -192,7 +193,7 @@ def _book_row(shop: Workshop, length: float, z: float) -> list[Part]:
             return parts
         depth = shop.rng.uniform(0.16, 0.22)
         patches = box((thickness - 0.002, depth, height), (x + thickness / 2, -0.03 - depth / 2, z))
-        parts.append(shop.part("book", patches, tx.spine()))
+        parts.append(shop.part("book", patches, pictures.spine()))
         x += thickness
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.synthetic import pictures
 from toolkit.datasets.synthetic import textures as tx
 from toolkit.datasets.synthetic.furniture import PALE, WOODS, Workshop, curtain
 from toolkit.datasets.synthetic.parts import Part, moved
@@ -217,7 +218,7 @@ def _window(shop: Workshop) -> list[Part]:
     reveal = _frame(width, low + 0.05, high, deep)
     reveal += box((width, deep + 0.06, 0.05), (0.0, (deep - 0.06) / 2, low))
     parts = [
-        shop.part("window", [pane], tx.landscape(), glow=1.0),
+        shop.part("window", [pane], pictures.landscape(), glow=1.0),
         shop.part("window", reveal, tx.wood(PALE, 0.08)),
     ]
     if shop.rng.random() < 0.5:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.synthetic import pictures
 from toolkit.datasets.synthetic import textures as tx
 from toolkit.datasets.synthetic.furniture import CLOTHS, DARK, PALE, WOODS, Workshop
 from toolkit.datasets.synthetic.parts import Part
@@ -65,7 +66,7 @@ def books(shop: Workshop) -> list[Part]:
         height = shop.rng.uniform(0.025, 0.045)
         size = (shop.rng.uniform(0.17, 0.2), shop.rng.uniform(0.22, 0.26), height)
         patches = box(size, (shop.rng.uniform(-0.01, 0.01), 0.0, z))
-        parts.append(shop.part("book", patches, tx.spine()))
+        parts.append(shop.part("book", patches, pictures.spine()))
         z += height
     return parts
 
@@ -109,13 +110,13 @@ def monitor(shop: Workshop) -> list[Part]:
     face = fine_plate((-0.27, -0.0185, 0.44), (0.54, 0, 0), (0, 0, -0.33), (4, 3))
     return [
         shop.part("monitor", case, tx.speckled(DARK, 0.12)),
-        shop.part("monitor", [face], tx.screen(), glow=0.95),
+        shop.part("monitor", [face], pictures.screen(), glow=0.95),
     ]
 
 
 def keyboard(shop: Workshop) -> list[Part]:
     """A keyboard."""
-    return [shop.part("computer-keyboard", box((0.42, 0.14, 0.02)), tx.keys())]
+    return [shop.part("computer-keyboard", box((0.42, 0.14, 0.02)), pictures.keys())]
 
 
 def computer(shop: Workshop) -> list[Part]:
@@ -142,7 +143,7 @@ def plant(shop: Workshop, height: float = 1.3) -> list[Part]:
     return [
         shop.part("pot", pot, tx.banded(shop.pick(CLOTHS), (0.75, 0.7, 0.6), 0.08)),
         shop.part("indoor-plant", stem, tx.wood((0.4, 0.3, 0.18))),
-        shop.part("indoor-plant", leaves, tx.leaf()),
+        shop.part("indoor-plant", leaves, pictures.leaf()),
     ]
 
 
@@ -173,14 +174,14 @@ def picture(shop: Workshop, width: float = 0.7, height: float = 0.5) -> list[Par
     """A framed abstract painting."""
     palette = np.clip(shop.rng.random((5, 3)) * 0.8 + 0.1, 0, 1)
     patches = box((width, 0.025, height), (0.0, -0.0125, -height / 2))
-    return [shop.part("picture", patches, tx.painting(palette))]
+    return [shop.part("picture", patches, pictures.painting(palette))]
 
 
 def clock(shop: Workshop) -> list[Part]:
     """A round wall clock, 0.32 m wide."""
     T = se3.from_rotation_translation(se3.exp_so3(np.array([math.pi / 2, 0, 0])), np.zeros(3))
     patches = [p.transformed(T) for p in cylinder(0.16, 0.035)]
-    return [shop.part("clock", patches, tx.dial())]
+    return [shop.part("clock", patches, pictures.dial())]
 
 
 def television(shop: Workshop) -> list[Part]:
@@ -189,7 +190,7 @@ def television(shop: Workshop) -> list[Part]:
     face = fine_plate((-0.535, -0.0515, 0.305), (1.07, 0, 0), (0, 0, -0.61), (6, 4))
     return [
         shop.part("tv-screen", case, tx.speckled(DARK, 0.12)),
-        shop.part("tv-screen", [face], tx.landscape(bar_m=0.0), glow=0.95),
+        shop.part("tv-screen", [face], pictures.landscape(bar_m=0.0), glow=0.95),
     ]
 
 
