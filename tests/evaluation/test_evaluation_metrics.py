@@ -11,16 +11,17 @@ import pytest
 from toolkit.errors import FormatError
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import (
+    IMAGE_CONVENTIONS,
     RunCosts,
-    assemble,
+    ViewQuality,
     cost_metrics,
     image_metrics,
     read_metrics,
     trajectory_metrics,
+    view_quality,
     write_metrics,
 )
 from toolkit.evaluation.timing import StageRecorder
-from toolkit.evaluation.views import ViewScores
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
@@ -37,14 +38,14 @@ COSTS = RunCosts(
 )
 
 
-SCORES = ViewScores(3, 35.0, 0.9, 0.95, None, 1.0, 0.5)
-NO_SCORES = ViewScores(0, None, None, None, None, None, None)
-
-
 def straight_path(step_m: float, turn_deg: float = 0.0) -> Trajectory:
     step = se3.exp(np.array([step_m, 0, 0, 0, 0, np.radians(turn_deg)]))
     poses = [np.linalg.matrix_power(step, i) for i in range(20)]
     return Trajectory(np.arange(20) / 10.0, np.stack(poses))
+
+
+def view(psnr: float, ms_ssim: float | None = None, depth_l1_m: float | None = 0.01) -> ViewQuality:
+    return ViewQuality(0, psnr, 0.9, ms_ssim, None, depth_l1_m, 0.5)
 
 
 def test_trajectory_figures_are_in_centimetres_and_degrees() -> None:
@@ -70,12 +71,24 @@ def test_without_a_truth_errors_are_null_under_the_same_keys() -> None:
     assert without["rpe_rotation_deg"] is None
 
 
-def test_image_figures_carry_their_group_and_unit() -> None:
-    metrics = image_metrics(SCORES, "_unseen")
-    assert metrics["psnr_unseen_db"] == 35.0
-    assert metrics["depth_l1_unseen_cm"] == 1.0
+def test_image_figures_are_means_over_the_views_that_have_them() -> None:
+    metrics = image_metrics([view(30.0, 0.8), view(40.0), view(35.0, 0.9, None)], "_unseen")
+    assert metrics["views_unseen"] == 3
+    assert metrics["psnr_unseen_db"] == pytest.approx(35.0)
+    assert metrics["ms_ssim_unseen"] == pytest.approx(0.85)
+    assert metrics["depth_l1_unseen_cm"] == pytest.approx(1.0)
     assert metrics["depth_coverage_unseen_percent"] == pytest.approx(50.0)
     assert metrics["lpips_unseen"] is None
+
+
+def test_a_view_is_scored_on_colour_and_depth() -> None:
+    rgb = np.full((20, 24, 3), 0.5, np.float32)
+    depth_m = np.full((20, 24), 2.0, np.float32)
+    quality = view_quality(7, (rgb + 0.1, depth_m * 1.01), (rgb, depth_m))
+    assert quality.frame_index == 7
+    assert quality.psnr_db == pytest.approx(20.0, abs=1e-3)
+    assert quality.depth_l1_m == pytest.approx(0.02, abs=1e-5)
+    assert quality.ms_ssim is None
 
 
 def test_times_are_per_frame_of_the_whole_run() -> None:
@@ -87,7 +100,8 @@ def test_times_are_per_frame_of_the_whole_run() -> None:
 
 def test_the_file_is_stable_and_turns_missing_numbers_into_null(tmp_path: Path) -> None:
     path = straight_path(0.1)
-    metrics = assemble(trajectory_metrics(path, path), SCORES, NO_SCORES, COSTS)
+    metrics = trajectory_metrics(path, path) | image_metrics([], "_unseen") | cost_metrics(COSTS)
+    metrics |= IMAGE_CONVENTIONS
     metrics["strange"] = float("nan")
     write_metrics(tmp_path / "a.json", metrics)
     write_metrics(tmp_path / "b.json", dict(reversed(metrics.items())))

@@ -10,17 +10,22 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from toolkit.errors import FormatError
+from toolkit.evaluation.depth import depth_l1
+from toolkit.evaluation.images import lpips, mean_or_none, ms_ssim, psnr_db, ssim
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
     AlignmentKind,
     absolute_trajectory_error,
     relative_pose_error,
 )
-from toolkit.evaluation.views import ViewScores
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
 
@@ -34,6 +39,27 @@ IMAGE_CONVENTIONS: Metrics = {
     "depth_l1_convention": "mean over views of the mean over pixels with measured and rendered "
     "depth",
 }
+
+
+@dataclass(frozen=True)
+class ViewQuality:
+    """How well one view is rendered; None where a figure does not exist.
+
+    Attributes:
+        frame_index: the view's frame.
+        psnr_db: over all pixels.
+        ssim, ms_ssim, lpips: without unit.
+        depth_l1_m: metres.
+        depth_coverage: share of measured pixels that were compared, in [0, 1].
+    """
+
+    frame_index: int
+    psnr_db: float
+    ssim: float | None
+    ms_ssim: float | None
+    lpips: float | None
+    depth_l1_m: float | None
+    depth_coverage: float
 
 
 @dataclass(frozen=True)
@@ -58,6 +84,36 @@ class RunCosts:
     refinement_ms: float | None
     peak_memory_mb: float | None
     map_mb: float | None
+
+
+def view_quality(
+    frame_index: int,
+    rendered: tuple[NDArray[np.float32], NDArray[np.float32]],
+    measured: tuple[NDArray[np.float32], NDArray[np.float32]],
+) -> ViewQuality:
+    """Score one view.
+
+    Args:
+        frame_index: the view's frame.
+        rendered: colour [H, W, 3] in [0, 1] and z-depth [H, W] in metres, the depth divided
+            by the silhouette, 0 where nothing was rendered.
+        measured: the frame's colour and depth, depth 0 where missing.
+
+    Raises:
+        ValueError: shapes differ.
+    """
+    rgb, depth_m = rendered
+    true_rgb, measured_depth_m = measured
+    depth = depth_l1(depth_m, measured_depth_m)
+    return ViewQuality(
+        frame_index=frame_index,
+        psnr_db=psnr_db(rgb, true_rgb),
+        ssim=ssim(rgb, true_rgb),
+        ms_ssim=ms_ssim(rgb, true_rgb),
+        lpips=lpips(rgb, true_rgb),
+        depth_l1_m=depth.l1_m,
+        depth_coverage=depth.coverage,
+    )
 
 
 def trajectory_metrics(
@@ -90,21 +146,22 @@ def trajectory_metrics(
     return convention | values
 
 
-def image_metrics(scores: ViewScores, suffix: str = "") -> Metrics:
-    """Scores of one group of views, as `psnr{suffix}_db`, `ssim{suffix}` and so on.
+def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
+    """Means over views, as `psnr{suffix}_db`, `ssim{suffix}` and so on.
 
     Args:
-        scores: means over the group, which may be empty.
+        views: the views of one group; none gives None everywhere.
         suffix: "" for mapped views, "_unseen" for views kept out of the map.
     """
-    coverage = scores.depth_coverage
+    depth_l1_m = mean_or_none([view.depth_l1_m for view in views])
+    coverage = mean_or_none([view.depth_coverage for view in views])
     return {
-        f"views{suffix}": scores.views,
-        f"psnr{suffix}_db": scores.psnr_db,
-        f"ssim{suffix}": scores.ssim,
-        f"ms_ssim{suffix}": scores.ms_ssim,
-        f"lpips{suffix}": scores.lpips,
-        f"depth_l1{suffix}_cm": scores.depth_l1_cm,
+        f"views{suffix}": len(views),
+        f"psnr{suffix}_db": mean_or_none([view.psnr_db for view in views]),
+        f"ssim{suffix}": mean_or_none([view.ssim for view in views]),
+        f"ms_ssim{suffix}": mean_or_none([view.ms_ssim for view in views]),
+        f"lpips{suffix}": mean_or_none([view.lpips for view in views]),
+        f"depth_l1{suffix}_cm": None if depth_l1_m is None else 100.0 * depth_l1_m,
         f"depth_coverage{suffix}_percent": None if coverage is None else 100.0 * coverage,
     }
 
@@ -126,19 +183,6 @@ def cost_metrics(costs: RunCosts) -> Metrics:
         "timing_convention": "total over all frames divided by the number of frames",
         "peak_memory_mb": costs.peak_memory_mb,
         "map_mb": costs.map_mb,
-    }
-
-
-def assemble(
-    trajectory: Metrics, mapped: ViewScores, unseen: ViewScores, costs: RunCosts
-) -> Metrics:
-    """All figures of a run in a stable order."""
-    return {
-        **trajectory,
-        **image_metrics(mapped),
-        **image_metrics(unseen, "_unseen"),
-        **IMAGE_CONVENTIONS,
-        **cost_metrics(costs),
     }
 
 
