@@ -1,0 +1,229 @@
+"""Measures what a run produced: its path against the truth, its map against the views.
+
+`semsplat run` and `semsplat evaluate` both call `measure_run`, so a run measured again
+gives the same figures. Views are read one at a time.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import Dataset
+from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.registry import open_dataset
+from toolkit.errors import ToolkitError
+from toolkit.evaluation.metrics import (
+    IMAGE_CONVENTIONS,
+    Metrics,
+    ViewQuality,
+    image_metrics,
+    trajectory_metrics,
+    view_quality,
+)
+from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.evaluation.views import View
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.rendering import render
+from toolkit.tracking.dense import DenseTracker
+
+_log = logging.getLogger(__name__)
+
+# Rendered pixels thinner than this have no depth to compare.
+_LEAST_SILHOUETTE = 0.5
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame that has a pose, and its exposure.
+
+    Attributes:
+        index: its position in the data set.
+        timestamp_s: its time in seconds.
+        T_map_camera: [4, 4] float64 pose in the map's frame.
+        gain, bias: map = gain * observed + bias.
+        held_out: whether it was kept out of the map.
+    """
+
+    index: int
+    timestamp_s: float
+    T_map_camera: NDArray[np.float64]
+    gain: float = 1.0
+    bias: float = 0.0
+    held_out: bool = False
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """How a run is measured.
+
+    Attributes:
+        backend_name: the renderer.
+        alignment: "se3" where the map has a frame of its own; "none" where it was built
+            from given poses, whose world it shares.
+        max_views: most views scored of each group (mapped, held out, unseen), evenly spaced.
+    """
+
+    backend_name: str = "auto"
+    alignment: Literal["none", "se3"] = "se3"
+    max_views: int = 100
+
+
+def measure_run(
+    gaussians: GaussianCloud,
+    tracked: Sequence[TrackedFrame],
+    dataset: Dataset,
+    unseen: Dataset | None = None,
+    options: MeasureOptions | None = None,
+) -> Metrics:
+    """The figures of a run that follow from its map, its poses and the data.
+
+    Args:
+        gaussians: the final map.
+        tracked: every frame that has a pose, in order of time.
+        dataset: the frames, and the truth if there is any.
+        unseen: further views with true poses in the world of `dataset`, or None.
+        options: the defaults without it.
+
+    Returns:
+        A flat dictionary, units in the keys, None for what does not exist. Views "unseen"
+        are the held-out frames at their tracked poses and the views of `unseen`, at true
+        poses carried into the map; "unseen_refined" are the same, each pose refined on the
+        frozen map.
+
+    Raises:
+        DatasetError: a frame cannot be read, or truth and estimate share no time.
+    """
+    options = options or MeasureOptions()
+    estimate = Trajectory(
+        np.array([frame.timestamp_s for frame in tracked]),
+        np.array([frame.T_map_camera for frame in tracked]).reshape(-1, 4, 4),
+    )
+    truth = dataset.ground_truth
+    mapped = [frame for frame in tracked if not frame.held_out]
+    held_out = [frame for frame in tracked if frame.held_out]
+
+    mapped_quality = [
+        _quality(gaussians, view, options.backend_name)
+        for view in _tracked_views(mapped, dataset, options.max_views)
+    ]
+    unseen_quality, refined_quality = [], []
+    T_map_world = _map_from_world(estimate, truth, options.alignment)
+    tracker = DenseTracker(backend_name=options.backend_name)
+    for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
+        unseen_quality.append(_quality(gaussians, view, options.backend_name))
+        refined = _refined(view, gaussians, tracker)
+        refined_quality.append(_quality(gaussians, refined, options.backend_name))
+
+    return {
+        **trajectory_metrics(estimate, truth, options.alignment),
+        **image_metrics(mapped_quality),
+        **image_metrics(unseen_quality, "_unseen"),
+        **image_metrics(refined_quality, "_unseen_refined"),
+        **IMAGE_CONVENTIONS,
+        **_view_conventions(options),
+    }
+
+
+def open_unseen(kind: str, path: Path, image_size: tuple[int, int] | None = None) -> Dataset | None:
+    """The views off the path that a synthetic room keeps in `unseen/`, None without them.
+
+    Args:
+        kind, path, image_size: as the data set itself was opened.
+    """
+    folder = path / "unseen"
+    if not folder.is_dir():
+        return None
+    try:
+        return open_dataset(kind, folder, image_size)
+    except ToolkitError as error:
+        # A folder of that name need not be ours, and nothing was promised about it.
+        _log.warning("views in %s are not scored: %s", folder, error)
+        return None
+
+
+def _view_conventions(options: MeasureOptions) -> Metrics:
+    most = f"at most {options.max_views} of each group, evenly spaced"
+    return {
+        "views_convention": f"tracked frames that were not held out, {most}",
+        "views_unseen_convention": (
+            "held-out frames at their tracked poses, and views of unseen/ at true poses "
+            f"carried into the map by the alignment ({options.alignment}), {most}"
+        ),
+        "views_unseen_refined_convention": "the same views, each pose refined on the final map",
+        "exposure_convention": "renders are brought to each view's exposure as tracking found it",
+    }
+
+
+def _tracked_views(
+    frames: Sequence[TrackedFrame], dataset: Dataset, max_views: int
+) -> Iterator[View]:
+    chosen = [frames[i] for i in _evenly_spaced(len(frames), max_views)]
+    images = prefetched(dataset, [frame.index for frame in chosen])
+    for frame, image in zip(chosen, images, strict=True):
+        yield View(image, frame.T_map_camera, frame.gain, frame.bias)
+
+
+def _unseen_views(
+    held_out: Sequence[TrackedFrame],
+    dataset: Dataset,
+    unseen: Dataset | None,
+    T_map_world: NDArray[np.float64] | None,
+    max_views: int,
+) -> Iterator[View]:
+    yield from _tracked_views(held_out, dataset, max_views)
+    if unseen is None or unseen.ground_truth is None or T_map_world is None:
+        return
+    for image in prefetched(unseen, _evenly_spaced(len(unseen), max_views)):
+        T_world_camera = unseen.ground_truth.at(image.timestamp_s)
+        if T_world_camera is not None:
+            yield View(image, T_map_world @ T_world_camera)
+
+
+def _evenly_spaced(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers below `count`, the first and the last among them."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, most))})
+
+
+def _map_from_world(
+    estimate: Trajectory, truth: Trajectory | None, alignment: Literal["none", "se3"]
+) -> NDArray[np.float64] | None:
+    """T_map_world [4, 4]; None where nothing says how the two lie."""
+    if alignment == "none":
+        return np.eye(4)
+    if truth is None or len(truth) == 0 or len(estimate) == 0:
+        return None
+    error = absolute_trajectory_error(estimate, truth, alignment)
+    return se3.inverse(error.alignment.T_world_map)
+
+
+def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> View:
+    """The view at the pose and exposure that fit the map best; itself where that fails."""
+    result = tracker.locate(view.frame, gaussians, view.T_map_camera)
+    if result.lost:
+        return view
+    return replace(view, T_map_camera=result.T_map_camera, gain=result.gain, bias=result.bias)
+
+
+def _quality(gaussians: GaussianCloud, view: View, backend_name: str) -> ViewQuality:
+    T_camera_map = se3.inverse(view.T_map_camera)
+    with torch.no_grad():
+        drawn = render(gaussians, view.frame.camera, T_camera_map, backend_name=backend_name)
+    # Back to the camera's own exposure, so that the observed image stays as it is.
+    colour = ((drawn.colour - view.bias) / view.gain).clamp(0.0, 1.0)
+    covered = drawn.silhouette > _LEAST_SILHOUETTE
+    depth_m = torch.where(covered, drawn.depth_m, torch.zeros_like(drawn.depth_m))
+    return view_quality(
+        view.frame.index,
+        (colour.numpy(), depth_m.numpy()),
+        (view.frame.rgb, view.frame.depth_m),
+    )
