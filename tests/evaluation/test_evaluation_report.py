@@ -1,0 +1,126 @@
+"""The static report: complete, offline, and honest about what is missing."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolkit.evaluation.charts import Axes, Series, line_chart, ticks
+from toolkit.evaluation.metrics import trajectory_metrics
+from toolkit.evaluation.report import ReportContent, ReportView, render_report, write_report
+from toolkit.evaluation.timing import StageTime
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+
+
+def arc(poses: int = 30) -> Trajectory:
+    step = se3.exp(np.array([0.02, 0, 0.03, 0, 0.02, 0]))
+    T = np.stack([np.linalg.matrix_power(step, i) for i in range(poses)])
+    return Trajectory(np.arange(poses) / 10.0, T)
+
+
+def full_content() -> ReportContent:
+    estimate = arc()
+    truth = estimate.transformed(se3.exp(np.array([1.0, 2, 3, 0.5, 0, 0])))
+    image = np.full((24, 32, 3), 0.25, np.float32)
+    depth_m = np.full((24, 32), 1.5, np.float32)
+    return ReportContent(
+        title="Room <1>",
+        subtitle="30 frames",
+        metrics=trajectory_metrics(estimate, truth) | {"psnr_db": 31.5, "gaussians": 12345},
+        estimate=estimate,
+        truth=truth,
+        lost_at_s=(1.05, 1.15),
+        views=(ReportView("frame 3", image, image, depth_m, 0 * depth_m, 33.33),),
+        stage_times=(
+            StageTime("mapping", 4, 2.0, 500.0, 600.0),
+            StageTime("tracking", 9, 1.0, 1, 2),
+        ),
+        settings="tracking:\n  iterations: 7\n",
+        warnings=("2 of 32 frames have no pose",),
+        machine="a machine",
+    )
+
+
+def test_the_page_is_one_file_that_works_offline(tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", full_content())
+    page = (tmp_path / "report.html").read_text()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+    assert "http" not in page
+    assert "<script" not in page
+    sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
+    assert len(sources) == 4
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+
+
+def test_the_page_shows_figures_times_settings_and_warnings() -> None:
+    page = render_report(full_content())
+    for shown in ("31.50", "12,345", "33.33 dB", "iterations: 7", "2 of 32 frames", "500.0 ms"):
+        assert shown in page
+    assert "Room &lt;1&gt;" in page
+    assert "Room <1>" not in page
+
+
+def test_truth_in_another_frame_lies_over_the_estimate() -> None:
+    lines = re.findall(r'<polyline class="(\w+)" points="([^"]+)"', render_report(full_content()))
+    drawn = {
+        name: np.array([p.split(",") for p in text.split()], float) for name, text in lines[:2]
+    }
+    np.testing.assert_allclose(drawn["truth"], drawn["estimate"], atol=0.11)
+
+
+def test_lost_frames_break_the_error_line_and_are_marked() -> None:
+    page = render_report(full_content())
+    error_chart = page[page.index("Error over time") :]
+    assert error_chart.count("<polyline") == 2
+    assert error_chart.count('<line class="mark"') == 2
+
+
+def test_a_run_without_truth_poses_or_figures_still_has_a_page() -> None:
+    nothing = Trajectory(np.empty(0), np.empty((0, 4, 4)))
+    page = render_report(ReportContent("Empty", "", {"ate_rmse_cm": None}, nothing))
+    assert "No frame has a pose" in page
+    assert "<svg" not in page
+    assert "n/a" in page
+    assert ">0.00 <" not in page
+
+
+def test_depth_without_a_measurement_is_black() -> None:
+    content = full_content()
+    view = content.views[0]
+    empty = ReportView("x", view.observed_rgb, view.rendered_rgb, *(view.rendered_depth_m,) * 2)
+    page = render_report(ReportContent("t", "", {}, content.estimate, views=(empty,)))
+    images = re.findall(r'<img src="([^"]+)"', page)
+    assert images[2] == images[3]
+    assert images[2] != images[0]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        (-3.0, 7.0, [-2.0, 0.0, 2.0, 4.0, 6.0]),
+        (0.0, 0.0012, [0.0, 0.0002, 0.0004, 0.0006, 0.0008, 0.001, 0.0012]),
+    ],
+)
+def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
+    assert ticks(low, high) == pytest.approx(expected)
+
+
+def test_equal_axes_draw_a_square_as_a_square() -> None:
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
+    svg = line_chart([Series(square, "s", "estimate")], Axes("x", "y", equal=True))
+    points = re.search(r'<polyline[^>]*points="([^"]+)"', svg)
+    assert points is not None
+    pixels = np.array([p.split(",") for p in points.group(1).split()], float)
+    width, height = np.ptp(pixels, axis=0)
+    assert width == pytest.approx(height, abs=0.2)
+
+
+def test_a_camera_that_stood_still_is_drawn() -> None:
+    still = np.zeros((5, 2))
+    assert "<polyline" in line_chart([Series(still, "s", "estimate")], Axes("x", "y", equal=True))
+    assert "<polyline" in line_chart([Series(still, "s", "estimate")], Axes("x", "y"))

@@ -1,0 +1,246 @@
+"""A run as one static page: works offline, nothing beside the file is needed."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from toolkit.evaluation.charts import Axes, Series, line_chart
+from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.timing import StageTime
+from toolkit.evaluation.trajectory import (
+    AbsoluteTrajectoryError,
+    AlignmentKind,
+    absolute_trajectory_error,
+)
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import atomic
+
+# A page of six views stays below some ten MB.
+_MAX_IMAGE_WIDTH = 640
+
+# Title, key, digits, unit: shown large at the top.
+_HEADLINES = (
+    ("ATE RMSE", "ate_rmse_cm", 2, "cm"),
+    ("rotation drift", "rpe_rotation_deg", 3, "deg a frame"),
+    ("PSNR, mapped views", "psnr_db", 2, "dB"),
+    ("PSNR, unseen views", "psnr_unseen_db", 2, "dB"),
+    ("depth L1", "depth_l1_cm", 2, "cm"),
+    ("tracking", "tracking_ms_per_frame", 0, "ms a frame"),
+    ("mapping", "mapping_ms_per_frame", 0, "ms a frame"),
+    ("Gaussians", "gaussians", 0, ""),
+    ("peak memory", "peak_memory_mb", 0, "MB"),
+    ("frames lost", "frames_lost", 0, ""),
+)
+
+
+@dataclass(frozen=True)
+class ReportView:
+    """One view for the page: what the camera saw beside what the map shows.
+
+    Attributes:
+        title: for instance "frame 40, unseen".
+        observed_rgb, rendered_rgb: [H, W, 3] float in [0, 1].
+        observed_depth_m, rendered_depth_m: [H, W] metres, 0 where missing.
+        psnr_db: of this view, or None.
+    """
+
+    title: str
+    observed_rgb: NDArray[np.floating]
+    rendered_rgb: NDArray[np.floating]
+    observed_depth_m: NDArray[np.floating]
+    rendered_depth_m: NDArray[np.floating]
+    psnr_db: float | None = None
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """All that the page shows.
+
+    Attributes:
+        title: the run's name.
+        subtitle: data set, size, date: what the reader wants to know first.
+        metrics: the run's figures; those it lacks read n/a.
+        estimate: poses in the map's frame, the first camera's.
+        truth: true poses in any frame, or None.
+        alignment: how the two are laid over each other.
+        lost_at_s: times of frames without a pose.
+        views: renders beside input.
+        stage_times: the longest first.
+        settings: the settings as YAML.
+        warnings: one line each.
+        machine: where it ran.
+    """
+
+    title: str
+    subtitle: str
+    metrics: Metrics
+    estimate: Trajectory
+    truth: Trajectory | None = None
+    alignment: AlignmentKind = "se3"
+    lost_at_s: Sequence[float] = ()
+    views: Sequence[ReportView] = ()
+    stage_times: Sequence[StageTime] = ()
+    settings: str = ""
+    warnings: Sequence[str] = field(default_factory=tuple)
+    machine: str = ""
+
+
+def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
+    """Write report.html, whole or not at all.
+
+    Raises:
+        DatasetError: there is a truth, but no poses pair up in time.
+        RunFolderError: the file cannot be written.
+    """
+    atomic.write_bytes(path, render_report(content).encode())
+
+
+def render_report(content: ReportContent) -> str:
+    """The page as HTML.
+
+    Raises:
+        DatasetError: there is a truth, but no poses pair up in time.
+    """
+    has_truth = content.truth is not None and len(content.truth) > 0 and len(content.estimate) > 0
+    error = None
+    if has_truth and content.truth is not None:
+        error = absolute_trajectory_error(content.estimate, content.truth, content.alignment)
+    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template = resources.files(__package__).joinpath("report_template.html").read_text("utf-8")
+    return environment.from_string(template).render(
+        content=content,
+        headlines=_headlines(content.metrics),
+        path_chart=Markup(_path_chart(content, error)),
+        error_chart=Markup(_error_chart(content, error)),
+        stages=_stages(content.stage_times),
+        views=[_embedded(view) for view in content.views],
+        memory=_memory(content.metrics),
+        all_metrics=[(key, _text(value)) for key, value in sorted(content.metrics.items())],
+    )
+
+
+def _headlines(metrics: Metrics) -> list[dict[str, str]]:
+    shown = []
+    for title, key, digits, unit in _HEADLINES:
+        value = metrics.get(key)
+        if isinstance(value, (int, float)):
+            shown.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
+        else:
+            shown.append({"title": title, "value": "n/a", "unit": ""})
+    return shown
+
+
+def _path_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
+    """Both paths from above: right and forward of the first camera."""
+    top = [0, 2]
+    series = []
+    if error is not None and content.truth is not None:
+        T_map_world = se3.inverse(error.alignment.T_world_map)
+        truth_m = se3.transform_points(T_map_world, content.truth.positions_m)
+        series.append(Series(truth_m[:, top] / error.alignment.scale, "truth", "truth"))
+    estimate_m = content.estimate.positions_m[:, top]
+    series.append(Series(estimate_m, "estimate", "estimate"))
+    series.append(Series(estimate_m[:1], "start", "start"))
+    return line_chart(
+        series, Axes("right of the first camera, m", "in front of the first camera, m", equal=True)
+    )
+
+
+def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
+    """Distance to the truth over time, with frames that were lost."""
+    if error is None:
+        return ""
+    start_s = float(content.estimate.timestamps_s[0])
+    lost_s = np.asarray(content.lost_at_s, dtype=np.float64)
+    times_s = np.concatenate([error.timestamps_s, lost_s]) - start_s
+    # A lost frame has no error: it breaks the line.
+    errors_cm = np.concatenate([100.0 * error.errors_m, np.full(len(lost_s), np.nan)])
+    points = np.stack([times_s, errors_cm], axis=1)[np.argsort(times_s, kind="stable")]
+    rmse_cm = 100.0 * error.rmse_m
+    axes = Axes(
+        "time, s",
+        "distance to the truth, cm",
+        level=(rmse_cm, f"RMSE {rmse_cm:.2f} cm"),
+        marks_x=[float(time_s) for time_s in lost_s - start_s],
+        marks_name="frame lost",
+    )
+    return line_chart([Series(points, "", "estimate")], axes)
+
+
+def _stages(stage_times: Sequence[StageTime]) -> list[dict[str, Any]]:
+    longest_s = max((time.total_s for time in stage_times), default=0.0)
+    return [
+        {"time": time, "share": 100.0 * time.total_s / longest_s if longest_s > 0 else 0.0}
+        for time in stage_times
+    ]
+
+
+def _memory(metrics: Metrics) -> list[tuple[str, str]]:
+    """Rows of the memory table."""
+    rows = [
+        ("peak of the process", _with_unit(metrics.get("peak_memory_mb"), "MB")),
+        ("parameters of the map", _with_unit(metrics.get("map_mb"), "MB")),
+    ]
+    map_mb, gaussians = metrics.get("map_mb"), metrics.get("gaussians")
+    if isinstance(map_mb, (int, float)) and isinstance(gaussians, int) and gaussians > 0:
+        rows.append(("a Gaussian", f"{1e6 * map_mb / gaussians:.0f} bytes"))
+    return rows
+
+
+def _with_unit(value: Any, unit: str) -> str:
+    return f"{value:,.1f} {unit}" if isinstance(value, (int, float)) else "n/a"
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "n/a"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _embedded(view: ReportView) -> dict[str, str]:
+    """A view's title and its four images as data URLs; both depths on one scale."""
+    measured = view.observed_depth_m[view.observed_depth_m > 0]
+    far_m = float(np.percentile(measured, 98)) if measured.size else 1.0
+    score = "" if view.psnr_db is None else f"{view.psnr_db:.2f} dB"
+    return {
+        "title": view.title,
+        "score": score,
+        "far": f"{far_m:.1f}",
+        "observed": _data_url(_as_bytes(view.observed_rgb)),
+        "rendered": _data_url(_as_bytes(view.rendered_rgb)),
+        "observed_depth": _data_url(_coloured_depth(view.observed_depth_m, far_m)),
+        "rendered_depth": _data_url(_coloured_depth(view.rendered_depth_m, far_m)),
+    }
+
+
+def _as_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8)
+
+
+def _coloured_depth(depth_m: NDArray[np.floating], far_m: float) -> NDArray[np.uint8]:
+    """RGB of a depth image, black where it is missing."""
+    valid = np.isfinite(depth_m) & (depth_m > 0)
+    share = np.clip(np.where(valid, depth_m, 0.0) / far_m, 0.0, 1.0)
+    coloured = cv2.applyColorMap(_as_bytes(share), cv2.COLORMAP_TURBO)[..., ::-1]
+    return np.where(valid[..., None], coloured, 0).astype(np.uint8)
+
+
+def _data_url(rgb: NDArray[np.uint8]) -> str:
+    height, width = rgb.shape[:2]
+    if width > _MAX_IMAGE_WIDTH:
+        size = (_MAX_IMAGE_WIDTH, round(height * _MAX_IMAGE_WIDTH / width))
+        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    _, png = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
+    return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode()
