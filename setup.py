@@ -43,6 +43,7 @@ AVX512_FLAGS = [
     "-mavx512vl",
     "-mavx512dq",
     "-mprefer-vector-width=512",  # else GCC stays with 256 bits
+    "-Wno-maybe-uninitialized",  # false alarms out of GCC 12's own headers
 ]
 
 
