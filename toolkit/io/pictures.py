@@ -1,0 +1,210 @@
+"""Pictures for people: depth in colours with a scale, silhouettes, captioned strips.
+
+All pictures are [H, W, 3] uint8 RGB; `toolkit.io.images.write_png` saves them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.uint8]
+
+# Far from every colour of the depth scale, so that holes are not read as surfaces.
+MISSING = (45, 45, 45)
+_PAPER = (255, 255, 255)
+_INK = (50, 50, 50)
+# What covers nothing, half and everything: holes stand out, solid surfaces stay white.
+_SILHOUETTE_STOPS = np.array([0.0, 0.5, 0.8, 1.0])
+_SILHOUETTE_COLOURS = np.array([MISSING, (178, 58, 40), (248, 190, 130), (252, 252, 252)])
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+# Pixels of a capital letter at font scale 1.
+_FONT_HEIGHT = 22.0
+
+
+@dataclass(frozen=True)
+class DepthSpan:
+    """The depths that a colour scale covers; what lies beyond gets the colour of its end.
+
+    Attributes:
+        near_m, far_m: metres, 0 <= near < far.
+    """
+
+    near_m: float
+    far_m: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.near_m < self.far_m < math.inf:
+            raise ValueError(f"a depth span needs 0 <= near < far, got {self}")
+
+    @classmethod
+    def of(cls, depths_m: Iterable[NDArray]) -> DepthSpan:
+        """The round span of depth images (m, 0 or not finite where missing).
+
+        One span for a whole sequence keeps a surface's colour from frame to frame. The
+        outermost hundredths do not count; without any depth it is 0 to 1 m.
+        """
+        parts = [image[np.isfinite(image) & (image > 0)] for image in depths_m]
+        values = np.concatenate(parts) if parts else np.empty(0)
+        if values.size == 0:
+            return cls(0.0, 1.0)
+        low, high = (float(v) for v in np.percentile(values, (1, 99)))
+        step = _tick_step(max(high - low, 0.05 * high))
+        near_m = step * math.floor(low / step)
+        return cls(near_m, max(step * math.ceil(high / step), near_m + step))
+
+
+def colour_picture(rgb: NDArray[np.floating]) -> Picture:
+    """RGB [H, W, 3] in [0, 1] (clamped) as a picture."""
+    return np.rint(np.clip(rgb, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def depth_picture(depth_m: NDArray[np.floating], span: DepthSpan | None = None) -> Picture:
+    """Depth in the colours of viridis, near dark and far bright, missing dark grey.
+
+    Args:
+        depth_m: [H, W] z-depth in metres, 0 or not finite where missing.
+        span: the depths at both ends of the colours; those of this image without it.
+    """
+    span = span or DepthSpan.of([depth_m])
+    valid = np.isfinite(depth_m) & (depth_m > 0)
+    share = (np.where(valid, depth_m, span.near_m) - span.near_m) / (span.far_m - span.near_m)
+    picture = _viridis(share)
+    picture[~valid] = MISSING
+    return picture
+
+
+def silhouette_picture(silhouette: NDArray[np.floating]) -> Picture:
+    """Accumulated opacity [H, W] in [0, 1]: solid white, thin orange to red, empty dark grey."""
+    channels = [
+        np.interp(silhouette, _SILHOUETTE_STOPS, _SILHOUETTE_COLOURS[:, c]) for c in range(3)
+    ]
+    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+
+
+def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
+    """A depth picture with its scale in metres beside it, on the right."""
+    height = picture.shape[0]
+    scale = _font_scale(height)
+    text_height = round(_FONT_HEIGHT * scale)
+    gap, bar = max(3, text_height // 2), max(6, round(text_height * 1.2))
+    ticks = _ticks(span, most=max(2, height // (4 * text_height)))
+    step = ticks[1] - ticks[0] if len(ticks) > 1 else span.far_m - span.near_m
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    labels = [f"{tick:.{decimals}f}" for tick in ticks]
+    labels[-1] += " m"
+    text_width = max(_text_size(label, scale)[0] for label in labels)
+    side = np.full((height, 2 * gap + bar + gap + text_width, 3), _PAPER, np.uint8)
+
+    # Far at the top, as it mostly lies in the picture; half a letter of margin for the ends.
+    margin = text_height
+    length = max(height - 2 * margin, 2)
+    side[margin : margin + length, gap : gap + bar] = _viridis(
+        np.linspace(1.0, 0.0, length)[:, None]
+    )
+    for tick, label in zip(ticks, labels, strict=True):
+        share = (tick - span.near_m) / (span.far_m - span.near_m)
+        y = margin + round((1.0 - share) * (length - 1))
+        side[y : y + 1, gap + bar : gap + bar + gap] = _INK
+        _write(side, label, (2 * gap + bar + gap // 2, y + text_height // 2), scale)
+    return np.concatenate([picture, side], axis=1)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a strip, and the words above it."""
+
+    caption: str
+    picture: Picture
+
+
+def strip(panels: Sequence[Panel]) -> Picture:
+    """Panels of one height side by side on white, each under its caption.
+
+    Raises:
+        ValueError: there are no panels, or their heights differ.
+    """
+    heights = {panel.picture.shape[0] for panel in panels}
+    if len(heights) != 1:
+        raise ValueError(f"a strip needs panels of one height, got {sorted(heights)}")
+    height = heights.pop()
+    scale = _font_scale(height)
+    text_height = round(_FONT_HEIGHT * scale)
+    gap, head = max(4, text_height // 2), 2 * text_height
+    width = sum(panel.picture.shape[1] for panel in panels) + gap * (len(panels) + 1)
+    page = np.full((head + height + gap, width, 3), _PAPER, np.uint8)
+    left = gap
+    for panel in panels:
+        panel_width = panel.picture.shape[1]
+        page[head : head + height, left : left + panel_width] = panel.picture
+        fitting = scale * min(1.0, panel_width / max(_text_size(panel.caption, scale)[0], 1))
+        _write(page, panel.caption, (left, head - text_height // 2), fitting)
+        left += panel_width + gap
+    return page
+
+
+def view_strip(
+    rgb: NDArray[np.floating],
+    depth_m: NDArray[np.floating],
+    silhouette: NDArray[np.floating],
+    observed: NDArray[np.floating] | None = None,
+    span: DepthSpan | None = None,
+) -> Picture:
+    """A rendered view side by side: input (where there is one), render, depth, silhouette.
+
+    Args:
+        rgb: rendered colour [H, W, 3] in [0, 1].
+        depth_m: rendered depth [H, W] in metres, 0 where missing.
+        silhouette: [H, W] in [0, 1].
+        observed: what the camera saw, [H, W, 3].
+        span: the depths that the colours cover; those of this view without it.
+    """
+    span = span or DepthSpan.of([depth_m])
+    panels = [] if observed is None else [Panel("input", colour_picture(observed))]
+    depth = with_depth_scale(depth_picture(depth_m, span), span)
+    panels += [
+        Panel("render", colour_picture(rgb)),
+        Panel("depth", depth),
+        Panel("silhouette", silhouette_picture(silhouette)),
+    ]
+    return strip(panels)
+
+
+def _viridis(share: NDArray[np.floating]) -> Picture:
+    """The colours [H, W, 3] of values [H, W], 0 dark and 1 bright."""
+    values = np.rint(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
+
+
+def _tick_step(length_m: float) -> float:
+    """A round number (1, 2 or 5 times a power of ten) of which about five fill the length."""
+    power = 10.0 ** math.floor(math.log10(length_m / 5.0))
+    return power * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(length_m / (m * power) - 5.0))
+
+
+def _ticks(span: DepthSpan, most: int) -> list[float]:
+    """Round depths in the span, at least one and about `most` at most."""
+    step = _tick_step((span.far_m - span.near_m) * 5.0 / max(min(most, 6), 2))
+    first, last = math.ceil(span.near_m / step - 1e-9), math.floor(span.far_m / step + 1e-9)
+    return [step * i for i in range(first, last + 1)] or [span.far_m]
+
+
+def _font_scale(height: int) -> float:
+    """Letters of about a twenty-fifth of a picture's height, legible on small ones."""
+    return float(np.clip(height / 25.0, 8.0, 24.0)) / _FONT_HEIGHT
+
+
+def _text_size(text: str, scale: float) -> tuple[int, int]:
+    (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
+    return width, height
+
+
+def _write(picture: Picture, text: str, origin: tuple[int, int], scale: float) -> None:
+    """Put text into a picture; the origin is its lower left corner."""
+    cv2.putText(picture, text, origin, _FONT, scale, _INK, 1, cv2.LINE_AA)
