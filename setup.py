@@ -65,7 +65,7 @@ def native_extensions() -> list[Extension]:
         Extension(
             f"toolkit.rendering._native_{name}",
             sources,
-            depends=headers,
+            depends=["setup.py", *headers],  # its flags as much as the headers
             include_dirs=[get_include()],
             # The name that PYBIND11_MODULE must give this variant.
             define_macros=[("SEMSPLAT_MODULE", f"_native_{name}")],
