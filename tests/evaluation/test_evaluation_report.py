@@ -88,7 +88,7 @@ def test_a_run_without_truth_poses_or_figures_still_has_a_page() -> None:
     assert ">0.00 <" not in page
 
 
-def test_depth_without_a_measurement_is_black() -> None:
+def test_depth_without_a_measurement_is_drawn_as_missing() -> None:
     content = full_content()
     view = content.views[0]
     empty = ReportView("x", view.observed_rgb, view.rendered_rgb, *(view.rendered_depth_m,) * 2)

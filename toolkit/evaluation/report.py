@@ -26,6 +26,7 @@ from toolkit.evaluation.trajectory import (
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
+from toolkit.io.pictures import DepthSpan, colour_picture, depth_picture
 
 # A page of six views stays below some ten MB.
 _MAX_IMAGE_WIDTH = 640
@@ -211,30 +212,18 @@ def _text(value: Any) -> str:
 
 def _embedded(view: ReportView) -> dict[str, str]:
     """A view's title and its four images as data URLs; both depths on one scale."""
-    measured = view.observed_depth_m[view.observed_depth_m > 0]
-    far_m = float(np.percentile(measured, 98)) if measured.size else 1.0
+    span = DepthSpan.of([view.observed_depth_m])
     score = "" if view.psnr_db is None else f"{view.psnr_db:.2f} dB"
     return {
         "title": view.title,
         "score": score,
-        "far": f"{far_m:.1f}",
-        "observed": _data_url(_as_bytes(view.observed_rgb)),
-        "rendered": _data_url(_as_bytes(view.rendered_rgb)),
-        "observed_depth": _data_url(_coloured_depth(view.observed_depth_m, far_m)),
-        "rendered_depth": _data_url(_coloured_depth(view.rendered_depth_m, far_m)),
+        "near": f"{span.near_m:g}",
+        "far": f"{span.far_m:g}",
+        "observed": _data_url(colour_picture(view.observed_rgb)),
+        "rendered": _data_url(colour_picture(view.rendered_rgb)),
+        "observed_depth": _data_url(depth_picture(view.observed_depth_m, span)),
+        "rendered_depth": _data_url(depth_picture(view.rendered_depth_m, span)),
     }
-
-
-def _as_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
-    return np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8)
-
-
-def _coloured_depth(depth_m: NDArray[np.floating], far_m: float) -> NDArray[np.uint8]:
-    """RGB of a depth image, black where it is missing."""
-    valid = np.isfinite(depth_m) & (depth_m > 0)
-    share = np.clip(np.where(valid, depth_m, 0.0) / far_m, 0.0, 1.0)
-    coloured = cv2.applyColorMap(_as_bytes(share), cv2.COLORMAP_TURBO)[..., ::-1]
-    return np.where(valid[..., None], coloured, 0).astype(np.uint8)
 
 
 def _data_url(rgb: NDArray[np.uint8]) -> str:

@@ -1,0 +1,81 @@
+"""The comparison's table: medians over repeats, n/a for what does not exist."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def compare(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import compare_open3d
+
+    return compare_open3d
+
+
+def test_the_table_shows_units_and_missing_figures(compare: ModuleType) -> None:
+    figures = {"ate_rmse_cm": 2.3456, "track_ms": None, "peak_memory_mb": 295.4}
+    header, rule, row = compare.markdown_table({"ours": figures}).splitlines()
+    assert header.count("|") == rule.count("|") == row.count("|") == len(compare.COLUMNS) + 2
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[:2] == ["ours", "2.35"]
+    assert cells[3] == "n/a"
+    assert cells[-1] == "295"
+
+
+def test_repeats_are_reduced_to_medians_of_what_exists(compare: ModuleType) -> None:
+    runs = [{"ate_rmse_cm": value, "ray_cast_ms": None} for value in (1.0, 9.0, 2.0)]
+    figures = compare.median_figures(runs)
+    assert figures["ate_rmse_cm"] == 2.0
+    assert figures["ray_cast_ms"] is None
+
+
+def test_our_row_is_read_from_the_run_folder(
+    compare: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands: list[list[str]] = []
+
+    def run(command: list[str], timeout_s: float) -> None:
+        commands.append(command)
+        out = Path(command[command.index("--out") + 1])
+        out.mkdir()
+        metrics = {"ate_rmse_cm": 1.5, "tracking_ms_per_frame": 30.0, "mapping_ms_per_frame": 50.0}
+        (out / "metrics.json").write_text(json.dumps(metrics))
+
+    monkeypatch.setattr(compare, "_run", run)
+    dataset = compare.DatasetArguments("tum", Path("somewhere"))
+    arguments = compare.Arguments(dataset, (320, 240), ours="--tracking.iterations 3")
+    figures = compare.our_figures("semsplat", arguments, tmp_path, 2)
+    assert (figures["ate_rmse_cm"], figures["frame_ms"]) == (1.5, 80.0)
+    assert figures["peak_memory_mb"] is None
+    text = " ".join(commands[0])
+    assert "--seed 2" in text
+    assert "--image-size 320 240" in text
+    assert text.endswith("--tracking.iterations 3")
+
+
+def test_a_child_that_hangs_or_fails_is_one_line(compare: ModuleType) -> None:
+    import sys
+
+    with pytest.raises(compare.RowError, match="stopped after"):
+        compare._run([sys.executable, "-c", "import time; time.sleep(60)"], 0.2)
+    with pytest.raises(compare.RowError, match="exit code 3: last words"):
+        compare._run(
+            [sys.executable, "-c", "import sys; print('last words', file=sys.stderr); sys.exit(3)"],
+            60.0,
+        )
+
+
+def test_the_machine_is_described_in_one_line(
+    compare: ModuleType,
+) -> None:
+    line = compare.describe_machine()
+    assert "\n" not in line
+    assert "cores" in line
+    assert "torch" in line
