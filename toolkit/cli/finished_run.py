@@ -1,0 +1,113 @@
+"""What programs read back from the folder of a finished run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.registry import open_dataset
+from toolkit.errors import DatasetError, RunFolderError
+from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.run_folder import RunFolder
+from toolkit.settings.files import load
+from toolkit.settings.run import RunSettings
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run that wrote its results.
+
+    Attributes:
+        folder: where it lies.
+        settings: what it was made with.
+        gaussians: its map.
+        tracked: every frame with a pose, in order.
+        lost: indices of the frames without one.
+        keyframes: indices of the keyframes.
+    """
+
+    folder: RunFolder
+    settings: RunSettings
+    gaussians: GaussianCloud
+    tracked: list[TrackedFrame]
+    lost: list[int]
+    keyframes: list[int]
+
+    @property
+    def dataset_path(self) -> Path | None:
+        """The data set's folder as the run knew it."""
+        return self.settings.dataset.path
+
+    def open_dataset(
+        self, path: Path | None = None, image_size: tuple[int, int] | None = None
+    ) -> RecordedDataset:
+        """The run's data set, from another place or at another size where one is given.
+
+        Raises:
+            DatasetError: it is not there or has changed.
+        """
+        path = path or self.dataset_path
+        if path is None:
+            raise DatasetError(f"{self.folder.config} names no data set; set dataset.path in it")
+        size = image_size or self.settings.image_size
+        return open_dataset(self.settings.dataset.kind, path, size, self.settings.max_frames)
+
+
+def open_finished_run(path: Path) -> FinishedRun:
+    """Read a run's settings, map and poses.
+
+    Raises:
+        ToolkitError: there is no run, it has not finished, or a file of it is damaged.
+    """
+    folder = RunFolder.open(path)
+    for file in (folder.map, folder.trajectory, folder.frames):
+        if not file.is_file():
+            raise RunFolderError(
+                f"{path} has no {file.name}: the run has not finished; "
+                f"go on with: semsplat run --out {path} --resume"
+            )
+    content = _read_frames(folder.frames)
+    try:
+        return FinishedRun(
+            folder=folder,
+            settings=load(folder.config),
+            gaussians=folder.read_map(),
+            tracked=_tracked(content["frames"], folder.read_trajectory().T_world_camera),
+            lost=[int(i) for i in content["lost"]],
+            keyframes=[int(i) for i in content["keyframes"]],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
+
+
+def _read_frames(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RunFolderError(f"{path} is not JSON ({error}); run again") from error
+    if not isinstance(content, dict):
+        raise RunFolderError(f"{path} holds no dictionary; run again")
+    return content
+
+
+def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[TrackedFrame]:
+    if len(rows) != len(poses):
+        raise ValueError(f"{len(rows)} frames, but trajectory.txt has {len(poses)} poses")
+    return [
+        TrackedFrame(
+            index=int(row["index"]),
+            timestamp_s=float(row["timestamp_s"]),
+            T_map_camera=T_map_camera,
+            gain=float(row["gain"]),
+            bias=float(row["bias"]),
+            held_out=bool(row["held_out"]),
+        )
+        for row, T_map_camera in zip(rows, poses, strict=True)
+    ]

@@ -1,0 +1,231 @@
+"""`semsplat render`: draw views of a map to PNG."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from toolkit.cli.finished_run import FinishedRun, open_finished_run
+from toolkit.datasets.base import Dataset
+from toolkit.errors import DatasetError, SettingsError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.io.atomic import cannot_write
+from toolkit.io.images import write_png
+from toolkit.io.pictures import (
+    DepthSpan,
+    Picture,
+    colour_picture,
+    depth_picture,
+    silhouette_picture,
+    view_strip,
+    with_depth_scale,
+)
+from toolkit.io.splats import SUFFIXES
+from toolkit.io.trajectories import read_tum
+from toolkit.rendering import render
+from toolkit.rendering.viewpoints import Viewpoint, overview
+from toolkit.run_folder import read_cloud
+
+# Rendered pixels thinner than this show no depth.
+_LEAST_SILHOUETTE = 0.5
+# Views drawn beforehand to find the depths that the colours must cover.
+_SPAN_VIEWS = 8
+# Where nothing says more: about 60 degrees wide, as most RGB-D cameras are.
+_DEFAULT_CAMERA = Camera(fx=550.0, fy=550.0, cx=319.5, cy=239.5, width=640, height=480)
+
+
+@dataclass(frozen=True)
+class RenderProgram:
+    """Draw views of a map as PNG: along the run's own path, any trajectory, or from one place."""
+
+    map: tyro.conf.Positional[Path]
+    """A run folder, or a splat file (.ply, .splat, .spz)."""
+    out: Path | None = None
+    """Folder of the PNGs; by default RUN/renders/views, or FILE_views beside a splat file."""
+    trajectory: Path | None = None
+    """Poses to draw, in the map's frame: a TUM file (time tx ty tz qx qy qz qw)."""
+    view: tuple[tuple[float, float, float, float, float], ...] = ()
+    """x y z yaw pitch of a view, five more for the next: metres right, down, forward, and degrees
+    right, up, as seen from the run's first camera, or in the axes of a bare splat file."""
+    every: int = 1
+    """Draw every n-th pose."""
+    what: tuple[Literal["colour", "depth", "silhouette", "strip"], ...] = (
+        "colour",
+        "depth",
+        "silhouette",
+    )
+    """Pictures of each view; a strip holds them all, beside the input where there is one."""
+    camera: tuple[float, float, float, float] | None = None
+    """fx fy cx cy in pixels; by default the camera of the run's data set."""
+    image_size: tuple[int, int] | None = None
+    """Width and height in pixels; by default the run's."""
+
+
+@dataclass(frozen=True)
+class _Map:
+    """What is drawn, and all that the run knows about it."""
+
+    gaussians: GaussianCloud
+    run: FinishedRun | None
+    backend_name: str
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """One view to draw: the number in its file names, and the data set's frame taken there."""
+
+    number: int
+    T_map_camera: NDArray[np.float64]
+    frame_index: int | None = None
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Colour [H, W, 3], depth [H, W] in metres (0 where missing) and silhouette [H, W]."""
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    silhouette: NDArray[np.float32]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Render views.
+
+    Returns:
+        0.
+
+    Raises:
+        ToolkitError: the map, trajectory or data set cannot be read, a value is out of
+            range, or the folder cannot be written.
+    """
+    program = tyro.cli(RenderProgram, args=list(argv), prog="semsplat render")
+    _check_values(program)
+    subject = _open(program.map)
+    dataset = None
+    if subject.run is not None and program.camera is None:
+        dataset = _dataset(subject.run, program.image_size)
+    camera = dataset.camera if dataset else _camera(program, subject.run)
+    shots = _shots(program, subject, camera)[:: program.every]
+    out = _prepared_folder(program)
+
+    step = max(1, len(shots) // _SPAN_VIEWS)
+    span = DepthSpan.of(_draw(subject, camera, shot).depth_m for shot in shots[::step])
+    for shot in tqdm(shots, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
+        drawn = _draw(subject, camera, shot)
+        observed = None
+        if dataset is not None and shot.frame_index is not None and "strip" in program.what:
+            observed = dataset[shot.frame_index].rgb
+        for kind in program.what:
+            picture = _picture(kind, drawn, span, observed)
+            write_png(out / f"{kind}_{shot.number:06d}.png", picture)
+    print(f"drew {len(shots)} view(s) into {out}")
+    return 0
+
+
+def _check_values(program: RenderProgram) -> None:
+    if program.every < 1:
+        raise SettingsError(f"--every must be at least 1, got {program.every}")
+    if program.image_size is not None and min(program.image_size) < 1:
+        raise SettingsError("--image-size must be two positive numbers")
+    if program.trajectory is not None and program.view:
+        raise SettingsError("give --trajectory or --view, not both")
+    if not np.isfinite(np.array(program.view)).all():
+        raise SettingsError("--view must be finite numbers")
+
+
+def _open(path: Path) -> _Map:
+    if path.suffix in SUFFIXES and not path.is_dir():
+        return _Map(read_cloud(path), None, "auto")
+    if not path.exists():
+        raise DatasetError(
+            f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"
+        )
+    run = open_finished_run(path)
+    return _Map(run.gaussians, run, run.settings.backend)
+
+
+def _dataset(run: FinishedRun, image_size: tuple[int, int] | None) -> Dataset:
+    try:
+        return run.open_dataset(image_size=image_size)
+    except DatasetError as error:
+        raise DatasetError(f"{error}; or give --camera fx fy cx cy, which needs no data") from error
+
+
+def _camera(program: RenderProgram, run: FinishedRun | None) -> Camera:
+    """The camera of the options alone."""
+    size = program.image_size or (run.settings.image_size if run else None)
+    if program.camera is None:
+        width, height = size or _DEFAULT_CAMERA.size
+        scale = width / _DEFAULT_CAMERA.width
+        focal, cx, cy = _DEFAULT_CAMERA.fx * scale, (width - 1) / 2, (height - 1) / 2
+        return Camera(focal, focal, cx, cy, width, height)
+    fx, fy, cx, cy = program.camera
+    # Without a size, the principal point is taken for the middle of the image.
+    width, height = size or (round(2 * cx + 1), round(2 * cy + 1))
+    return Camera(fx, fy, cx, cy, width, height)
+
+
+def _shots(program: RenderProgram, subject: _Map, camera: Camera) -> list[_Shot]:
+    run = subject.run
+    if program.trajectory is not None:
+        poses = read_tum(program.trajectory).T_world_camera
+        return [_Shot(number, T) for number, T in enumerate(poses)]
+    if program.view:
+        T_map_first = run.tracked[0].T_map_camera if run and run.tracked else np.eye(4)
+        return [
+            _Shot(number, T_map_first @ _viewpoint(view).T_map_camera)
+            for number, view in enumerate(program.view)
+        ]
+    if run is not None:
+        return [_Shot(frame.index, frame.T_map_camera, frame.index) for frame in run.tracked]
+    return [_Shot(0, overview(subject.gaussians, camera))]
+
+
+def _viewpoint(view: tuple[float, float, float, float, float]) -> Viewpoint:
+    x, y, z, yaw_deg, pitch_deg = view
+    return Viewpoint((x, y, z), math.radians(yaw_deg), math.radians(pitch_deg))
+
+
+def _prepared_folder(program: RenderProgram) -> Path:
+    out = program.out
+    if out is None:
+        path = program.map
+        out = path / "renders" / "views" if path.is_dir() else path.with_name(f"{path.stem}_views")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(out, error) from error
+    return out
+
+
+def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
+    T_camera_map = se3.inverse(shot.T_map_camera)
+    with torch.no_grad():
+        drawn = render(subject.gaussians, camera, T_camera_map, backend_name=subject.backend_name)
+    covered = drawn.silhouette > _LEAST_SILHOUETTE
+    depth_m = torch.where(covered, drawn.depth_m, torch.zeros_like(drawn.depth_m))
+    return _Drawn(drawn.colour.numpy(), depth_m.numpy(), drawn.silhouette.numpy())
+
+
+def _picture(
+    kind: str, drawn: _Drawn, span: DepthSpan, observed: NDArray[np.float32] | None
+) -> Picture:
+    if kind == "colour":
+        return colour_picture(drawn.rgb)
+    if kind == "depth":
+        return with_depth_scale(depth_picture(drawn.depth_m, span), span)
+    if kind == "silhouette":
+        return silhouette_picture(drawn.silhouette)
+    return view_strip(drawn.rgb, drawn.depth_m, drawn.silhouette, observed, span)
