@@ -4,7 +4,7 @@
         --image-size 320 240
 
 Each row runs in a process of its own: Open3D's dense SLAM (frame-to-model, with its
-defaults and tuned), Open3D's frame-to-frame odometry, and `semsplat run`. With
+iterations and with more), Open3D's frame-to-frame odometry (two methods), and `semsplat run`. With
 `--repeats 3` each row is the median, since Open3D differs from run to run on several
 threads; ours then runs with the seeds 0, 1, 2.
 """
@@ -21,12 +21,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import tyro
 from machine import describe_machine  # type: ignore[import-not-found]
 
-RowName = Literal["dense-slam", "dense-slam-tuned", "odometry", "semsplat"]
+RowName = Literal["dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat"]
 Figures = dict[str, float | None]
 
 _ROOT = Path(__file__).resolve().parent.parent
@@ -46,6 +46,7 @@ TITLES = {
     "dense-slam": "Open3D dense SLAM (1 cm voxels, its 6/3/1 iterations)",
     "dense-slam-tuned": "Open3D dense SLAM (1 cm voxels, 30/20/10 iterations)",
     "odometry": "Open3D odometry (frame to frame, hybrid, 30/20/10 iterations)",
+    "odometry-planes": "Open3D odometry (frame to frame, point-to-plane, 30/20/10 iterations)",
     "semsplat": "semsplat",
 }
 
@@ -87,7 +88,7 @@ class Arguments:
     dataset: DatasetArguments
     image_size: tuple[int, int] | None = None
     max_frames: int | None = None
-    rows: tuple[RowName, ...] = ("dense-slam", "dense-slam-tuned", "odometry", "semsplat")
+    rows: tuple[RowName, ...] = get_args(RowName)
     repeats: int = 1
     depth_max_m: float = 3.0
     timeout_s: float = 1800.0

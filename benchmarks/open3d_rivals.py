@@ -29,7 +29,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 
-RivalName = Literal["dense-slam", "dense-slam-tuned", "odometry"]
+RivalName = Literal["dense-slam", "dense-slam-tuned", "odometry", "odometry-planes"]
 Array = NDArray[np.float64]
 
 DEPTH_MIN_M = 0.1
@@ -103,6 +103,12 @@ class DenseSlamValues:
 DENSE_SLAM_VALUES = {
     "dense-slam": DenseSlamValues(0.01, (6, 3, 1)),
     "dense-slam-tuned": DenseSlamValues(0.01, TUNED_ITERATIONS),
+}
+
+# Planes win on noise-free depth, colour and depth together elsewhere.
+ODOMETRY_METHODS = {
+    "odometry": o3d.t.pipelines.odometry.Method.Hybrid,
+    "odometry-planes": o3d.t.pipelines.odometry.Method.PointToPlane,
 }
 
 
@@ -188,10 +194,17 @@ class DenseSlam:
 
 
 class Odometry:
-    """Frame-to-frame hybrid odometry, started from constant velocity."""
+    """Frame-to-frame odometry, started from constant velocity."""
 
-    def __init__(self, camera: Camera, depth_max_m: float, stopwatch: Stopwatch) -> None:
+    def __init__(
+        self,
+        method: o3d.t.pipelines.odometry.Method,
+        camera: Camera,
+        depth_max_m: float,
+        stopwatch: Stopwatch,
+    ) -> None:
         self.failures = 0
+        self._method = method
         self._depth_max_m = depth_max_m
         self._stopwatch = stopwatch
         self._intrinsics = o3d.core.Tensor.from_numpy(camera.matrix)
@@ -222,7 +235,7 @@ class Odometry:
                 1.0,
                 self._depth_max_m,
                 self._criteria,
-                o3d.t.pipelines.odometry.Method.Hybrid,
+                self._method,
             )
         except RuntimeError:
             self.failures += 1
@@ -256,8 +269,8 @@ def run_rival(name: RivalName, frames: Iterable[Frame], camera: Camera, depth_ma
     """
     stopwatch = Stopwatch()
     rival: Rival
-    if name == "odometry":
-        rival = Odometry(camera, depth_max_m, stopwatch)
+    if name in ODOMETRY_METHODS:
+        rival = Odometry(ODOMETRY_METHODS[name], camera, depth_max_m, stopwatch)
     else:
         values = DENSE_SLAM_VALUES[name]
         rival = DenseSlam(values, camera, depth_max_m, stopwatch)
