@@ -91,17 +91,13 @@ class GaussianCloud:
     @classmethod
     def concatenate(cls, clouds: list[GaussianCloud]) -> GaussianCloud:
         """All Gaussians of several clouds, in order."""
-        return cls(
-            *(torch.cat([getattr(c, f.name) for c in clouds]) for f in fields(cls))
-        )
+        return cls(*(torch.cat([getattr(c, f.name) for c in clouds]) for f in fields(cls)))
 
     def select(self, index: Tensor) -> GaussianCloud:
         """The Gaussians of a boolean mask [N] or of integer indices [M]."""
         if index.dtype == torch.bool:
             index = index.nonzero().squeeze(1)
-        return GaussianCloud(
-            *(getattr(self, f.name).index_select(0, index) for f in fields(self))
-        )
+        return GaussianCloud(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
 
     def transformed(self, T_new_old: np.ndarray) -> GaussianCloud:
         """The cloud moved rigidly by a motion [4, 4]; isotropy spares the shapes."""

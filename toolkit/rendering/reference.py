@@ -36,8 +36,10 @@ def composite(
         features: [N, S] or None.
         region: [rows, columns] bool, tiles to draw; the rest stays zero.
     """
-    points = gaussians.means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
-    visible = (points[:, 2] > NEAR_M).nonzero().squeeze(1)
+    finite = torch.isfinite(gaussians.means).all(dim=1, keepdim=True)
+    means = torch.where(finite, gaussians.means, torch.zeros_like(gaussians.means))
+    points = means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
+    visible = ((points[:, 2] > NEAR_M) & finite[:, 0]).nonzero().squeeze(1)
     # Front to back; equal depths keep the order of the map.
     order = visible[torch.sort(points[visible, 2].detach(), stable=True).indices]
     x, y, z = points[order].unbind(1)

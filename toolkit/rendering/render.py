@@ -125,7 +125,8 @@ class _Render(torch.autograd.Function):
         ctx.drawn = chosen.forward(cloud, camera, pose, features, region)
         ctx.pose_type = T_camera_map
         ctx.parameters = (means, log_radii, opacity_logits, colours, features)
-        return ctx.drawn.images
+        # Detached: the returned tensor knows ctx, and a cycle would outlive every view.
+        return ctx.drawn.images.detach()
 
     @staticmethod
     def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]

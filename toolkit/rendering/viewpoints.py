@@ -13,7 +13,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 # Share of the Gaussians that an overview must show; strays far off do not count.
-_SHOWN_PERCENT = 98.0
+_SHOWN_PERCENT = 99.5
 _OVERVIEW_YAW_RAD = math.radians(30.0)
 _OVERVIEW_PITCH_RAD = math.radians(-35.0)
 

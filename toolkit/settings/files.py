@@ -51,7 +51,9 @@ def first_fault(error: ValidationError) -> str:
     if fault["type"] == "extra_forbidden":
         text = f"unknown setting '{key}'; `semsplat run --help` lists all"
     else:
-        text = f"setting '{key}': {fault['msg'][0].lower()}{fault['msg'][1:]}, got {fault['input']!r}"
+        text = (
+            f"setting '{key}': {fault['msg'][0].lower()}{fault['msg'][1:]}, got {fault['input']!r}"
+        )
     return text + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
 
 

@@ -112,18 +112,19 @@ void align_accumulate(const Intrinsics& intrinsics, const Size& size, const std:
     accumulate(model, frame, settings, *at<NormalEquations>(out));
 }
 
-// groups: (parameter, first moment, second moment, gradient, width, learning rate) each.
+// groups: (parameter, first moment, second moment, gradient, width, learning rate, log unit or 0).
+// settings: both betas, epsilon, settle steps.
 void adam(Address ids, int64_t count, Address steps,
-          const std::vector<std::tuple<Address, Address, Address, Address, int, double>>& groups,
-          const std::array<double, 3>& betas_epsilon) {
+          const std::vector<std::tuple<Address, Address, Address, Address, int, double, Address>>& groups,
+          const std::array<double, 4>& settings) {
     std::vector<AdamGroup> plain;
-    for (const auto& [parameter, first, second, gradient, width, rate] : groups) {
+    for (const auto& [parameter, first, second, gradient, width, rate, unit] : groups) {
         plain.push_back({at<float>(parameter), at<float>(first), at<float>(second), at<const float>(gradient),
-                         width, (float)rate});
+                         width, (float)rate, at<const float>(unit)});
     }
     const py::gil_scoped_release release;
     adam_step(at<const int64_t>(ids), count, at<int32_t>(steps), plain.data(), (int)plain.size(),
-              (float)betas_epsilon[0], (float)betas_epsilon[1], (float)betas_epsilon[2]);
+              {(float)settings[0], (float)settings[1], (float)settings[2], (float)settings[3]});
 }
 
 double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double weight, Address gradient) {

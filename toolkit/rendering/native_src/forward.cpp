@@ -59,7 +59,7 @@ int composite_block(ForwardScratch& scratch, int block, float* transmittance, in
         const F16 raw = load_columns(columns_of(e, block)) * load_rows(rows_of(e, block));
         const F16 alpha = keep(ge(raw, cut), minimum(raw, most));
         const F16 w = alpha * T;
-        T = T - w;
+        T = fnma(alpha, T, T);  // one rounding: T - w loses digits where alpha is near 1
         r = fma(w, all(e.r), r);
         g = fma(w, all(e.g), g);
         b = fma(w, all(e.b), b);

@@ -91,15 +91,19 @@ double ssim_channel(const float* x, const float* y, int height, int width, float
 }  // namespace
 
 void adam_step(const int64_t* ids, int64_t count, int32_t* steps, const AdamGroup* groups, int group_count,
-               float beta1, float beta2, float epsilon) {
+               const AdamSettings& settings) {
+    const float beta1 = settings.beta1, beta2 = settings.beta2;
 #pragma omp parallel for schedule(static)
     for (int64_t i = 0; i < count; ++i) {
         const int64_t id = ids[i];
         const int32_t step = ++steps[id];
         const float correction1 = 1.0f / (1.0f - std::pow(beta1, (float)step));
         const float correction2 = 1.0f / (1.0f - std::pow(beta2, (float)step));
+        const float settled = settings.settle_steps > 0 ? 1.0f / (1.0f + step / settings.settle_steps) : 1.0f;
         for (int k = 0; k < group_count; ++k) {
             const AdamGroup& group = groups[k];
+            const float unit = group.log_unit ? std::exp(group.log_unit[id]) : 1.0f;
+            const float rate = group.learning_rate * settled * unit * correction1;
             const float* g = group.gradient + i * group.width;
             float* p = group.parameter + id * group.width;
             float* m = group.first + id * group.width;
@@ -107,7 +111,7 @@ void adam_step(const int64_t* ids, int64_t count, int32_t* steps, const AdamGrou
             for (int j = 0; j < group.width; ++j) {
                 m[j] += (1 - beta1) * (g[j] - m[j]);
                 v[j] += (1 - beta2) * (g[j] * g[j] - v[j]);
-                p[j] -= group.learning_rate * m[j] * correction1 / (std::sqrt(v[j] * correction2) + epsilon);
+                p[j] -= rate * m[j] / (std::sqrt(v[j] * correction2) + settings.epsilon);
             }
         }
     }

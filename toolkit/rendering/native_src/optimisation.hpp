@@ -13,10 +13,16 @@ struct AdamGroup {
     const float* gradient;   // [V, width]
     int width;
     float learning_rate;
+    const float* log_unit;   // [N] or null: learning rates in units of exp(log_unit)
+};
+
+struct AdamSettings {
+    float beta1, beta2, epsilon;
+    float settle_steps;      // learning rates fall as 1 / (1 + steps / settle_steps); 0: they do not
 };
 
 void adam_step(const int64_t* ids, int64_t count, int32_t* steps, const AdamGroup* groups, int group_count,
-               float beta1, float beta2, float epsilon);
+               const AdamSettings& settings);
 
 // Mean SSIM (11x11 Gaussian window, sigma 1.5) of two planar images [C, H, W] and, where
 // `gradient` is not null, d(weight * mean SSIM)/d(x) added to it.

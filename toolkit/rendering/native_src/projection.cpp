@@ -13,6 +13,9 @@ enum { CHUNK = 4096 };
 // Largest support in standard deviations: sqrt(2 ln 255), at opacity 1.
 constexpr float MAX_SUPPORT = 3.3291f;
 
+// Smaller ones, in pixels, never meet a pixel centre, and their squares would underflow.
+constexpr float LEAST_SIGMA = 1e-6f;
+
 // Splats of one chunk of the map; returns how many were written.
 int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begin, int64_t end,
                   Splat* out) {
@@ -37,7 +40,7 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
             continue;
         }
         const float opacity = 1.0f / (1.0f + std::exp(-map.opacity_logits[i]));
-        if (!(opacity > ALPHA_CUT) || !(sigma > 0)) continue;
+        if (!(opacity > ALPHA_CUT) || !(sigma > LEAST_SIGMA)) continue;
         // A hair wider than exact, so that rounding never cuts what the alpha test keeps.
         const float support_squared =
             2.0f * sigma * sigma * std::log(opacity / ALPHA_CUT) * 1.0001f + 1e-6f;
