@@ -1,0 +1,157 @@
+"""`semsplat run`: track and map a data set, evaluate, leave a run folder."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from pydantic import ValidationError
+from tqdm import tqdm
+
+from toolkit.datasets.base import Dataset
+from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.registry import open_dataset
+from toolkit.errors import DatasetError, SettingsError
+from toolkit.cli.run_results import held_out, write_results
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.mapping.factory import build_mapper
+from toolkit.run_folder import RunFolder
+from toolkit.settings.files import dump, first_fault, load
+from toolkit.settings.run import RunSettings
+from toolkit.slam import Slam
+from toolkit.tracking.factory import build_tracker
+from toolkit.tracking.given import GivenPoses
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RunProgram:
+    """Track and map an RGB-D sequence."""
+
+    out: Path
+    """Run folder to write."""
+    settings: Annotated[RunSettings, tyro.conf.arg(name="")] = RunSettings()
+    config: Path | None = None
+    """YAML settings to start from; options on the command line win."""
+    resume: bool = False
+    """Go on from the last checkpoint of an interrupted run."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run SLAM on a data set.
+
+    Raises:
+        ToolkitError: bad settings, data or output folder.
+    """
+    program = _parse(list(argv))
+    settings = _with_room(program)
+    dataset = open_dataset(
+        settings.dataset.kind, settings.dataset.path, settings.image_size, settings.max_frames
+    )
+    config = dump(settings)
+    if program.resume:
+        folder = RunFolder.open(program.out)
+        folder.check_config(config)
+    else:
+        folder = RunFolder.create(program.out, config)
+    _log_to(folder.log)
+    watch = StageRecorder()
+    slam = build_slam(settings, dataset, watch)
+    _process(slam, dataset, folder, settings, watch)
+    write_results(slam, dataset, folder, settings, watch)
+    return 0
+
+
+def build_slam(settings: RunSettings, dataset: Dataset, watch: StageRecorder) -> Slam:
+    """The system that the settings describe."""
+    mapper = build_mapper(
+        settings.mapping, np.random.default_rng(settings.seed), settings.backend, watch
+    )
+    if settings.poses == "slam":
+        return Slam(build_tracker(settings.tracking, settings.backend, watch), mapper, watch)
+    if dataset.ground_truth is None:
+        raise DatasetError(
+            f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"
+        )
+    return Slam(GivenPoses(dataset.ground_truth), mapper, watch)
+
+
+def _parse(argv: list[str]) -> RunProgram:
+    start = RunSettings()
+    if "--config" in argv[:-1]:
+        start = load(Path(argv[argv.index("--config") + 1]))
+    try:
+        return tyro.cli(
+            RunProgram,
+            args=argv,
+            prog="semsplat run",
+            default=RunProgram(out=tyro.MISSING, settings=start),
+        )
+    except ValidationError as error:
+        raise SettingsError(first_fault(error)) from error
+
+
+def _with_room(program: RunProgram) -> RunSettings:
+    """Settings with a data set path: a synthetic run without one makes the default room."""
+    settings = program.settings
+    if settings.dataset.path is not None:
+        return settings
+    if settings.dataset.kind != "synthetic":
+        raise SettingsError(f"--dataset.kind {settings.dataset.kind} needs --dataset.path DIR")
+    from toolkit.datasets.synthetic import RoomSettings, make_room
+
+    room = program.out.with_name(program.out.name + "_room")
+    if not program.resume and not (room / "traj.txt").exists():
+        _log.info("making a synthetic room in %s", room)
+        make_room(room, RoomSettings(seed=settings.seed))
+    path = settings.dataset.model_copy(update={"path": room})
+    return settings.model_copy(update={"dataset": path})
+
+
+def _process(
+    slam: Slam, dataset: Dataset, folder: RunFolder, settings: RunSettings, watch: StageRecorder
+) -> None:
+    """Feed the frames that are left, saving checkpoints on the way, and refine."""
+    checkpoint = folder.load_checkpoint()
+    start = 0
+    if checkpoint is not None:
+        slam.restore(checkpoint.arrays, checkpoint.values)
+        start = checkpoint.next_frame
+        _log.info("resumed %s at frame %d of %d", folder.path, start, len(dataset))
+    saved_at, saved_keyframes = time.monotonic(), len(slam.mapper.keyframes)
+    for frame in _with_progress(
+        prefetched(dataset, range(start, len(dataset))), start, len(dataset)
+    ):
+        with watch.timed("frame"):
+            result = slam.process_frame(frame, may_map=not held_out(frame.index, settings))
+        if result.lost:
+            reason = result.tracking.reason if result.tracking else "the map has not begun"
+            _log.warning("frame %d is lost: %s", frame.index, reason)
+        due = time.monotonic() - saved_at > settings.checkpoint.every_s
+        keyframes = len(slam.mapper.keyframes)
+        due |= keyframes - saved_keyframes >= settings.checkpoint.every_keyframes
+        if due:
+            folder.save_checkpoint(frame.index + 1, *slam.state())
+            saved_at, saved_keyframes = time.monotonic(), keyframes
+    if not slam.mapper.keyframes:
+        raise DatasetError(f"no frame of {settings.dataset.path} could start a map; see the log")
+    folder.save_checkpoint(len(dataset), *slam.state())
+    slam.finish()
+
+
+def _with_progress(frames: Iterator[Any], start: int, total: int) -> Iterator[Any]:
+    return iter(tqdm(frames, initial=start, total=total, unit="frame", file=sys.stderr))
+
+
+def _log_to(path: Path) -> None:
+    handler = logging.FileHandler(path)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logging.getLogger("toolkit").addHandler(handler)

@@ -1,0 +1,180 @@
+"""What `semsplat run` leaves behind once the map is finished."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import torch
+
+from toolkit import __version__
+from toolkit.datasets.base import Dataset
+from toolkit.evaluation.images import psnr_db
+from toolkit.evaluation.memory import peak_memory_mb
+from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
+from toolkit.evaluation.report import ReportContent, ReportView, write_report
+from toolkit.evaluation.run_metrics import (
+    MeasureOptions,
+    TrackedFrame,
+    measure_run,
+    open_unseen,
+)
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.io.images import write_rgb
+from toolkit.io.pictures import view_strip
+from toolkit.rendering import render
+from toolkit.run_folder import RunFolder
+from toolkit.settings.files import dump
+from toolkit.settings.run import RunSettings
+from toolkit.slam import Slam
+
+_log = logging.getLogger(__name__)
+
+_SHOWN_VIEWS = 6
+_FLOAT_BYTES = 4
+
+
+def held_out(index: int, settings: RunSettings) -> bool:
+    """Whether a frame is kept out of the map.
+
+    The first frame starts the map, so the last of every n is the one left out.
+    """
+    return settings.hold_out is not None and index % settings.hold_out == settings.hold_out - 1
+
+
+def write_results(
+    slam: Slam, dataset: Dataset, folder: RunFolder, settings: RunSettings, watch: StageRecorder
+) -> None:
+    """Trajectory, map, renders, figures and report of a finished run."""
+    trajectory = slam.trajectory
+    gaussians = slam.mapper.gaussians
+    tracked = [
+        TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
+        for index, time, T, (gain, bias) in zip(
+            slam.tracked_indices,
+            trajectory.timestamps_s,
+            trajectory.T_world_camera,
+            slam.exposures.tolist(),
+            strict=True,
+        )
+    ]
+    folder.write_trajectory(trajectory)
+    folder.write_map(gaussians)
+    folder.write_json(folder.frames, _frames(slam, tracked))
+    # Before evaluation, which has memory needs of its own.
+    costs = _costs(slam, dataset, watch)
+    _log.info("measuring the run")
+    metrics = cost_metrics(costs) | _measured(gaussians, tracked, dataset, settings)
+    write_metrics(folder.metrics, metrics)
+    views = _render_views(gaussians, tracked, dataset, folder)
+    write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
+    _log.info("wrote %s, with report.html in it", folder.path)
+
+
+def _frames(slam: Slam, tracked: list[TrackedFrame]) -> dict[str, Any]:
+    rows = [
+        {
+            "index": f.index,
+            "timestamp_s": f.timestamp_s,
+            "gain": f.gain,
+            "bias": f.bias,
+            "held_out": f.held_out,
+        }
+        for f in tracked
+    ]
+    keyframes = [keyframe.index for keyframe in slam.mapper.keyframes]
+    return {"frames": rows, "lost": slam.lost_frames, "keyframes": keyframes}
+
+
+def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
+    gaussians = slam.mapper.gaussians
+    floats = sum(
+        t.numel()
+        for t in (
+            gaussians.means,
+            gaussians.log_radii,
+            gaussians.opacity_logits,
+            gaussians.colours,
+            gaussians.features,
+        )
+    )
+    return RunCosts(
+        frames=len(dataset),
+        frames_lost=len(slam.lost_frames),
+        keyframes=len(slam.mapper.keyframes),
+        gaussians=len(gaussians),
+        tracking_ms=watch.total_ms("tracking"),
+        mapping_ms=watch.total_ms("mapping"),
+        refinement_ms=watch.total_ms("refinement"),
+        peak_memory_mb=peak_memory_mb(),
+        map_mb=floats * _FLOAT_BYTES / 1e6,
+    )
+
+
+def _measured(
+    gaussians: GaussianCloud,
+    tracked: list[TrackedFrame],
+    dataset: Dataset,
+    settings: RunSettings,
+) -> Metrics:
+    path = settings.dataset.path
+    unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
+    options = MeasureOptions(
+        backend_name=settings.backend,
+        alignment="none" if settings.poses == "given" else "se3",
+    )
+    return measure_run(gaussians, tracked, dataset, unseen, options)
+
+
+def _render_views(
+    gaussians: GaussianCloud, tracked: list[TrackedFrame], dataset: Dataset, folder: RunFolder
+) -> list[ReportView]:
+    """A few views spread over the path: strips in `renders/`, and the same for the report."""
+    views = []
+    count = min(_SHOWN_VIEWS, len(tracked))
+    for place in np.linspace(0, len(tracked) - 1, count).round().astype(int):
+        view = tracked[place]
+        frame = dataset[view.index]
+        with torch.no_grad():
+            drawn = render(gaussians, frame.camera, se3.inverse(view.T_map_camera))
+        colour = ((drawn.colour - view.bias) / view.gain).clamp(0.0, 1.0).numpy()
+        depth_m, silhouette = drawn.depth_m.numpy(), drawn.silhouette.numpy()
+        name = f"frame{view.index:06d}"
+        write_rgb(folder.renders / f"{name}.png", colour)
+        picture = view_strip(colour, depth_m, silhouette, frame.rgb)
+        write_rgb(folder.renders / f"{name}_strip.png", picture.astype(np.float32) / 255.0)
+        title = f"frame {view.index}" + (", unseen" if view.held_out else "")
+        views.append(
+            ReportView(
+                title, frame.rgb, colour, frame.depth_m, depth_m, psnr_db(colour, frame.rgb)
+            )
+        )
+    return views
+
+
+def _report(
+    slam: Slam,
+    dataset: Dataset,
+    settings: RunSettings,
+    metrics: Metrics,
+    views: list[ReportView],
+    watch: StageRecorder,
+) -> ReportContent:
+    camera = dataset.camera
+    return ReportContent(
+        title=dataset.name,
+        subtitle=f"{len(dataset)} frames, {camera.width}x{camera.height}, seed {settings.seed}",
+        metrics=metrics,
+        estimate=slam.trajectory,
+        truth=dataset.ground_truth,
+        alignment="none" if settings.poses == "given" else "se3",
+        views=views,
+        stage_times=watch.stage_times(),
+        settings=dump(settings),
+        warnings=[f"frame {index} is lost" for index in slam.lost_frames],
+        machine=f"semsplat {__version__}, torch {torch.__version__}, "
+        f"{torch.get_num_threads()} threads",
+    )
