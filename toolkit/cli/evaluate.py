@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from toolkit.cli.finished_run import FinishedRun, open_finished_run
-from toolkit.errors import FormatError
+from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
 from toolkit.evaluation.run_metrics import MeasureOptions, measure_run, open_unseen
 
@@ -57,9 +57,12 @@ def main(argv: Sequence[str]) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run, or its data set cannot be read.
+        ToolkitError: there is no finished run, its data set cannot be read, or a value is
+            out of range.
     """
     options = tyro.cli(EvaluateOptions, args=list(argv), prog="semsplat evaluate")
+    if options.max_views < 1:
+        raise SettingsError(f"--max-views must be at least 1, got {options.max_views}")
     run = open_finished_run(options.run)
     metrics = _earlier_metrics(run) | _measured(run, options) | _counts(run)
     write_metrics(run.folder.metrics, metrics)

@@ -1,0 +1,50 @@
+"""A recording of the box on disk, and the folder of a run over it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, poses
+
+from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.run_folder import RunFolder
+from toolkit.settings.files import dump
+from toolkit.settings.run import DatasetSettings, RunSettings
+
+
+@pytest.fixture(scope="session")
+def gaussians() -> GaussianCloud:
+    return box_map()
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory, gaussians) -> Path:
+    """Ten frames on disk in Replica's layout, with two more in `unseen/`."""
+    folder = tmp_path_factory.mktemp("recording") / "box"
+    prepare_folder(folder)
+    for path, T_map_camera in ((folder, poses(10, seed=1)), (folder / "unseen", poses(2, seed=2))):
+        frames = frames_at(gaussians, T_map_camera)
+        write_sequence(path, frames, CAMERA, T_WORLD_MAP @ T_map_camera)
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path, gaussians, recording) -> Path:
+    """The folder of a run that was perfect; frame 9 is lost, 4 held out."""
+    settings = RunSettings(dataset=DatasetSettings(kind="synthetic", path=recording), hold_out=5)
+    folder = RunFolder.create(tmp_path / "run", dump(settings))
+    kept = range(9)
+    times = np.array([i / 30.0 for i in kept])
+    folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))
+    folder.write_map(gaussians)
+    rows = [
+        {"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "bias": 0.0, "held_out": i == 4}
+        for i in kept
+    ]
+    folder.write_json(folder.frames, {"frames": rows, "lost": [9], "keyframes": [0, 5]})
+    folder.write_json(folder.metrics, {"tracking_ms_per_frame": 12.5, "psnr_db": 1.0})
+    return folder.path

@@ -1,0 +1,160 @@
+"""render, export and evaluate: as users call them, and what they say to bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from toolkit.cli.main import main
+from toolkit.io.images import read_rgb
+from toolkit.run_folder import read_cloud
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def semsplat(*words: object) -> subprocess.CompletedProcess[str]:
+    """A program in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "toolkit.cli.main", *map(str, words)],
+        cwd=ROOT,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def one_line_of_error(capsys, *words: object) -> str:
+    """What a program says that must fail: its exit status is checked here."""
+    assert main([str(word) for word in words]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_render_draws_the_runs_own_path(run):
+    done = semsplat("render", run, "--every", 4, "--what", "colour", "depth", "strip")
+    assert done.returncode == 0, done.stderr
+    files = sorted(p.name for p in (run / "renders/views").iterdir())
+    assert files == [
+        f"{kind}_{n:06d}.png" for kind in ("colour", "depth", "strip") for n in (0, 4, 8)
+    ]
+    assert read_rgb(run / "renders/views/colour_000004.png").shape == (48, 64, 3)
+    # Input, render, depth and silhouette stand side by side.
+    assert read_rgb(run / "renders/views/strip_000004.png").shape[1] > 4 * 64
+
+
+def test_render_draws_views_and_other_sizes_without_the_data(run, tmp_path, capsys):
+    words = ["--view", "0", "0", "0", "0", "0", "0", "0", "-0.5", "-20", "5"]
+    words += ["--camera", "40", "40", "31.5", "23.5", "--what", "colour"]
+    assert main(["render", str(run), *words, "--out", str(tmp_path / "a")]) == 0
+    assert main(["render", str(run / "map.ply"), *words, "--out", str(tmp_path / "b")]) == 0
+    # The first camera of the run is no identity, a bare file's own axes are.
+    one, other = (read_rgb(tmp_path / name / "colour_000000.png") for name in "ab")
+    assert one.shape == other.shape == (48, 64, 3)
+    assert abs(one - other).max() > 0.1
+    assert (tmp_path / "a/colour_000001.png").is_file()
+
+
+def test_render_takes_a_trajectory_file(run, tmp_path):
+    words = ["--trajectory", str(run / "trajectory.txt"), "--what", "colour"]
+    assert main(["render", str(run), *words, "--out", str(tmp_path / "path")]) == 0
+    assert main(["render", str(run), "--what", "colour"]) == 0
+    for n in (0, 8):
+        name = f"colour_{n:06d}.png"
+        own, given = run / "renders/views" / name, tmp_path / "path" / name
+        assert own.read_bytes() == given.read_bytes()
+
+
+def test_a_bare_splat_file_is_shown_whole(run, tmp_path):
+    file = run / "map.ply"
+    assert main(["render", str(file), "--image-size", "80", "60"]) == 0
+    silhouette = read_rgb(run / "map_views/silhouette_000000.png")
+    empty = (abs(silhouette - silhouette[0, 0]).max(axis=2) < 0.02).mean()
+    # The border is empty, so all of the map is inside, and it fills a fair part.
+    assert 0.2 < empty < 0.9
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["render", "RUN/nothing"], "does not exist"),
+        (["render", "RUN/nothing.ply"], "does not exist"),
+        (["render", "RUN", "--every", "0"], "--every"),
+        (["render", "RUN", "--image-size", "0", "9"], "--image-size"),
+        (["render", "RUN", "--trajectory", "RUN/nothing.txt"], "nothing.txt"),
+        (["render", "RUN/map.ply", "--camera", "0", "1", "1", "1"], "fx, fy > 0"),
+        (["render", "RUN", "--out", "RUN/map.ply"], "map.ply"),
+        (["export", "RUN", "--to", "RUN/map.obj"], ".ply, .splat, .spz"),
+        (["export", "RUN", "--to", "RUN/no/map.ply"], "RUN/no"),
+        (["export", "RUN", "--to", "RUN/a.ply", "--mesh", "--points"], "not both"),
+        (["export", "RUN", "--to", "RUN/a.mesh.ply", "--voxel-m", "0"], "--voxel-m"),
+        (["export", "RUN/renders", "--to", "a.ply"], "no run"),
+        (["evaluate", "RUN/renders"], "no run"),
+        (["evaluate", "RUN", "--dataset.path", "RUN/nothing"], "RUN/nothing"),
+        (["evaluate", "RUN", "--max-views", "0"], "--max-views"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(run, capsys, words, said):
+    line = one_line_of_error(capsys, *(word.replace("RUN", str(run)) for word in words))
+    assert said.replace("RUN", str(run)) in line
+
+
+@pytest.mark.parametrize("job", ["evaluate", "render"])
+def test_an_unfinished_or_damaged_run_says_what_to_do(run, capsys, job):
+    (run / "frames.json").write_text('{"frames": [{}], "lost": [], "keyframes": []}')
+    assert "frames.json is damaged" in one_line_of_error(capsys, job, run)
+    (run / "frames.json").write_text("{")
+    assert "frames.json is not JSON" in one_line_of_error(capsys, job, run)
+    (run / "map.ply").unlink()
+    assert "--resume" in one_line_of_error(capsys, job, run)
+
+
+def test_a_moved_data_set_can_be_named_or_done_without(run, capsys, recording):
+    config = run / "config.yaml"
+    config.write_text(config.read_text().replace(str(recording), "/gone"))
+    assert "--camera" in one_line_of_error(capsys, "render", run)
+    assert "/gone" in one_line_of_error(capsys, "evaluate", run)
+    assert main(["evaluate", str(run), "--dataset.path", str(recording)]) == 0
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
+def test_export_writes_splats(run, tmp_path, suffix):
+    file = tmp_path / f"map{suffix}"
+    assert main(["export", str(run), "--to", str(file)]) == 0
+    assert len(read_cloud(file)) == len(read_cloud(run / "map.ply"))
+
+
+def test_export_writes_a_mesh_on_the_walls_and_points(run, tmp_path, capsys):
+    mesh = tmp_path / "box.mesh.ply"
+    done = semsplat("export", run, "--to", mesh, "--voxel-m", "0.05", "--every", "2")
+    assert done.returncode == 0, done.stderr
+    assert "triangles" in done.stdout
+    assert mesh.read_bytes().startswith(b"ply")
+    assert main(["export", str(run), "--to", str(tmp_path / "p.ply"), "--points"]) == 0
+    assert "points" in capsys.readouterr().out
+
+
+def test_evaluate_measures_again_and_keeps_the_times(run):
+    done = semsplat("evaluate", run)
+    assert done.returncode == 0, done.stderr
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["tracking_ms_per_frame"] == 12.5
+    # Eight bits a channel are worth some 59 dB.
+    assert 50.0 < metrics["psnr_db"] < 70.0
+    assert metrics["psnr_unseen_db"] > 45.0
+    assert metrics["ate_rmse_cm"] < 0.001
+    assert (metrics["frames"], metrics["frames_lost"], metrics["keyframes"]) == (10, 1, 2)
+    assert metrics["views_unseen"] == 3
+    assert all(not isinstance(v, (dict, list)) for v in metrics.values())
+
+
+def test_evaluate_does_without_earlier_metrics(run):
+    (run / "metrics.json").unlink()
+    assert main(["evaluate", str(run), "--max-views", "1"]) == 0
+    assert json.loads((run / "metrics.json").read_text())["views"] == 1
