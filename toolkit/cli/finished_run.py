@@ -71,7 +71,7 @@ def open_finished_run(path: Path) -> FinishedRun:
         if not file.is_file():
             raise RunFolderError(
                 f"{path} has no {file.name}: the run has not finished; "
-                f"go on with: semsplat run --out {path} --resume"
+                "give its semsplat run command again, with --resume"
             )
     content = _read_frames(folder.frames)
     try:
