@@ -5,6 +5,7 @@ from __future__ import annotations
 from toolkit.frame import Recorder
 from toolkit.settings.tracking import TrackingSettings
 from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 from toolkit.tracking.health import HealthLimits
 from toolkit.tracking.tracker import Tracker
 
@@ -14,5 +15,8 @@ def build_tracker(
 ) -> Tracker:
     """The tracker that the settings name."""
     limits = HealthLimits(**settings.health.model_dump())
+    if settings.kind == "first-order":
+        slow = FirstOrderOptions(**settings.first_order.model_dump())
+        return FirstOrderTracker(slow, limits, backend_name, recorder)
     options = DenseOptions(**settings.dense.model_dump())
     return DenseTracker(options, limits, backend_name, recorder)

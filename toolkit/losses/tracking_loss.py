@@ -1,0 +1,82 @@
+"""The papers' tracking loss with its derivative, H-22 and G-2 in one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolkit.rendering.output import COLOUR, DEPTH_SUM, SILHOUETTE
+
+
+@dataclass(frozen=True)
+class TrackingLossWeights:
+    """Weights of the tracking loss.
+
+    Attributes:
+        colour, depth: of the two L1 terms.
+        summed: sums over pixels and channels (H), else means over both (G). A pixel has three
+            colour channels and one depth, so this changes their balance as well.
+        least_silhouette: pixels count only where the map is more opaque.
+    """
+
+    colour: float
+    depth: float
+    summed: bool
+    least_silhouette: float = 0.99
+
+
+PRESETS = {
+    "hier-slam": TrackingLossWeights(colour=0.5, depth=1.0, summed=True),
+    "gausem": TrackingLossWeights(colour=1.0, depth=0.5, summed=False),
+}
+
+
+@dataclass(frozen=True)
+class TrackingLoss:
+    """The loss of one rendering.
+
+    Attributes:
+        value: as the preset defines it; 0 where no pixel counts.
+        per_pixel: the value a pixel, by which poses are compared: a sum would prefer the pose
+            that shows least of the map. Infinite where no pixel counts.
+        gradient: [5 + S, H, W] derivative of `value` by the rendered images.
+        pixels: pixels that count.
+    """
+
+    value: float
+    per_pixel: float
+    gradient: Tensor
+    pixels: int
+
+
+def tracking_loss(
+    images: Tensor, rgb: Tensor, depth_m: Tensor, weights: TrackingLossWeights
+) -> TrackingLoss:
+    """Loss of a rendering against a frame, where the map is opaque and depth was measured.
+
+    Args:
+        images: [5 + S, H, W] as a backend draws them.
+        rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
+    """
+    silhouette, depth_sum = images[SILHOUETTE], images[DEPTH_SUM]
+    mask = (silhouette > weights.least_silhouette) & (depth_m > 0)
+    pixels = int(mask.sum())
+    gradient = torch.zeros_like(images)
+    if pixels == 0:
+        return TrackingLoss(0.0, float("inf"), gradient, 0)
+    colour_weight, depth_weight = weights.colour, weights.depth
+    if not weights.summed:
+        colour_weight, depth_weight = colour_weight / (3 * pixels), depth_weight / pixels
+
+    difference = torch.where(mask, images[COLOUR] - rgb, torch.zeros_like(rgb))
+    inverse = torch.where(mask, 1.0 / silhouette, torch.zeros_like(silhouette))
+    error = torch.where(mask, depth_sum * inverse - depth_m, torch.zeros_like(depth_m))
+    value = colour_weight * float(difference.abs().sum()) + depth_weight * float(error.abs().sum())
+
+    gradient[COLOUR] = torch.sign(difference) * colour_weight
+    by_sum = torch.sign(error) * inverse * depth_weight
+    gradient[DEPTH_SUM] = by_sum
+    gradient[SILHOUETTE] = -by_sum * depth_sum * inverse
+    return TrackingLoss(value, value / pixels if weights.summed else value, gradient, pixels)

@@ -1,0 +1,211 @@
+"""The papers' tracker: Adam on the pose alone (H-21, H-22, G-2).
+
+It is here to be compared with: the dense tracker needs a tenth of its renders. The semantic
+term of G-2 is not part of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.errors import SettingsError
+from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.losses.tracking_loss import PRESETS, tracking_loss
+from toolkit.rendering import backend
+from toolkit.tracking.alignment import (
+    FrameLevel,
+    Linearisation,
+    Scales,
+    intensity_of,
+    linearise,
+    model_level,
+    view_of,
+)
+from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.result import TrackingResult
+
+
+@dataclass(frozen=True)
+class FirstOrderOptions:
+    """Values of the first-order tracker.
+
+    Attributes:
+        preset: loss weights, "hier-slam" or "gausem".
+        iterations: Adam steps a frame.
+        translation_rate, rotation_rate: step sizes in metres and radians.
+    """
+
+    preset: str = "hier-slam"
+    iterations: int = 40
+    translation_rate: float = 0.002
+    rotation_rate: float = 0.001
+
+
+_BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
+
+# How the final pose is judged: residual scales to start from, rounds of their fixed point,
+# the gate on depth differences (share of the depth) and the least silhouette.
+_START = Scales(intensity=0.05, depth_m=0.01)
+_LEAST = Scales(intensity=0.002, depth_m=0.0001)
+_ROUNDS = 8
+_MAX_DISTANCE = 0.05
+_LEAST_SILHOUETTE = 0.9
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A pose, what the map looks like from it, and how well that fits."""
+
+    T_camera_map: NDArray[np.float64]
+    images: Tensor
+    loss: float
+    step: int
+
+
+class FirstOrderTracker:
+    """Tracks frames against a map of Gaussians by gradient descent.
+
+    Raises:
+        SettingsError: the preset is unknown.
+    """
+
+    def __init__(
+        self,
+        options: FirstOrderOptions | None = None,
+        limits: HealthLimits | None = None,
+        backend_name: str = "auto",
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.options = options or FirstOrderOptions()
+        if self.options.preset not in PRESETS:
+            raise SettingsError(
+                f"unknown tracking preset '{self.options.preset}'; choose one of "
+                f"{', '.join(PRESETS)}"
+            )
+        self.limits = limits or HealthLimits()
+        self.motion = ConstantVelocity()
+        self._backend = backend(backend_name)
+        self._recorder = recorder or NullRecorder()
+
+    def first_pose(self, frame: Frame) -> NDArray[np.float64]:
+        """The map's frame is the first camera's."""
+        self.motion.update(frame.timestamp_s, np.eye(4))
+        return np.eye(4)
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        return dict(self.motion.state())
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self.motion = ConstantVelocity.from_state(state)
+
+    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+        """Pose of a frame against the map; the motion model follows unless it is lost."""
+        result = self.locate(frame, gaussians, self.motion.predict(frame.timestamp_s))
+        if result.lost:
+            self.motion.forget_velocity()
+        else:
+            self.motion.update(frame.timestamp_s, result.T_map_camera)
+        return result
+
+    def locate(
+        self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64]
+    ) -> TrackingResult:
+        """Pose of a frame from a start near it; the tracker's own state stays as it is."""
+        rgb = torch.from_numpy(np.ascontiguousarray(frame.rgb.transpose(2, 0, 1)))
+        depth_m = torch.from_numpy(frame.depth_m)
+        weights = PRESETS[self.options.preset]
+        T_camera_map = se3.inverse(T_map_camera)
+        adam = _PoseAdam(self.options)
+        best: _Candidate | None = None
+        renders = 0
+        # A pose is judged by the render after its step (SplaTAM credits the step before), so
+        # there is one render more than there are steps.
+        for step in range(self.options.iterations + 1):
+            with self._recorder.timed("tracking render"):
+                drawn = self._backend.forward(gaussians, frame.camera, T_camera_map, None, None)
+            renders += 1
+            loss = tracking_loss(drawn.images, rgb, depth_m, weights)
+            if best is None or loss.per_pixel < best.loss:
+                best = _Candidate(T_camera_map, drawn.images, loss.per_pixel, step)
+            if step == self.options.iterations or loss.pixels == 0:
+                break
+            with self._recorder.timed("tracking backward"):
+                gradients = drawn.backward(loss.gradient, colours=False)
+            by_pose = pose_gradient(gradients.T_camera_map.numpy(), T_camera_map)
+            T_camera_map = se3.orthonormalise(se3.exp(adam.step(by_pose)) @ T_camera_map)
+        assert best is not None
+        return self._result(frame, best, renders)
+
+    def _result(self, frame: Frame, best: _Candidate, renders: int) -> TrackingResult:
+        linear, scales = _judged(frame, best.images)
+        measured = float((frame.depth_m > 0).sum())
+        visible = linear.depth_pixels / max(measured, 1.0)
+        information = linear.H[:6, :6]
+        health, reason = verdict(self.limits, scales, visible, information, measured)
+        return TrackingResult(
+            T_map_camera=se3.inverse(best.T_camera_map),
+            # Some later pose was no better: the loss had stopped falling.
+            converged=best.step < renders - 1,
+            iterations=renders - 1,
+            renders=renders,
+            intensity_residual=scales.intensity,
+            depth_residual_m=scales.depth_m,
+            visible_fraction=visible,
+            information=information,
+            health=health,
+            reason=reason,
+        )
+
+
+def pose_gradient(
+    by_matrix: NDArray[np.float64], T_camera_map: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Derivative [6] by xi of exp(xi) @ T_camera_map, from that by its entries [3, 4].
+
+    A rotation phi moves each column c of the matrix by phi x c, so its share of the
+    derivative is phi . (c x g); only the translation's column moves with rho.
+    """
+    by_rotation = np.cross(T_camera_map[:3], by_matrix, axis=0).sum(axis=1)
+    return np.concatenate([by_matrix[:, 3], by_rotation])
+
+
+class _PoseAdam:
+    """Adam over the six tangent coordinates, with a rate for each kind."""
+
+    def __init__(self, options: FirstOrderOptions) -> None:
+        self._rates = np.repeat([options.translation_rate, options.rotation_rate], 3)
+        self._first, self._second = np.zeros(6), np.zeros(6)
+        self._steps = 0
+
+    def step(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The tangent step [6] that a gradient [6] asks for."""
+        self._steps += 1
+        self._first = _BETA1 * self._first + (1.0 - _BETA1) * gradient
+        self._second = _BETA2 * self._second + (1.0 - _BETA2) * gradient**2
+        mean = self._first / (1.0 - _BETA1**self._steps)
+        spread = np.sqrt(self._second / (1.0 - _BETA2**self._steps))
+        return -self._rates * mean / (spread + _EPSILON)
+
+
+def _judged(frame: Frame, images: Tensor) -> tuple[Linearisation, Scales]:
+    """Normal equations at the pose that was drawn, and the scales of its residuals."""
+    model = model_level(view_of(images, frame.camera, _LEAST_SILHOUETTE))
+    own = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
+    scales = _START
+    for _ in range(_ROUNDS):
+        linear = linearise(model, own, np.eye(4), scales, (1.0, 0.0), _MAX_DISTANCE)
+        scales = Scales(
+            max(scales.intensity * float(np.sqrt(linear.intensity_variance)), _LEAST.intensity),
+            max(scales.depth_m * float(np.sqrt(linear.depth_variance)), _LEAST.depth_m),
+        )
+    return linear, scales
