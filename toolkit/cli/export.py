@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 import tyro
 from tqdm import tqdm
@@ -126,7 +127,7 @@ def _views(run: FinishedRun, every: int) -> Iterator[DepthView]:
                 se3.inverse(frame.T_map_camera),
                 backend_name=run.settings.backend,
             )
-        solid = drawn.silhouette > _LEAST_SILHOUETTE
-        depth_m = torch.where(solid, drawn.depth_m, torch.zeros_like(drawn.depth_m))
-        rgb = drawn.colour.clamp(0.0, 1.0).contiguous()
-        yield DepthView(camera, frame.T_map_camera, rgb.numpy(), depth_m.numpy())
+        solid = drawn.silhouette.numpy() > _LEAST_SILHOUETTE
+        depth_m = np.where(solid, drawn.depth_m.numpy(), np.float32(0.0))
+        rgb = np.clip(drawn.colour.numpy(), 0.0, 1.0)
+        yield DepthView(camera, frame.T_map_camera, rgb, depth_m)

@@ -214,9 +214,10 @@ def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
     T_camera_map = se3.inverse(shot.T_map_camera)
     with torch.no_grad():
         drawn = render(subject.gaussians, camera, T_camera_map, backend_name=subject.backend_name)
-    covered = drawn.silhouette > _LEAST_SILHOUETTE
-    depth_m = torch.where(covered, drawn.depth_m, torch.zeros_like(drawn.depth_m))
-    return _Drawn(drawn.colour.numpy(), depth_m.numpy(), drawn.silhouette.numpy())
+    silhouette = drawn.silhouette.numpy()
+    covered = silhouette > _LEAST_SILHOUETTE
+    depth_m = np.where(covered, drawn.depth_m.numpy(), np.float32(0.0))
+    return _Drawn(drawn.colour.numpy(), depth_m, silhouette)
 
 
 def _picture(

@@ -219,11 +219,11 @@ def _quality(gaussians: GaussianCloud, view: View, backend_name: str) -> ViewQua
     with torch.no_grad():
         drawn = render(gaussians, view.frame.camera, T_camera_map, backend_name=backend_name)
     # Back to the camera's own exposure, so that the observed image stays as it is.
-    colour = ((drawn.colour - view.bias) / view.gain).clamp(0.0, 1.0)
-    covered = drawn.silhouette > _LEAST_SILHOUETTE
-    depth_m = torch.where(covered, drawn.depth_m, torch.zeros_like(drawn.depth_m))
+    colour = ((drawn.colour.numpy() - view.bias) / view.gain).clip(0.0, 1.0).astype(np.float32)
+    covered = drawn.silhouette.numpy() > _LEAST_SILHOUETTE
+    depth_m = np.where(covered, drawn.depth_m.numpy(), np.float32(0.0))
     return view_quality(
         view.frame.index,
-        (colour.numpy(), depth_m.numpy()),
+        (colour, depth_m),
         (view.frame.rgb, view.frame.depth_m),
     )
