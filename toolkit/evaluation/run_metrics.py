@@ -1,7 +1,7 @@
 """Measures what a run produced: its path against the truth, its map against the views.
 
 `semsplat run` and `semsplat evaluate` both call `measure_run`, so a run measured again
-gives the same figures. Views are read one at a time.
+gives the same figures, but for what the files round. Views are read one at a time.
 """
 
 from __future__ import annotations
