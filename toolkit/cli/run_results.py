@@ -148,9 +148,7 @@ def _render_views(
         write_rgb(folder.renders / f"{name}_strip.png", picture.astype(np.float32) / 255.0)
         title = f"frame {view.index}" + (", unseen" if view.held_out else "")
         views.append(
-            ReportView(
-                title, frame.rgb, colour, frame.depth_m, depth_m, psnr_db(colour, frame.rgb)
-            )
+            ReportView(title, frame.rgb, colour, frame.depth_m, depth_m, psnr_db(colour, frame.rgb))
         )
     return views
 

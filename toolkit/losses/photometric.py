@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import torch
 from torch import Tensor
@@ -17,16 +17,26 @@ _WINDOW, _SIGMA = 11, 1.5
 class RgbdLossWeights:
     """Weights of the mapping loss.
 
+    The papers' L1 is made quadratic near zero (Charbonnier): its constant slope would keep
+    Adam shaking Gaussians that already fit.
+
     Attributes:
         colour: of the colour term, (1 - structure) * L1 + structure * (1 - SSIM) (G-4).
         depth: of the L1 depth term inside the silhouette mask.
+        silhouette: of 1 - silhouette where depth was measured; without it black surfaces
+            turn transparent, since the background is black.
         structure: share of SSIM in the colour term.
+        colour_scale: errors well below it count quadratically, intensities in [0, 1].
+        depth_scale_m: the same for depth at 1 m, metres; grows with the squared depth.
         least_silhouette: depth counts only where the map is at least this opaque.
     """
 
     colour: float = 0.5
     depth: float = 1.0
+    silhouette: float = 0.02
     structure: float = 0.2
+    colour_scale: float = 0.02
+    depth_scale_m: float = 0.005
     least_silhouette: float = 0.5
 
 
@@ -40,51 +50,58 @@ def rgbd_loss(
         rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
 
     Returns:
-        The value, and its gradient [5 + S, H, W].
+        The mean over pixels, and the gradient [5 + S, H, W] of the **sum** over pixels, so
+        that a Gaussian's gradient does not depend on the image's size.
     """
-    gradient = torch.zeros_like(images)
-    colour = images[COLOUR]
-    difference = colour - rgb
-    pixels = depth_m.numel()
-    flat = weights.colour * (1.0 - weights.structure)
-    value = flat * float(difference.abs().mean())
-    gradient[COLOUR] = torch.sign(difference) * (flat / (3 * pixels))
-    if weights.structure > 0 and weights.colour > 0:
-        share = weights.colour * weights.structure
-        value += share * (1.0 - add_ssim_gradient(colour, rgb, -share, gradient[COLOUR]))
-
-    silhouette, depth_sum = images[SILHOUETTE], images[DEPTH_SUM]
-    mask = (silhouette > weights.least_silhouette) & (depth_m > 0)
-    inverse = torch.where(mask, 1.0 / silhouette.clamp(min=1e-6), torch.zeros_like(silhouette))
-    error = torch.where(mask, depth_sum * inverse - depth_m, torch.zeros_like(depth_m))
-    count = max(int(mask.sum()), 1)
-    value += weights.depth * float(error.abs().sum()) / count
-    by_sum = torch.sign(error) * inverse * (weights.depth / count)
-    gradient[DEPTH_SUM] = by_sum
-    gradient[SILHOUETTE] = -by_sum * depth_sum * inverse
+    module = kernels()
+    if module is None:
+        return _rgbd_loss_torch(images, rgb, depth_m, weights)
+    gradient = torch.empty_like(images) if len(images) == 5 else torch.zeros_like(images)
+    value = module.rgbd_loss(
+        (images.shape[2], images.shape[1]),
+        address(images),
+        address(rgb),
+        address(depth_m),
+        astuple(weights),
+        address(gradient),
+    )
     return value, gradient
 
 
-def add_ssim_gradient(x: Tensor, y: Tensor, weight: float, gradient: Tensor) -> float:
-    """Mean SSIM of two images [C, H, W]; adds weight * d(mean SSIM)/dx to the gradient in place.
-
-    11x11 Gaussian window, sigma 1.5, data range 1, zero beyond the border.
-    """
-    module = kernels()
-    if module is not None:
-        x, y = x.contiguous(), y.contiguous()
-        assert gradient.is_contiguous()
-        return module.mean_ssim(address(x), address(y), tuple(x.shape), weight, address(gradient))
+def _rgbd_loss_torch(
+    images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
+) -> tuple[float, Tensor]:
+    """The same by autograd, where no kernels were compiled."""
     with torch.enable_grad():
-        leaf = x.detach().clone().requires_grad_()
-        value = ssim_torch(leaf, y)
-        (derivative,) = torch.autograd.grad(value, leaf)
-    gradient += weight * derivative
-    return float(value.detach())
+        leaf = images.detach().clone().requires_grad_()
+        value = rgbd_loss_torch(leaf, rgb, depth_m, weights)
+        (gradient,) = torch.autograd.grad(value, leaf)
+    return float(value.detach()), gradient * depth_m.numel()
+
+
+def rgbd_loss_torch(
+    images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
+) -> Tensor:
+    """The mean loss as a differentiable number: the reference of the native kernel."""
+    colour, silhouette = images[COLOUR], images[SILHOUETTE]
+    flat = _charbonnier(colour - rgb, torch.tensor(weights.colour_scale)).mean()
+    structural = 1.0 - ssim_torch(colour, rgb)
+    value = weights.colour * ((1 - weights.structure) * flat + weights.structure * structural)
+    measured = depth_m > 0
+    solid = measured & (silhouette > weights.least_silhouette)
+    safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
+    scale = weights.depth_scale_m * (depth_m**2).clamp(min=0.25)
+    error = torch.where(solid, images[DEPTH_SUM] / safe - depth_m, torch.zeros_like(depth_m))
+    value = value + weights.depth * _charbonnier(error, scale).mean()
+    return value + weights.silhouette * ((1.0 - silhouette) * measured).mean()
+
+
+def _charbonnier(error: Tensor, scale: Tensor) -> Tensor:
+    return scale * ((1.0 + (error / scale) ** 2).sqrt() - 1.0)
 
 
 def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
-    """Mean SSIM of [C, H, W] images by convolutions: the reference of the native kernel."""
+    """Mean SSIM of [C, H, W] images: 11x11 Gaussian window, zero beyond the border."""
     offsets = torch.arange(_WINDOW, dtype=x.dtype) - _WINDOW // 2
     window = torch.exp(-0.5 * (offsets / _SIGMA) ** 2)
     window = window / window.sum()

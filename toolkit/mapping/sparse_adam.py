@@ -22,6 +22,8 @@ class LearningRates:
     Attributes:
         means: in units of a Gaussian's own radius, so that scenes of any scale behave alike.
         log_radii, opacity_logits, colours, features: in the parameter's own unit.
+        epsilon: gradients well below it hardly move anything: a Gaussian that fits rests. In
+            units of the loss summed over pixels, by the parameter in its own unit.
         settle_steps: a Gaussian's rates fall as 1 / (1 + its steps / settle_steps).
     """
 
@@ -30,10 +32,11 @@ class LearningRates:
     opacity_logits: float = 0.05
     colours: float = 0.01
     features: float = 0.02
+    epsilon: float = 0.05
     settle_steps: float = 60.0
 
 
-BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
+BETA1, BETA2 = 0.9, 0.99
 
 
 class SparseAdam:
@@ -81,7 +84,7 @@ class SparseAdam:
             unit = address(cloud.log_radii) if name == "means" else 0
             rate = getattr(self.rates, name)
             groups.append((*(address(t) for t in tensors), width, rate, unit))
-        settings = (BETA1, BETA2, EPSILON, self.rates.settle_steps)
+        settings = (BETA1, BETA2, self.rates.epsilon, self.rates.settle_steps)
         module.adam(address(ids), len(ids), address(self.steps), groups, settings)
 
     def _step_torch(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
@@ -92,6 +95,8 @@ class SparseAdam:
         radii = cloud.log_radii[ids].exp()
         for name, gradient in gradients.items():
             first, second = self._first[name], self._second[name]
+            if name == "means":
+                gradient = gradient * radii[:, None]
             wide = (slice(None),) + (None,) * (gradient.ndim - 1)
             m = first[ids] * BETA1 + gradient * (1.0 - BETA1)
             v = second[ids] * BETA2 + gradient**2 * (1.0 - BETA2)
@@ -99,7 +104,7 @@ class SparseAdam:
             rate = getattr(self.rates, name) * settled / (1.0 - BETA1**steps)
             if name == "means":
                 rate = rate * radii
-            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + EPSILON
+            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + self.rates.epsilon
             getattr(cloud, name)[ids] -= rate[wide] * m / scale
 
     def state(self) -> dict[str, NDArray]:

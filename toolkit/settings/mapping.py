@@ -34,6 +34,7 @@ class LearningRateSettings(Settings):
     opacity_logits: float = Field(0.05, ge=0)
     colours: float = Field(0.01, ge=0)
     features: float = Field(0.02, ge=0)
+    epsilon: float = Field(0.05, gt=0, description="gradients below it hardly move anything")
     settle_steps: float = Field(60.0, ge=0, description="rates halve after so many steps")
 
 
@@ -42,7 +43,10 @@ class LossSettings(Settings):
 
     colour: float = Field(0.5, ge=0)
     depth: float = Field(1.0, ge=0)
+    silhouette: float = Field(0.02, ge=0, description="fills surfaces that were measured")
     structure: float = Field(0.2, ge=0, le=1, description="share of SSIM in the colour term")
+    colour_scale: float = Field(0.02, gt=0, description="quadratic below it, [0, 1]")
+    depth_scale_m: float = Field(0.005, gt=0, description="quadratic below it, m at 1 m")
     least_silhouette: float = Field(0.5, ge=0, le=1, description="depth counts above it")
 
 

@@ -22,8 +22,8 @@ class HealthSettings(Settings):
 class DenseSettings(Settings):
     """Dense Gauss-Newton against the rendered map."""
 
-    levels: int = Field(3, ge=1, le=7, description="pyramid levels")
-    iterations: int = Field(10, ge=1, description="most steps a level")
+    levels: int = Field(4, ge=1, le=7, description="pyramid levels")
+    iterations: int = Field(12, ge=1, description="most steps a level")
     renders: int = Field(3, ge=1, description="most views drawn a frame")
     rerender_distance: float = Field(0.02, gt=0, description="motion that asks for a new view")
     least_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")

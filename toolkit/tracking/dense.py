@@ -50,8 +50,8 @@ class DenseOptions:
         photometric_weight: weight of the photometric term against the geometric one.
     """
 
-    levels: int = 3
-    iterations: int = 10
+    levels: int = 4
+    iterations: int = 12
     renders: int = 3
     rerender_distance: float = 0.02
     least_silhouette: float = 0.9
@@ -72,8 +72,8 @@ _EXPOSURE_PRIOR = 0.02
 _FEWEST_PIXELS = 50
 
 # Steps below these end a level: a thousandth of a pixel at usual focal lengths.
-_SMALL_TRANSLATION_M = 5e-6
-_SMALL_ROTATION_RAD = 3e-6
+_SMALL_TRANSLATION_M = 2e-5
+_SMALL_ROTATION_RAD = 1e-5
 
 
 @dataclass
@@ -126,7 +126,11 @@ class DenseTracker:
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """Pose of a frame against the map; the motion model follows unless it is lost."""
-        result = self.locate(frame, gaussians, self.motion.predict(frame.timestamp_s))
+        starts = [self.motion.predict(frame.timestamp_s)]
+        last = self.motion.last()
+        if last is not None:
+            starts.append(last)
+        result = self.locate(frame, gaussians, *starts)
         if result.lost:
             self.motion.forget_velocity()
         else:
@@ -136,23 +140,31 @@ class DenseTracker:
         return result
 
     def locate(
-        self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64]
+        self, frame: Frame, gaussians: GaussianCloud, *starts: NDArray[np.float64]
     ) -> TrackingResult:
-        """Pose of a frame from a start near it; the tracker's own state stays as it is."""
+        """Pose of a frame near one of the starts; the tracker's own state stays as it is.
+
+        Args:
+            starts: T_map_camera [4, 4] each; the map is drawn at the first, and the one that
+                fits best on the coarsest level is where alignment begins.
+        """
         levels = pyramid(
             FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)),
             self.options.levels,
         )
-        estimate = _Estimate(T_map_camera.copy(), self._scales, *self._exposure)
+        estimate = _Estimate(starts[0].copy(), self._scales, *self._exposure)
         renders = 0
         while renders < self.options.renders:
             T_map_view = estimate.T_map_camera.copy()
             with self._recorder.timed("tracking render"):
                 view = self._draw_levels(gaussians, frame.camera, T_map_view)
+            if renders == 0:
+                estimate.T_map_camera = self._best_start(view[-1], levels[-1], starts, estimate)
             renders += 1
             with self._recorder.timed("tracking align"):
                 self._align(view, levels, T_map_view, estimate, coarse=renders == 1)
-            if not self._moved_far(T_map_view, estimate.T_map_camera, frame):
+            near = not self._moved_far(T_map_view, estimate.T_map_camera, frame)
+            if near and estimate.converged:
                 break
         return self._result(estimate, renders, levels[0])
 
@@ -162,6 +174,25 @@ class DenseTracker:
         drawn = self._backend.forward(gaussians, camera, se3.inverse(T_map_view), None, None)
         view = view_of(drawn.images, camera, self.options.least_silhouette)
         return [model_level(level) for level in pyramid(view, self.options.levels)]
+
+    def _best_start(
+        self,
+        view: ModelLevel,
+        frame: FrameLevel,
+        starts: tuple[NDArray[np.float64], ...],
+        estimate: _Estimate,
+    ) -> NDArray[np.float64]:
+        """The start with the least cost against the view drawn at the first one."""
+        if len(starts) == 1:
+            return starts[0].copy()
+        T_view_map = se3.inverse(starts[0])
+        gate = self.options.max_distance * 2 ** (self.options.levels - 1)
+        exposure = (estimate.gain, estimate.bias)
+        costs = [
+            linearise(view, frame, T_view_map @ T, estimate.scales, exposure, gate).cost
+            for T in starts
+        ]
+        return starts[int(np.argmin(costs))].copy()
 
     def _align(
         self,

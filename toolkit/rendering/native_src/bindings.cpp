@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "alignment.hpp"
+#include "losses.hpp"
 #include "optimisation.hpp"
 #include "splats.hpp"
 
@@ -133,6 +134,16 @@ double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double w
                 at<float>(gradient));
 }
 
+// weights: colour, depth, silhouette, structure, colour scale, depth scale, least silhouette.
+double loss_of_rgbd(const Size& size, Address images, Address rgb, Address depth,
+                    const std::array<double, 7>& weights, Address gradient) {
+    const RgbdLoss loss = {(float)weights[0], (float)weights[1], (float)weights[2], (float)weights[3],
+                           (float)weights[4], (float)weights[5], (float)weights[6]};
+    const py::gil_scoped_release release;
+    return rgbd_loss(at<const float>(images), at<const float>(rgb), at<const float>(depth), size[1], size[0],
+                     loss, at<float>(gradient));
+}
+
 // The best instruction set that this processor runs and that we build for.
 std::string instruction_set() {
 #if defined(__x86_64__)
@@ -166,5 +177,6 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("align_accumulate", &align_accumulate);
     m.def("adam", &adam);
     m.def("mean_ssim", &mean_ssim);
+    m.def("rgbd_loss", &loss_of_rgbd);
     m.def("instruction_set", &instruction_set);
 }

@@ -1,4 +1,4 @@
-// Sparse Adam and the photometric loss of mapping, with their derivatives.
+// Sparse Adam.
 #pragma once
 
 #include <cstdint>
@@ -17,15 +17,12 @@ struct AdamGroup {
 };
 
 struct AdamSettings {
-    float beta1, beta2, epsilon;
+    float beta1, beta2;
+    float epsilon;           // gradients well below it hardly move anything
     float settle_steps;      // learning rates fall as 1 / (1 + steps / settle_steps); 0: they do not
 };
 
 void adam_step(const int64_t* ids, int64_t count, int32_t* steps, const AdamGroup* groups, int group_count,
                const AdamSettings& settings);
-
-// Mean SSIM (11x11 Gaussian window, sigma 1.5) of two planar images [C, H, W] and, where
-// `gradient` is not null, d(weight * mean SSIM)/d(x) added to it.
-double ssim(const float* x, const float* y, int channels, int height, int width, float weight, float* gradient);
 
 }  // namespace semsplat
