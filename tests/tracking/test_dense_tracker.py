@@ -1,0 +1,175 @@
+"""The dense tracker on a small room: what it finds, and what it owns to have lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracked_room import (
+    Room,
+    assert_same_place,
+    blank_frame,
+    blind_frame,
+    distance_mm,
+    frame_from_elsewhere,
+    ideal_frame,
+    small_motion,
+)
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.rendering import native
+from toolkit.tracking import alignment
+from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.result import Health
+
+
+def started(room: Room) -> DenseTracker:
+    """A tracker that has seen the first frame."""
+    tracker = DenseTracker()
+    tracker.first_pose(room.frames[0])
+    return tracker
+
+
+def test_the_first_camera_is_the_map(room):
+    tracker = DenseTracker()
+    assert np.array_equal(tracker.first_pose(room.frames[0]), np.eye(4))
+    assert np.array_equal(tracker.motion.last(), np.eye(4))
+
+
+def test_known_motion_is_recovered(room, gaussians):
+    result = started(room).track(room.frames[1], gaussians)
+    assert_same_place(result.T_map_camera, room.T_map_camera[1], mm=1.0, deg=0.05)
+    assert result.health is Health.GOOD and result.reason == ""
+    assert result.converged
+    assert 1 <= result.renders <= DenseOptions().renders
+    assert result.iterations >= result.renders
+    assert 0.4 < result.visible_fraction <= 1.0
+
+
+def test_a_view_of_the_map_itself_is_found_almost_exactly(room, gaussians):
+    pose = small_motion(0, metres=0.03, degrees=2.0)
+    frame = ideal_frame(gaussians, room.frames[1], pose)
+    result = started(room).track(frame, gaussians)
+    assert_same_place(result.T_map_camera, pose, mm=0.5, deg=0.02)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_starts_within_the_basin_end_at_one_place(room, gaussians, seed):
+    """Four centimetres and three degrees: ten pixels at this size."""
+    pose = room.T_map_camera[1]
+    start = pose @ small_motion(seed, metres=0.04, degrees=3.0)
+    result = started(room).locate(room.frames[1], gaussians, start)
+    assert not result.lost
+    assert_same_place(result.T_map_camera, pose, mm=1.5, deg=0.08)
+
+
+def test_exposure_is_recovered_and_leaves_the_pose_alone(room, gaussians):
+    tracker = started(room)
+    for frame, pose in zip(room.frames[1:], room.T_map_camera[1:], strict=True):
+        darker = replace(frame, rgb=frame.rgb * np.float32(0.8) + np.float32(0.05))
+        result = tracker.track(darker, gaussians)
+        assert_same_place(result.T_map_camera, pose, mm=3.0, deg=0.1)
+    # A prior lets it follow a sudden change over some frames only.
+    middle = float(darker.rgb.mean())
+    assert result.gain == pytest.approx(1.25, abs=0.12)
+    assert result.gain * middle + result.bias == pytest.approx(float(frame.rgb.mean()), abs=0.02)
+
+
+def test_exposure_stays_fixed_where_asked_to(room, gaussians):
+    tracker = DenseTracker(DenseOptions(exposure=False))
+    tracker.first_pose(room.frames[0])
+    result = tracker.track(room.frames[1], gaussians)
+    assert (result.gain, result.bias) == (1.0, 0.0)
+    assert_same_place(result.T_map_camera, room.T_map_camera[1])
+
+
+@pytest.mark.parametrize("make", [blank_frame, blind_frame, frame_from_elsewhere])
+def test_frames_that_cannot_be_placed_are_lost(room, gaussians, make):
+    tracker = started(room)
+    tracker.track(room.frames[1], gaussians)
+    place = tracker.motion.last()
+    result = tracker.track(make(room.frames[2]), gaussians)
+    assert result.lost
+    assert result.reason
+    assert np.isfinite(result.T_map_camera).all()
+    # The camera is where it was last seen, and no longer believed to move.
+    assert np.array_equal(tracker.motion.predict(room.frames[3].timestamp_s), place)
+
+
+def test_it_recovers_after_a_lost_frame(room, gaussians):
+    tracker = started(room)
+    tracker.track(room.frames[1], gaussians)
+    assert tracker.track(blind_frame(room.frames[2]), gaussians).lost
+    result = tracker.track(room.frames[3], gaussians)
+    assert_same_place(result.T_map_camera, room.T_map_camera[3], mm=1.5, deg=0.08)
+
+
+def test_an_empty_map_loses_every_frame(room):
+    result = started(room).track(room.frames[1], GaussianCloud.empty())
+    assert result.lost and result.visible_fraction == 0.0
+
+
+def test_locating_leaves_the_tracker_as_it_was(room, gaussians):
+    tracker = started(room)
+    before = tracker.state()
+    tracker.locate(room.frames[1], gaussians, np.eye(4))
+    after = tracker.state()
+    assert before.keys() == after.keys()
+    assert all(np.array_equal(before[k], after[k]) for k in before)
+
+
+def test_a_restored_tracker_goes_on_with_the_same_bits(room, gaussians):
+    tracker = started(room)
+    for frame in room.frames[1:3]:
+        tracker.track(frame, gaussians)
+    other = DenseTracker()
+    other.restore({name: array.copy() for name, array in tracker.state().items()})
+    for frame in room.frames[3:5]:
+        here, there = tracker.track(frame, gaussians), other.track(frame, gaussians)
+        assert here.T_map_camera.tobytes() == there.T_map_camera.tobytes()
+        assert here.information.tobytes() == there.information.tobytes()
+        assert (here.gain, here.bias) == (there.gain, there.bias)
+
+
+def test_information_is_a_covariance_inverse(room, gaussians):
+    """Symmetric, positive, and larger the more pixels speak."""
+    result = started(room).track(room.frames[1], gaussians)
+    assert np.allclose(result.information, result.information.T)
+    assert np.linalg.eigvalsh(result.information)[0] > 0
+    fewer = room.frames[1].depth_m.copy()
+    fewer[:, ::2] = 0.0
+    halved = started(room).track(replace(room.frames[1], depth_m=fewer), gaussians)
+    assert np.trace(halved.information) < 0.8 * np.trace(result.information)
+
+
+def test_errors_are_as_large_as_the_information_says(room, gaussians):
+    """Noise on depth and colour moves the pose by about its standard deviation."""
+    pose = room.T_map_camera[1]
+    clean = ideal_frame(gaussians, room.frames[1], pose)
+    generator = np.random.default_rng(0)
+    squares = []
+    for _ in range(8):
+        rgb = clean.rgb + generator.normal(scale=0.03, size=clean.rgb.shape)
+        depth = clean.depth_m * (1 + generator.normal(scale=0.003, size=clean.depth_m.shape))
+        noisy = replace(
+            clean,
+            rgb=rgb.clip(0, 1).astype(np.float32),
+            depth_m=np.where(clean.depth_m > 0, depth, 0).astype(np.float32),
+        )
+        result = started(room).locate(noisy, gaussians, pose)
+        error = se3.log(se3.inverse(pose) @ result.T_map_camera)
+        squares.append(error @ result.information @ error)
+    # Six degrees of freedom: the mean is 6 where pixels are independent.
+    assert 1.0 < np.mean(squares) < 30.0
+
+
+def test_it_works_without_compiled_kernels(room, gaussians, monkeypatch):
+    for module in (native, alignment):
+        monkeypatch.setattr(module, "kernels", lambda: None)
+    tracker = DenseTracker(backend_name="reference")
+    tracker.first_pose(room.frames[0])
+    result = tracker.track(room.frames[1], gaussians)
+    assert_same_place(result.T_map_camera, room.T_map_camera[1])
+    assert distance_mm(result.T_map_camera, np.eye(4)) > 10.0
