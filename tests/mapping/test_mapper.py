@@ -1,0 +1,175 @@
+"""The mapper on a small room with true poses: does the map become the room?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from mapped_room import depth_error_m, fed, psnr_db, same_bits
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.mapping.factory import build_mapper
+from toolkit.mapping.keyframes import KeyframePolicy
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.settings.mapping import MappingSettings
+
+UNTOUCHED = MapperOptions(iterations=0, first_iterations=0, final_iterations=0)
+FEW = MapperOptions(iterations=4, first_iterations=8, final_iterations=1)
+
+
+def test_optimisation_makes_the_picture_better(room):
+    quality = []
+    for steps in (0, 10, 40):
+        mapper = fed(Mapper(replace(FEW, first_iterations=steps)), room, [0])
+        quality.append(psnr_db(mapper, room.frames[0], room.T_map_camera[0]))
+    assert quality[0] < quality[1] < quality[2]
+    assert quality[2] > quality[0] + 2.0
+
+
+def test_refinement_makes_all_keyframes_better(room):
+    mapper = fed(Mapper(replace(FEW, final_iterations=8)), room, [0, 4, 8])
+    before = [psnr_db(mapper, room.frames[i], room.T_map_camera[i]) for i in (0, 4, 8)]
+    mapper.refine()
+    after = [psnr_db(mapper, room.frames[i], room.T_map_camera[i]) for i in (0, 4, 8)]
+    assert np.mean(after) > np.mean(before) + 0.3
+
+
+def test_views_never_used_are_drawn_well(room):
+    mapper = fed(Mapper(FEW), room, [0, 4, 8])
+    mapper.refine()
+    assert psnr_db(mapper, room.frames[6], room.T_map_camera[6]) > 24.0
+    assert abs(depth_error_m(mapper, room.frames[6], room.T_map_camera[6])).mean() < 0.03
+
+
+def test_settling_takes_the_bias_of_seeds_away(room):
+    """Compositing favours the nearer side of slanted surfaces."""
+    bias = []
+    for rounds in (0, 2):
+        mapper = fed(Mapper(replace(UNTOUCHED, settle_rounds=rounds)), room, [0])
+        error = depth_error_m(mapper, room.frames[0], room.T_map_camera[0])
+        bias.append(abs(float(np.median(error))))
+    assert bias[1] < 0.5 * bias[0]
+    assert bias[1] < 0.001
+
+
+def test_known_surfaces_are_not_seeded_again(room):
+    mapper = Mapper(FEW)
+    first = mapper.add_keyframe(room.frames[0], room.T_map_camera[0])
+    again = mapper.add_keyframe(replace(room.frames[0], index=1), room.T_map_camera[0])
+    further = mapper.add_keyframe(room.frames[8], room.T_map_camera[8])
+    assert first.seeded > 1000
+    assert again.seeded < 0.02 * first.seeded
+    assert again.seeded < further.seeded < 0.6 * first.seeded
+
+
+def test_a_new_surface_before_the_map_is_seeded(room):
+    """Something nearer than the map: drawn depth lies behind the measured one."""
+    mapper = fed(Mapper(UNTOUCHED), room, [0])
+    nearer = room.frames[0].depth_m.copy()
+    nearer[20:40, 30:50] *= 0.7
+    frame = replace(room.frames[0], index=1, depth_m=nearer)
+    result = mapper.add_keyframe(frame, room.T_map_camera[0])
+    assert 100 <= result.seeded <= 500
+
+
+def test_useless_gaussians_are_pruned(room):
+    mapper = fed(Mapper(UNTOUCHED), room, [0])
+    count = len(mapper.gaussians)
+    cloud = mapper.gaussians
+    cloud.means[3] = float("nan")
+    cloud.opacity_logits[7] = -9.0
+    cloud.log_radii[11] = 2.0
+    kept = [i for i in range(count) if i not in (3, 7, 11)]
+    expected = cloud.means[kept].clone()
+    mapper.refine()
+    assert len(mapper.gaussians) == count - 3
+    assert torch.equal(mapper.gaussians.means, expected)
+    assert len(mapper.optimiser.steps) == count - 3
+
+
+def test_the_newest_frame_is_wanted_as_the_policy_says(room):
+    mapper = Mapper(replace(UNTOUCHED, keyframes=KeyframePolicy(interval=3, least_overlap=0.0)))
+    assert mapper.wants(room.frames[0], room.T_map_camera[0])
+    fed(mapper, room, [0])
+    wanted = [mapper.wants(room.frames[i], room.T_map_camera[i]) for i in (1, 2, 3, 4)]
+    assert wanted == [False, False, True, True]
+
+
+def test_exposure_is_taken_out_of_the_map(room):
+    frame = room.frames[0]
+    darker = replace(frame, rgb=frame.rgb * np.float32(0.5))
+    mapper = Mapper(replace(FEW, first_iterations=20))
+    mapper.add_keyframe(darker, room.T_map_camera[0], gain=2.0)
+    assert psnr_db(mapper, frame, room.T_map_camera[0]) > 25.0
+
+
+def test_a_frame_without_depth_changes_no_shape(room):
+    mapper = fed(Mapper(UNTOUCHED), room, [0])
+    before = len(mapper.gaussians)
+    blind = replace(room.frames[4], depth_m=np.zeros_like(room.frames[4].depth_m))
+    result = mapper.add_keyframe(blind, room.T_map_camera[4])
+    assert result.seeded == 0 and len(mapper.gaussians) == before
+
+
+def test_a_restored_mapper_goes_on_with_the_same_bits(room):
+    mapper = fed(Mapper(FEW, np.random.default_rng(3)), room, [0, 3, 5])
+    arrays, values = mapper.state()
+    other = Mapper(FEW, np.random.default_rng(99))
+    other.restore({name: array.copy() for name, array in arrays.items()}, values)
+    for one in (mapper, other):
+        fed(one, room, [7, 9])
+        one.refine()
+    assert same_bits(mapper, other)
+
+
+def test_saving_changes_nothing(room):
+    plain, saved = (fed(Mapper(FEW, np.random.default_rng(3)), room, [0, 3]) for _ in range(2))
+    saved.state()
+    for one in (plain, saved):
+        fed(one, room, [6])
+    assert same_bits(plain, saved)
+
+
+def test_a_saved_state_does_not_change_later(room):
+    mapper = fed(Mapper(FEW), room, [0])
+    arrays, values = mapper.state()
+    copies = {name: array.copy() for name, array in arrays.items()}
+    draws = repr(values)
+    fed(mapper, room, [5])
+    assert all(np.array_equal(arrays[name], copies[name]) for name in copies)
+    assert repr(values) == draws
+
+
+@pytest.mark.parametrize("other_seed", [3, 4])
+def test_the_generator_decides_everything(room, other_seed):
+    one, other = (
+        fed(Mapper(FEW, np.random.default_rng(s)), room, [0, 2, 4, 6]) for s in (3, other_seed)
+    )
+    assert same_bits(one, other) is (other_seed == 3)
+
+
+def test_it_works_without_compiled_kernels(room, monkeypatch):
+    from toolkit.losses import photometric
+    from toolkit.mapping import sparse_adam
+
+    for module in (photometric, sparse_adam):
+        monkeypatch.setattr(module, "kernels", lambda: None)
+    options = replace(FEW, first_iterations=2)
+    slow = fed(Mapper(options, backend_name="reference"), room, [0])
+    monkeypatch.undo()
+    fast = fed(Mapper(options), room, [0])
+    pose = room.T_map_camera[0]
+    assert psnr_db(slow, room.frames[0], pose) == pytest.approx(
+        psnr_db(fast, room.frames[0], pose), abs=0.2
+    )
+
+
+def test_the_factory_passes_the_settings_on():
+    settings = MappingSettings(iterations=7, keyframes={"interval": 9}, rates={"colours": 0.5})
+    mapper = build_mapper(settings, np.random.default_rng(0))
+    assert mapper.options.iterations == 7
+    assert mapper.options.keyframes.interval == 9
+    assert mapper.optimiser.rates.colours == 0.5
+    assert isinstance(mapper.gaussians, GaussianCloud) and len(mapper.gaussians) == 0

@@ -1,0 +1,113 @@
+"""From pixels to Gaussians: how many, where, how large, in which cells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.frame import Frame
+from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+CAMERA = Camera(40.0, 42.0, 15.0, 11.0, 32, 24)
+SINGLE, CELLS, LARGE = (SeedingOptions(largest_cell=n) for n in (1, 2, 4))
+POSE = se3.exp(np.array([0.5, -0.3, 0.2, 0.3, -0.2, 0.4]))
+
+
+def plain_wall(camera: Camera = CAMERA, depth_m: float = 2.0) -> Frame:
+    shape = (camera.height, camera.width)
+    rgb = np.full((*shape, 3), 0.4, dtype=np.float32)
+    return Frame(0, 0.0, rgb, np.full(shape, depth_m, dtype=np.float32), camera)
+
+
+def noisy_wall() -> Frame:
+    frame = plain_wall()
+    rgb = np.random.default_rng(0).random(frame.rgb.shape, dtype=np.float32)
+    return replace(frame, rgb=rgb)
+
+
+def everywhere(frame: Frame) -> np.ndarray:
+    return np.ones(frame.depth_m.shape, dtype=bool)
+
+
+@pytest.mark.parametrize(("options", "count"), [(SINGLE, 768), (CELLS, 192), (LARGE, 48)])
+def test_plain_surfaces_get_one_gaussian_a_cell(options, count):
+    frame = plain_wall()
+    assert len(seed(frame, POSE, everywhere(frame), options)) == count
+
+
+@pytest.mark.parametrize("options", [SINGLE, CELLS, LARGE])
+def test_textured_surfaces_get_one_a_pixel(options):
+    frame = noisy_wall()
+    assert len(seed(frame, POSE, everywhere(frame), options)) == 768
+
+
+def test_edges_in_depth_get_one_a_pixel():
+    frame = plain_wall()
+    frame.depth_m[:, 17:] = 3.0  # the edge lies within the cells of columns 16 and 17
+    cloud = seed(frame, POSE, everywhere(frame), CELLS)
+    assert len(cloud) == 15 * 12 + 2 * 24
+
+
+def test_only_masked_pixels_with_depth_become_gaussians():
+    frame = noisy_wall()
+    mask = everywhere(frame)
+    mask[:10] = False
+    frame.depth_m[20:, :5] = 0.0
+    assert len(seed(frame, POSE, mask, CELLS)) == 14 * 32 - 4 * 5
+
+
+def test_nothing_wanted_is_an_empty_cloud():
+    frame = plain_wall()
+    assert len(seed(frame, POSE, ~everywhere(frame), LARGE)) == 0
+
+
+@pytest.mark.parametrize("size", [(33, 25), (1, 1), (3, 2)])
+def test_odd_images_are_covered_to_the_border(size):
+    camera = replace(CAMERA, width=size[0], height=size[1])
+    frame = plain_wall(camera)
+    cloud = seed(frame, POSE, everywhere(frame), CELLS)
+    cells = (size[0] // 2) * (size[1] // 2)
+    assert 4 * cells + (len(cloud) - cells) == size[0] * size[1]
+
+
+@pytest.mark.parametrize("options", [SINGLE, CELLS, LARGE])
+def test_seeds_lie_on_the_surface_they_were_seen_on(options):
+    """A slanted wall: also the centre of a large cell lies on it."""
+    normal, distance = np.array([0.1, -0.05, 1.0]), 2.0
+    depth = (distance / (CAMERA.rays() @ normal)).astype(np.float32)
+    frame = replace(plain_wall(), depth_m=depth)
+    cloud = seed(frame, POSE, everywhere(frame), options)
+    points = se3.transform_points(se3.inverse(POSE), cloud.means.double().numpy())
+    assert abs(points @ normal - distance).max() < 1e-5
+
+
+def test_pixels_and_seeds_coincide():
+    frame = noisy_wall()
+    cloud = seed(frame, POSE, everywhere(frame), SINGLE)
+    points = se3.transform_points(se3.inverse(POSE), cloud.means.double().numpy())
+    u, v = np.rint(CAMERA.project(points)).astype(int).T
+    assert np.allclose(CAMERA.project(points), np.stack([u, v], 1), atol=1e-3)
+    assert np.allclose(cloud.colours.numpy(), frame.rgb[v, u])
+
+
+@pytest.mark.parametrize(("options", "cell"), [(SINGLE, 1), (CELLS, 2), (LARGE, 4)])
+def test_radius_is_the_footprint_of_the_cell(options, cell):
+    frame = plain_wall(depth_m=3.0)
+    cloud = seed(frame, POSE, everywhere(frame), options)
+    expected = options.radius * cell * 3.0 / CAMERA.focal
+    assert torch.allclose(cloud.radii_m, torch.tensor(expected), rtol=1e-5)
+    assert torch.allclose(cloud.opacities, torch.tensor(options.opacity), rtol=1e-5)
+
+
+def test_features_follow_their_pixels():
+    frame = noisy_wall()
+    v, u = np.mgrid[:24, :32]
+    features = torch.from_numpy(np.stack([u, v], -1).astype(np.float32))
+    cloud = seed(frame, np.eye(4), everywhere(frame), SINGLE, features)
+    uv = CAMERA.project(cloud.means.double().numpy())
+    assert np.allclose(cloud.features.numpy(), uv, atol=1e-3)

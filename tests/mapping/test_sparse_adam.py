@@ -1,0 +1,205 @@
+"""Sparse Adam: kernels against torch, torch against Adam, and a map that changes size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.mapping import sparse_adam
+from toolkit.mapping.sparse_adam import BETA1, BETA2, LearningRates, SparseAdam
+from toolkit.rendering.native import _load, available_instruction_sets
+
+PLAIN = ("log_radii", "opacity_logits", "colours", "features")  # parameters in their own unit
+
+
+@pytest.fixture
+def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Choose a compiled variant by name, or "torch"."""
+
+    def choose(name: str) -> None:
+        module = None if name == "torch" else _load(name)
+        monkeypatch.setattr(sparse_adam, "kernels", lambda: module)
+
+    return choose
+
+
+@pytest.fixture(params=[*available_instruction_sets(), "torch"])
+def any_way(request: pytest.FixtureRequest, use: Callable[[str], None]) -> None:
+    use(request.param)
+
+
+def cloud_of(count: int, channels: int = 2) -> GaussianCloud:
+    generator = torch.Generator().manual_seed(0)
+    return GaussianCloud.from_values(
+        torch.randn(count, 3, generator=generator),
+        0.01 + 0.1 * torch.rand(count, generator=generator),
+        0.1 + 0.8 * torch.rand(count, generator=generator),
+        torch.rand(count, 3, generator=generator),
+        torch.randn(count, channels, generator=generator),
+    )
+
+
+def gradients_for(cloud: GaussianCloud, ids: Tensor, seed: int) -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    return {
+        f.name: torch.randn(len(ids), *getattr(cloud, f.name).shape[1:], generator=generator)
+        for f in fields(cloud)
+    }
+
+
+def ids_of(count: int, seed: int) -> Tensor:
+    """About half of the Gaussians, ascending."""
+    return (torch.rand(count, generator=torch.Generator().manual_seed(seed)) < 0.5).nonzero()[:, 0]
+
+
+def run(steps: int = 6, count: int = 103) -> tuple[GaussianCloud, SparseAdam]:
+    cloud = cloud_of(count)
+    optimiser = SparseAdam(LearningRates(), feature_channels=2)
+    optimiser.extend(count)
+    for seed in range(steps):
+        ids = ids_of(count, seed)
+        optimiser.step(cloud, gradients_for(cloud, ids, seed), ids)
+    return cloud, optimiser
+
+
+@pytest.mark.parametrize("name", available_instruction_sets())
+def test_kernels_agree_with_torch(use, name):
+    use("torch")
+    expected, slow = run()
+    use(name)
+    actual, fast = run()
+    for field in fields(expected):
+        assert torch.allclose(
+            getattr(actual, field.name), getattr(expected, field.name), rtol=1e-4, atol=1e-5
+        ), field.name
+        for one, other in zip(fast.moments(field.name), slow.moments(field.name), strict=True):
+            assert torch.allclose(one, other, rtol=1e-4, atol=1e-6), field.name
+    assert torch.equal(fast.steps, slow.steps)
+
+
+@pytest.mark.parametrize("parameter", PLAIN)
+def test_touching_all_is_plain_adam(any_way, parameter):
+    rates = replace(LearningRates(), settle_steps=0.0)
+    cloud = cloud_of(31)
+    leaf = getattr(cloud, parameter).clone().requires_grad_()
+    plain = torch.optim.Adam(
+        [leaf], lr=getattr(rates, parameter), betas=(BETA1, BETA2), eps=rates.epsilon
+    )
+    optimiser = SparseAdam(rates, feature_channels=2)
+    optimiser.extend(31)
+    ids = torch.arange(31)
+    for seed in range(8):
+        gradient = gradients_for(cloud, ids, seed)[parameter]
+        leaf.grad = gradient
+        plain.step()
+        optimiser.step(cloud, {parameter: gradient}, ids)
+    assert torch.allclose(getattr(cloud, parameter), leaf.detach(), rtol=1e-4, atol=1e-5)
+
+
+def test_centres_move_in_units_of_their_radius(any_way):
+    """The same scene twice as large moves twice as far, against gradients half as steep."""
+    moved = []
+    for scale in (1.0, 2.0):
+        cloud = cloud_of(20)
+        cloud = replace(cloud, means=cloud.means * scale, log_radii=(cloud.radii_m * scale).log())
+        before = cloud.means.clone()
+        optimiser = SparseAdam(LearningRates(), feature_channels=2)
+        optimiser.extend(20)
+        ids = torch.arange(20)
+        for seed in range(3):
+            gradient = gradients_for(cloud, ids, seed)["means"] / scale
+            optimiser.step(cloud, {"means": gradient}, ids)
+        moved.append((cloud.means - before) / scale)
+    assert torch.allclose(moved[0], moved[1], rtol=1e-3, atol=1e-6)
+    assert float(moved[0].abs().max()) > 1e-3
+
+
+def test_steps_go_against_the_gradient(any_way):
+    cloud, ids = cloud_of(40), torch.arange(40)
+    before = {f.name: getattr(cloud, f.name).clone() for f in fields(cloud)}
+    optimiser = SparseAdam(LearningRates(), feature_channels=2)
+    optimiser.extend(40)
+    gradients = gradients_for(cloud, ids, 0)
+    optimiser.step(cloud, gradients, ids)
+    for name, gradient in gradients.items():
+        assert bool(((getattr(cloud, name) - before[name]) * gradient <= 0).all()), name
+        assert not torch.equal(getattr(cloud, name), before[name])
+
+
+def test_only_the_named_rows_and_parameters_move(any_way):
+    cloud = cloud_of(50)
+    before = {f.name: getattr(cloud, f.name).clone() for f in fields(cloud)}
+    optimiser = SparseAdam(LearningRates(), feature_channels=2)
+    optimiser.extend(50)
+    ids = torch.tensor([0, 3, 49])
+    gradients = gradients_for(cloud, ids, 0)
+    del gradients["features"]
+    optimiser.step(cloud, gradients, ids)
+    still = torch.ones(50, dtype=torch.bool)
+    still[ids] = False
+    for name, values in before.items():
+        assert torch.equal(getattr(cloud, name)[still], values[still]), name
+    assert torch.equal(cloud.features, before["features"])
+    assert optimiser.steps.tolist() == [int(i in (0, 3, 49)) for i in range(50)]
+
+
+def test_rates_fall_as_a_gaussian_settles(any_way):
+    rates = replace(LearningRates(), settle_steps=5.0)
+    cloud = cloud_of(1)
+    optimiser = SparseAdam(rates, feature_channels=2)
+    optimiser.extend(1)
+    strides = []
+    for _ in range(21):
+        before = cloud.colours.clone()
+        optimiser.step(cloud, {"colours": torch.full((1, 3), 100.0)}, torch.tensor([0]))
+        strides.append(float((before - cloud.colours)[0, 0]))
+    # Under a constant gradient each stride is rate / (1 + steps / settle_steps).
+    assert strides[0] == pytest.approx(rates.colours / (1 + 1 / 5), rel=0.02)
+    assert strides[20] == pytest.approx(rates.colours / (1 + 21 / 5), rel=0.02)
+
+
+def test_nothing_seen_is_no_error(any_way):
+    cloud, none = cloud_of(5), torch.zeros(0, dtype=torch.int64)
+    optimiser = SparseAdam(LearningRates(), feature_channels=2)
+    optimiser.extend(5)
+    optimiser.step(cloud, gradients_for(cloud, none, 0), none)
+    assert not optimiser.steps.any()
+
+
+def test_new_gaussians_start_without_a_past(any_way):
+    _, optimiser = run(count=20)
+    before = optimiser.moments("means")[0].clone()
+    optimiser.extend(7)
+    first, second = optimiser.moments("means")
+    assert first.shape == second.shape == (27, 3)
+    assert torch.equal(first[:20], before)
+    assert not first[20:].any() and not second[20:].any()
+    assert not optimiser.steps[20:].any()
+
+
+def test_kept_gaussians_keep_their_past(any_way):
+    _, optimiser = run(count=20)
+    mask = torch.arange(20) % 3 != 0
+    expected = {name: [m[mask] for m in optimiser.moments(name)] for name in PLAIN}
+    steps = optimiser.steps[mask]
+    optimiser.keep(mask)
+    assert torch.equal(optimiser.steps, steps)
+    for name, moments in expected.items():
+        for one, other in zip(optimiser.moments(name), moments, strict=True):
+            assert torch.equal(one, other)
+
+
+def test_a_restored_optimiser_goes_on_with_the_same_bits(any_way):
+    cloud, optimiser = run()
+    twin = GaussianCloud(*(getattr(cloud, f.name).clone() for f in fields(cloud)))
+    other = SparseAdam(LearningRates(), feature_channels=2)
+    other.restore({name: array.copy() for name, array in optimiser.state().items()})
+    ids = ids_of(len(cloud), 99)
+    for chosen, its in ((cloud, optimiser), (twin, other)):
+        its.step(chosen, gradients_for(chosen, ids, 99), ids)
+    assert all(torch.equal(getattr(cloud, f.name), getattr(twin, f.name)) for f in fields(cloud))
