@@ -1,0 +1,53 @@
+"""A small room for the whole system, and comparisons of two systems."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.slam import FrameResult, Slam
+from toolkit.tracking.dense import DenseTracker
+
+FEW = MapperOptions(iterations=4, first_iterations=12, final_iterations=2)
+
+
+@dataclass(frozen=True)
+class SlamRoom:
+    """Frames, and the true path in the first camera's frame."""
+
+    frames: list[Frame]
+    truth: Trajectory
+
+
+def first_steps(count: int = 14) -> SlamRoom:
+    frames, truth = tiny_room(count, 96, 72)
+    return SlamRoom(frames, truth.transformed(se3.inverse(truth.T_world_camera[0])))
+
+
+def new_slam(seed: int = 0) -> Slam:
+    return Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(seed)))
+
+
+def fed(slam: Slam, frames: Iterable[Frame], hold_out: int | None = None) -> list[FrameResult]:
+    """What became of each frame; every n-th is kept out of the map."""
+    return [
+        slam.process_frame(f, may_map=not (hold_out and f.index % hold_out == hold_out - 1))
+        for f in frames
+    ]
+
+
+def fingerprint(slam: Slam) -> dict[str, bytes]:
+    """Everything that decides the outcome, as bytes."""
+    arrays, values = slam.state()
+    out = {name: array.tobytes() for name, array in arrays.items()}
+    out["values"] = json.dumps(values, sort_keys=True).encode()
+    out["path"] = slam.trajectory.T_world_camera.tobytes()
+    return out

@@ -1,0 +1,41 @@
+"""A default is written twice, in a stage's options and in its settings: they must agree."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+
+from toolkit.gaussians.seeding import SeedingOptions
+from toolkit.losses.photometric import RgbdLossWeights
+from toolkit.mapping.keyframes import KeyframePolicy
+from toolkit.mapping.mapper import MapperOptions
+from toolkit.mapping.sparse_adam import LearningRates
+from toolkit.settings.base import Settings
+from toolkit.settings.mapping import (
+    KeyframeSettings,
+    LearningRateSettings,
+    LossSettings,
+    MappingSettings,
+    SeedingSettings,
+)
+from toolkit.settings.tracking import DenseSettings, FirstOrderSettings, HealthSettings
+from toolkit.tracking.dense import DenseOptions
+from toolkit.tracking.first_order import FirstOrderOptions
+from toolkit.tracking.health import HealthLimits
+
+PAIRS = [
+    (DenseOptions(), DenseSettings()),
+    (FirstOrderOptions(), FirstOrderSettings()),
+    (HealthLimits(), HealthSettings()),
+    (MapperOptions(), MappingSettings()),
+    (SeedingOptions(), SeedingSettings()),
+    (LearningRates(), LearningRateSettings()),
+    (RgbdLossWeights(), LossSettings()),
+    (KeyframePolicy(), KeyframeSettings()),
+]
+
+
+@pytest.mark.parametrize(("options", "settings"), PAIRS, ids=lambda p: type(p).__name__)
+def test_defaults_of_options_and_settings_are_equal(options: object, settings: Settings) -> None:
+    assert asdict(options) == settings.model_dump()

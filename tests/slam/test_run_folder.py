@@ -1,0 +1,151 @@
+"""The run folder: two generations of checkpoints, and all that is refused."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.errors import RunFolderError, SettingsError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.run_folder import RunFolder
+
+CONFIG = "seed: 0\nmapping:\n  iterations: 12\n"
+
+ADDED_LINES = pytest.mark.xfail(strict=False, reason="only lines in both files are compared yet")
+
+
+@pytest.fixture
+def folder(tmp_path) -> RunFolder:
+    return RunFolder.create(tmp_path / "run", CONFIG)
+
+
+def save(folder: RunFolder, number: int) -> None:
+    folder.save_checkpoint(number, {"a/b": np.full(4, number)}, {"keyframes": number})
+
+
+def test_a_new_folder_has_no_checkpoint(folder):
+    assert folder.load_checkpoint() is None
+    assert folder.config.read_text() == CONFIG
+    assert folder.renders.is_dir()
+
+
+def test_the_newest_checkpoint_comes_back_whole(folder):
+    for number in range(5):
+        save(folder, number)
+        checkpoint = RunFolder.open(folder.path).load_checkpoint()
+        assert checkpoint.next_frame == number
+        assert checkpoint.arrays["a/b"].tolist() == [number] * 4
+        assert checkpoint.values == {"keyframes": number}
+    assert sorted(p.name for p in folder.checkpoints.iterdir()) == ["0", "1"]
+
+
+@pytest.mark.parametrize("file", ["arrays.npz", "metadata.json"])
+@pytest.mark.parametrize("newest", ["0", "1"])
+def test_a_damaged_newest_falls_back_to_the_one_before(folder, caplog, file, newest):
+    for number in range(3 if newest == "0" else 4):
+        save(folder, number)
+    last = folder.load_checkpoint().next_frame
+    damaged = folder.checkpoints / newest / file
+    damaged.write_bytes(damaged.read_bytes()[:-20])
+    with caplog.at_level(logging.WARNING):
+        assert folder.load_checkpoint().next_frame == last - 1
+    if file == "arrays.npz":
+        assert str(folder.checkpoints / newest) in caplog.text
+
+
+def test_after_a_damage_the_good_one_is_not_the_next_to_go(folder):
+    for number in range(3):
+        save(folder, number)
+    (folder.checkpoints / "0" / "metadata.json").write_text("{")
+    save(folder, 9)
+    assert folder.load_checkpoint().next_frame == 9
+    (folder.checkpoints / "0" / "arrays.npz").write_bytes(b"")
+    assert folder.load_checkpoint().next_frame == 1
+
+
+@pytest.mark.xfail(strict=False, reason="a file that is gone is not yet taken for damage")
+def test_a_missing_file_is_a_damage(folder):
+    save(folder, 0)
+    save(folder, 1)
+    (folder.checkpoints / "1" / "arrays.npz").unlink()
+    assert folder.load_checkpoint().next_frame == 0
+
+
+def test_nothing_readable_is_an_error(folder):
+    for number in range(2):
+        save(folder, number)
+        (folder.checkpoints / str(number) / "arrays.npz").write_bytes(b"no zip")
+    with pytest.raises(RunFolderError, match="start anew"):
+        folder.load_checkpoint()
+
+
+def test_another_thread_count_is_an_error_that_names_the_remedy(folder):
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        save(folder, 0)
+        torch.set_num_threads(2)
+        with pytest.raises(RunFolderError, match="OMP_NUM_THREADS=1"):
+            folder.load_checkpoint()
+    finally:
+        torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        CONFIG.replace("12", "13"),
+        pytest.param(CONFIG + "hold_out: 5\n", marks=ADDED_LINES),
+        pytest.param(CONFIG.split("mapping")[0], marks=ADDED_LINES),
+    ],
+)
+def test_other_settings_are_an_error(folder, other):
+    folder.check_config(CONFIG)
+    with pytest.raises(SettingsError, match="other settings"):
+        folder.check_config(other)
+
+
+def test_a_run_is_not_overwritten(folder):
+    with pytest.raises(RunFolderError, match="--resume"):
+        RunFolder.create(folder.path, CONFIG)
+
+
+def test_a_folder_with_other_things_is_not_taken(tmp_path):
+    (tmp_path / "holiday.jpg").touch()
+    with pytest.raises(RunFolderError, match="not an empty folder"):
+        RunFolder.create(tmp_path, CONFIG)
+    assert [p.name for p in tmp_path.iterdir()] == ["holiday.jpg"]
+    with pytest.raises(RunFolderError, match="not an empty folder"):
+        RunFolder.create(tmp_path / "holiday.jpg", CONFIG)
+
+
+def test_an_empty_folder_is_taken(tmp_path):
+    assert RunFolder.create(tmp_path, CONFIG).config.exists()
+
+
+def test_only_runs_are_opened(tmp_path):
+    for path in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(RunFolderError, match="holds no run"):
+            RunFolder.open(path)
+
+
+def test_trajectory_and_map_come_back(folder):
+    poses = np.stack([se3.exp(0.1 * i * np.arange(6.0)) for i in range(4)])
+    folder.write_trajectory(Trajectory(np.arange(4) / 30.0, poses))
+    assert np.allclose(folder.read_trajectory().T_world_camera, poses, atol=1e-6)
+    generator = torch.Generator().manual_seed(0)
+    cloud = GaussianCloud.from_values(
+        torch.randn(9, 3, generator=generator),
+        torch.rand(9, generator=generator) + 0.01,
+        torch.full((9,), 0.7),
+        torch.rand(9, 3, generator=generator),
+    )
+    folder.write_map(cloud)
+    found = folder.read_map()
+    for name in ("means", "log_radii", "opacity_logits", "colours"):
+        assert torch.allclose(getattr(found, name), getattr(cloud, name), atol=1e-5), name

@@ -1,0 +1,217 @@
+"""The whole method on a small room: path, map, lost frames, and the same bits again."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slam_room import FEW, SlamRoom, fed, fingerprint, new_slam
+
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.mapping.mapper import Mapper
+from toolkit.rendering import render
+from toolkit.run_folder import RunFolder
+from toolkit.slam import Slam
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
+from toolkit.tracking.given import GivenPoses
+
+
+def errors_m(slam: Slam, room: SlamRoom) -> np.ndarray:
+    """Distance of every tracked camera from the truth; both start at the first camera."""
+    path = slam.trajectory
+    true = np.stack([room.truth.at(t) for t in path.timestamps_s])
+    return np.linalg.norm(path.positions_m - true[:, :3, 3], axis=1)
+
+
+def blind(frame: Frame) -> Frame:
+    return replace(frame, depth_m=np.zeros_like(frame.depth_m))
+
+
+class TestPath:
+    def test_it_follows_the_truth(self, room):
+        slam = new_slam()
+        results = fed(slam, room.frames)
+        assert not slam.lost_frames and not any(r.lost for r in results)
+        assert slam.tracked_indices == list(range(14))
+        assert np.sqrt((errors_m(slam, room) ** 2).mean()) < 0.01
+        assert room.truth.path_length_m > 0.2, "the camera does move"
+        assert slam.trajectory.path_length_m == pytest.approx(room.truth.path_length_m, rel=0.1)
+
+    def test_the_map_shows_the_room(self, room):
+        slam = new_slam()
+        fed(slam, room.frames)
+        slam.finish()
+        frame, pose = room.frames[7], slam.trajectory.T_world_camera[7]
+        drawn = render(slam.mapper.gaussians, frame.camera, se3.inverse(pose))
+        psnr_db = -10 * np.log10(((drawn.colour.numpy() - frame.rgb) ** 2).mean())
+        assert psnr_db > 24.0
+
+    def test_the_first_frame_starts_map_and_path(self, room):
+        slam = new_slam()
+        first = slam.process_frame(room.frames[0])
+        assert np.array_equal(first.T_map_camera, np.eye(4))
+        assert first.tracking is None and first.mapping.seeded > 0
+
+    def test_given_poses_are_taken_as_they_are(self, room):
+        slam = Slam(GivenPoses(room.truth), Mapper(FEW))
+        fed(slam, room.frames[:6])
+        assert np.allclose(slam.trajectory.T_world_camera, room.truth.T_world_camera[:6])
+
+    def test_the_first_order_tracker_fits_in(self, room):
+        slam = Slam(FirstOrderTracker(FirstOrderOptions(iterations=15)), Mapper(FEW))
+        results = fed(slam, room.frames[:3])
+        assert [r.tracking.renders for r in results[1:]] == [16, 16]
+
+    def test_the_path_moves_with_its_keyframes(self, room):
+        """Bundle adjustment and loops move keyframes; frames between must follow."""
+        slam = new_slam()
+        fed(slam, room.frames[:6])
+        before = slam.trajectory.T_world_camera
+        move = se3.exp(np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.2]))
+        for keyframe in slam.mapper.keyframes:
+            keyframe.T_map_camera = move @ keyframe.T_map_camera
+        assert np.allclose(slam.trajectory.T_world_camera, move @ before)
+
+    def test_stages_are_timed_without_a_change(self, room):
+        watch = StageRecorder()
+        watched = Slam(
+            DenseTracker(recorder=watch),
+            Mapper(FEW, np.random.default_rng(0), recorder=watch),
+            watch,
+        )
+        plain = new_slam()
+        for slam in (watched, plain):
+            fed(slam, room.frames[:6])
+        assert fingerprint(watched) == fingerprint(plain)
+
+
+class TestHeldOut:
+    def test_held_out_frames_are_tracked_and_not_mapped(self, room):
+        slam = new_slam()
+        results = fed(slam, room.frames, hold_out=2)
+        assert all(r.mapping is None for r in results[1::2])
+        assert all(k.index % 2 == 0 for k in slam.mapper.keyframes)
+        assert len(slam.mapper.keyframes) > 1
+        assert slam.tracked_indices == list(range(14))
+
+    def test_a_held_out_frame_cannot_start_the_map(self, room):
+        slam = new_slam()
+        assert slam.process_frame(room.frames[0], may_map=False).lost
+        assert not slam.process_frame(room.frames[1]).lost
+        assert slam.mapper.keyframes[0].index == 1
+
+
+class TestLost:
+    def test_a_lost_frame_is_reported_and_not_mapped(self, room):
+        slam = new_slam()
+        fed(slam, room.frames[:5])
+        before = fingerprint(slam)
+        result = slam.process_frame(blind(room.frames[5]))
+        assert result.lost and result.T_map_camera is None
+        assert result.tracking.reason and result.mapping is None
+        assert slam.lost_frames == [5]
+        after = fingerprint(slam)
+        changed = {name for name in before if before[name] != after[name]}
+        assert not {name for name in changed if name.startswith("mapper/")}
+
+    def test_it_goes_on_after_lost_frames(self, room):
+        slam = new_slam()
+        frames = [blind(f) if f.index in (5, 6) else f for f in room.frames]
+        fed(slam, frames)
+        assert slam.lost_frames == [5, 6]
+        assert slam.tracked_indices == [0, 1, 2, 3, 4, 7, 8, 9, 10, 11, 12, 13]
+        assert errors_m(slam, room).max() < 0.02
+
+    def test_given_poses_with_a_gap_lose_that_frame(self, room):
+        gap = room.truth.associated_to(np.delete(room.truth.timestamps_s, 3), 1e-6)
+        slam = Slam(GivenPoses(gap), Mapper(FEW))
+        fed(slam, room.frames[:6])
+        assert slam.lost_frames == [3]
+
+
+class TestSameBits:
+    def test_two_runs_with_one_seed_are_identical(self, room):
+        prints = []
+        for seed in (0, 0, 1):
+            slam = new_slam(seed)
+            fed(slam, room.frames[:10])
+            slam.finish()
+            prints.append(fingerprint(slam))
+        assert prints[0] == prints[1]
+        assert prints[0] != prints[2], "the seed has a say"
+
+    @pytest.mark.parametrize("stop", [1, 5, 8, 10])
+    def test_a_resumed_run_is_identical(self, room, tmp_path, stop):
+        """Through a checkpoint on disk, at a keyframe or between, beside a lost frame."""
+        frames = [blind(f) if f.index == 7 else f for f in room.frames[:10]]
+        straight = new_slam()
+        fed(straight, frames)
+        interrupted = new_slam()
+        fed(interrupted, frames[:stop])
+        folder = RunFolder.create(tmp_path / "run", "seed: 0\n")
+        folder.save_checkpoint(stop, *interrupted.state())
+        checkpoint = RunFolder.open(tmp_path / "run").load_checkpoint()
+        resumed = new_slam(seed=77)
+        resumed.restore(checkpoint.arrays, checkpoint.values)
+        fed(resumed, frames[checkpoint.next_frame :])
+        for slam in (straight, resumed):
+            slam.finish()
+        assert fingerprint(resumed) == fingerprint(straight)
+
+    def test_saving_often_changes_nothing(self, room):
+        plain, saved = new_slam(), new_slam()
+        fed(plain, room.frames[:8])
+        for frame in room.frames[:8]:
+            saved.process_frame(frame)
+            saved.state()
+        assert fingerprint(saved) == fingerprint(plain)
+
+    def test_two_threads_repeat_themselves(self, tmp_path):
+        """In processes of their own, since a thread count is fixed when one starts."""
+        program = (
+            "import hashlib, sys\n"
+            f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+            "from slam_room import fed, fingerprint, first_steps, new_slam\n"
+            "import torch\n"
+            "assert torch.get_num_threads() == 2\n"
+            "room = first_steps(7)\n"
+            "for _ in range(2):\n"
+            "    slam = new_slam()\n"
+            "    fed(slam, room.frames)\n"
+            "    slam.finish()\n"
+            "    found = sorted(fingerprint(slam).items())\n"
+            "    print(hashlib.sha256(repr(found).encode()).hexdigest())\n"
+        )
+        root = Path(__file__).parents[2]
+        environment = os.environ | {"OMP_NUM_THREADS": "2", "PYTHONPATH": str(root)}
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        first, second = done.stdout.split()
+        assert first == second
+
+
+class TestExposures:
+    def test_no_frame_is_no_path_and_no_exposure(self):
+        assert len(new_slam().trajectory) == 0
+        assert new_slam().exposures.shape == (0, 2)
+
+    def test_exposures_belong_to_frames(self, room):
+        slam = new_slam()
+        fed(slam, room.frames[:3])
+        assert slam.exposures.shape == (3, 2)
+        assert np.allclose(slam.exposures, [1.0, 0.0], atol=0.05)
