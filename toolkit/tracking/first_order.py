@@ -17,8 +17,9 @@ from toolkit.errors import SettingsError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.losses.tracking_loss import PRESETS, tracking_loss
-from toolkit.rendering import backend
+from toolkit.rendering import RenderOutput, backend
 from toolkit.tracking.alignment import (
     FrameLevel,
     Linearisation,
@@ -26,7 +27,6 @@ from toolkit.tracking.alignment import (
     intensity_of,
     linearise,
     model_level,
-    view_of,
 )
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.motion import ConstantVelocity
@@ -199,7 +199,7 @@ class _PoseAdam:
 
 def _judged(frame: Frame, images: Tensor) -> tuple[Linearisation, Scales]:
     """Normal equations at the pose that was drawn, and the scales of its residuals."""
-    model = model_level(view_of(images, frame.camera, _LEAST_SILHOUETTE))
+    model = model_level(_view_of(images, frame.camera))
     own = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
     scales = _START
     for _ in range(_ROUNDS):
@@ -209,3 +209,16 @@ def _judged(frame: Frame, images: Tensor) -> tuple[Linearisation, Scales]:
             max(scales.depth_m * float(np.sqrt(linear.depth_variance)), _LEAST.depth_m),
         )
     return linear, scales
+
+
+def _view_of(images: Tensor, camera: Camera) -> FrameLevel:
+    """Intensity and depth of a rendering as the loss saw them, 0 where it is too thin."""
+    output = RenderOutput(images)
+    solid = output.silhouette >= _LEAST_SILHOUETTE
+    colour = output.colour / output.silhouette.clamp(min=_LEAST_SILHOUETTE)[..., None]
+    nothing = torch.zeros_like(output.silhouette)
+    return FrameLevel(
+        camera,
+        torch.where(solid, intensity_of(colour.numpy()), nothing),
+        torch.where(solid, output.depth_m, nothing),
+    )
