@@ -9,6 +9,7 @@ from torch import Tensor
 
 from toolkit.rendering.native import address, kernels
 from toolkit.rendering.output import COLOUR, DEPTH_SUM, SILHOUETTE
+from toolkit.rendering.surface import SurfaceView
 
 _WINDOW, _SIGMA = 11, 1.5
 
@@ -41,27 +42,28 @@ class RgbdLossWeights:
 
 
 def rgbd_loss(
-    images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
+    view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
 ) -> tuple[float, Tensor]:
-    """Mapping loss of a rendering and its derivative by the rendered images.
+    """Mapping loss of a drawn view and its derivative by the rendered images.
+
+    The surface's depth is compared; its difference from the mean depth is held constant, so
+    that the derivative goes to the mean depth.
 
     Args:
-        images: [5 + S, H, W] as a backend draws them.
         rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
 
     Returns:
-        The mean over pixels, and the gradient [5 + S, H, W] of the **sum** over pixels, so
-        that a Gaussian's gradient does not depend on the image's size.
+        The mean over pixels, and the gradient [5, H, W] of the **sum** over pixels, so that
+        a Gaussian's gradient does not depend on the image's size.
     """
     module = kernels()
     if module is None:
-        return _rgbd_loss_torch(images, rgb, depth_m, weights)
-    gradient = torch.empty_like(images) if len(images) == 5 else torch.zeros_like(images)
+        return _rgbd_loss_torch(view, rgb, depth_m, weights)
+    images = view.images
+    gradient = torch.empty_like(images)
     value = module.rgbd_loss(
         (images.shape[2], images.shape[1]),
-        address(images),
-        address(rgb),
-        address(depth_m),
+        [address(t) for t in (images, rgb, depth_m, view.depth_m)],
         astuple(weights),
         address(gradient),
     )
@@ -69,29 +71,36 @@ def rgbd_loss(
 
 
 def _rgbd_loss_torch(
-    images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
+    view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
 ) -> tuple[float, Tensor]:
     """The same by autograd, where no kernels were compiled."""
     with torch.enable_grad():
-        leaf = images.detach().clone().requires_grad_()
-        value = rgbd_loss_torch(leaf, rgb, depth_m, weights)
+        leaf = view.images.detach().clone().requires_grad_()
+        value = rgbd_loss_torch(leaf, view.depth_m, (rgb, depth_m), weights)
         (gradient,) = torch.autograd.grad(value, leaf)
     return float(value.detach()), gradient * depth_m.numel()
 
 
 def rgbd_loss_torch(
-    images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
+    images: Tensor, surface_m: Tensor, observed: tuple[Tensor, Tensor], weights: RgbdLossWeights
 ) -> Tensor:
-    """The mean loss as a differentiable number: the reference of the native kernel."""
+    """The mean loss as a differentiable number: the reference of the native kernel.
+
+    Args:
+        images: [5, H, W]. surface_m: [H, W]. observed: colour [3, H, W] and depth [H, W].
+    """
+    rgb, depth_m = observed
     colour, silhouette = images[COLOUR], images[SILHOUETTE]
     flat = _charbonnier(colour - rgb, torch.tensor(weights.colour_scale)).mean()
     structural = 1.0 - ssim_torch(colour, rgb)
     value = weights.colour * ((1 - weights.structure) * flat + weights.structure * structural)
     measured = depth_m > 0
-    solid = measured & (silhouette > weights.least_silhouette)
+    solid = measured & (surface_m > 0) & (silhouette > weights.least_silhouette)
     safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
     scale = weights.depth_scale_m * (depth_m**2).clamp(min=0.25)
-    error = torch.where(solid, images[DEPTH_SUM] / safe - depth_m, torch.zeros_like(depth_m))
+    mean = images[DEPTH_SUM] / safe
+    offset = (surface_m - mean).detach()
+    error = torch.where(solid, mean + offset - depth_m, torch.zeros_like(depth_m))
     value = value + weights.depth * _charbonnier(error, scale).mean()
     return value + weights.silhouette * ((1.0 - silhouette) * measured).mean()
 

@@ -17,8 +17,7 @@ from toolkit.geometry import se3
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
-from toolkit.rendering import backend
-from toolkit.rendering.output import RenderOutput
+from toolkit.rendering import SurfaceView, backend, draw_surface
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,6 @@ class MapperOptions:
         least_silhouette: seed where the map is thinner (H: tau_sil).
         depth_floor: seed where rendered depth lies behind the measured one by more than
             this share of it, and by more than `depth_factor` medians of the error.
-        settle_rounds: corrections of the seeds' depth before optimisation.
         least_opacity: prune below it.
         largest_radius_m: prune beyond it.
     """
@@ -49,7 +47,6 @@ class MapperOptions:
     least_silhouette: float = 0.5
     depth_floor: float = 0.03
     depth_factor: float = 20.0
-    settle_rounds: int = 2
     least_opacity: float = 0.005
     largest_radius_m: float = 0.5
     keyframes: KeyframePolicy = field(default_factory=KeyframePolicy)
@@ -154,11 +151,10 @@ class Mapper:
         ]
         self._generator.bit_generator.state = values["generator"]
 
-    def render(self, keyframe: Keyframe) -> RenderOutput:
+    def view(self, keyframe: Keyframe) -> SurfaceView:
         """The map as a keyframe sees it."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        drawn = self._backend.forward(self.gaussians, keyframe.camera, T_camera_map, None, None)
-        return RenderOutput(drawn.images)
+        return draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map)
 
     def _pick(self, window: list[Keyframe]) -> Keyframe:
         if len(window) == 1 or self._generator.random() < self.options.newest_share:
@@ -169,13 +165,13 @@ class Mapper:
         """One optimisation step on one keyframe (H-24)."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         with self._recorder.timed("map forward"):
-            drawn = self._backend.forward(self.gaussians, keyframe.camera, T_camera_map, None, None)
+            view = draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map)
         with self._recorder.timed("map loss"):
             loss, by_images = rgbd_loss(
-                drawn.images, keyframe.target_rgb(), keyframe.depth_m, self.options.loss
+                view, keyframe.target_rgb(), keyframe.depth_m, self.options.loss
             )
         with self._recorder.timed("map backward"):
-            gradients = drawn.backward(by_images)
+            gradients = view.drawn.backward(by_images)
         with self._recorder.timed("map update"):
             named = {
                 "means": gradients.means,
@@ -187,54 +183,27 @@ class Mapper:
         return loss
 
     def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
-        drawn = self.render(keyframe)
-        missing = self._missing(drawn, keyframe.depth_m)
+        missing = self._missing(self.view(keyframe), keyframe.depth_m)
         bright = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
         exposed = Frame(frame.index, frame.timestamp_s, bright, frame.depth_m, frame.camera)
         seeds = seed(exposed, keyframe.T_map_camera, missing.numpy(), self.options.seeding)
         if len(seeds) == 0:
             return 0
-        old = len(self.gaussians)
         self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
         self.optimiser.extend(len(seeds))
-        for _ in range(self.options.settle_rounds):
-            self._settle(keyframe, old)
         return len(seeds)
 
-    def _missing(self, drawn: RenderOutput, depth_m: Tensor) -> Tensor:
+    def _missing(self, view: SurfaceView, depth_m: Tensor) -> Tensor:
         """Pixels [H, W] that the map does not explain (H, densification)."""
         measured = depth_m > 0
-        thin = drawn.silhouette < self.options.least_silhouette
-        behind = torch.where(measured & ~thin, drawn.depth_m - depth_m, torch.zeros_like(depth_m))
+        thin = view.output.silhouette < self.options.least_silhouette
+        behind = torch.where(measured & ~thin, view.depth_m - depth_m, torch.zeros_like(depth_m))
         errors = behind.abs()[measured & ~thin]
         median = float(errors.median()) if errors.numel() else 0.0
         threshold = (self.options.depth_floor * depth_m).clamp(
             min=self.options.depth_factor * median
         )
         return measured & (thin | (behind > threshold))
-
-    def _settle(self, keyframe: Keyframe, first_new: int) -> None:
-        """Move new seeds along their rays until the rendered depth is the measured one.
-
-        Compositing front to back favours the nearer side of every slanted surface: measured
-        on rooms at 320x240, seeds alone render it about 3 mm too near at 2 m.
-        """
-        drawn = self.render(keyframe)
-        camera = keyframe.camera
-        T = torch.from_numpy(se3.inverse(keyframe.T_map_camera)).to(torch.float32)
-        means = self.gaussians.means[first_new:]
-        points = means @ T[:3, :3].T + T[:3, 3]
-        u = (points[:, 0] / points[:, 2] * camera.fx + camera.cx).round().long()
-        v = (points[:, 1] / points[:, 2] * camera.fy + camera.cy).round().long()
-        at = v.clamp(0, camera.height - 1) * camera.width + u.clamp(0, camera.width - 1)
-        measured = keyframe.depth_m.view(-1)[at]
-        rendered = drawn.depth_m.reshape(-1)[at]
-        usable = (measured > 0) & (rendered > 0)
-        ratio = torch.where(usable, measured / rendered.clamp(min=1e-3), torch.ones_like(measured))
-        ratio = torch.where((ratio - 1).abs() < 0.03, ratio, torch.ones_like(ratio))
-        centre = torch.from_numpy(keyframe.T_map_camera[:3, 3]).to(torch.float32)
-        self.gaussians.means[first_new:] = centre + (means - centre) * ratio[:, None]
-        self.gaussians.log_radii[first_new:] += ratio.log()
 
     def _prune(self) -> int:
         """Remove what is invisible, far too large or not finite."""

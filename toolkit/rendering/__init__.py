@@ -3,12 +3,15 @@
 from toolkit.rendering.backend import TILE, GaussianGradients, region_of_pixels, tile_counts
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.render import backend, render
+from toolkit.rendering.surface import SurfaceView, draw_surface
 
 __all__ = [
     "TILE",
     "GaussianGradients",
     "RenderOutput",
+    "SurfaceView",
     "backend",
+    "draw_surface",
     "region_of_pixels",
     "render",
     "tile_counts",

@@ -49,7 +49,8 @@ class ForwardPass(Protocol):
     def backward(self, image_gradients: Tensor, colours: bool = True) -> GaussianGradients:
         """Gradients of a scalar whose derivative by the images [5 + S, H, W] is given.
 
-        May be called once. `colours=False` skips the colour gradients (pose-only tracking).
+        May be called once. `colours=False` skips the colour gradients (pose-only tracking);
+        gradients for the first five images alone leave the features out.
         """
         ...
 

@@ -122,7 +122,10 @@ class NativeForwardPass:
         """See ForwardPass.backward."""
         n = self._state.visible
         image_gradients = _contiguous(image_gradients)
-        if image_gradients.shape != self.images.shape:
+        without_features = len(image_gradients) == BASE_CHANNELS
+        if without_features:
+            self._arrays[4] = self._arrays[4].new_zeros(len(self._arrays[4]), 0)
+        elif image_gradients.shape != self.images.shape:
             raise ValueError(
                 f"image gradients must have shape {list(self.images.shape)}, "
                 f"got {list(image_gradients.shape)}"

@@ -104,8 +104,9 @@ class ReferenceForwardPass:
         cloud = self._cloud
         inputs = [cloud.means, cloud.log_radii, cloud.opacity_logits, cloud.colours]
         inputs += [self._features, self._T]
-        if self._images.requires_grad:
-            grads = torch.autograd.grad(self._images, inputs, image_gradients, allow_unused=True)
+        images = self._images[: len(image_gradients)]  # five: the features are left out
+        if images.requires_grad:
+            grads = torch.autograd.grad(images, inputs, image_gradients, allow_unused=True)
         else:  # nothing was drawn
             grads = (None,) * len(inputs)
         full = [

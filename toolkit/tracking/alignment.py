@@ -15,6 +15,7 @@ from torch import Tensor
 
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.native import address, kernels
+from toolkit.rendering.surface import SurfaceView
 from toolkit.tracking import alignment_numpy
 
 LUMA = (0.299, 0.587, 0.114)
@@ -123,25 +124,17 @@ def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
     return out
 
 
-def view_of(images: Tensor, camera: Camera, least_silhouette: float) -> FrameLevel:
-    """Intensity and surface depth of a rendering [5 + S, H, W], 0 where it is too thin."""
+def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> FrameLevel:
+    """Intensity and surface depth of a drawn view, 0 where it is too thin."""
     module = kernels()
     if module is None:
-        intensity, depth = alignment_numpy.prepare(images.numpy(), least_silhouette)
-        return FrameLevel(camera, torch.from_numpy(intensity), torch.from_numpy(depth))
-    view = FrameLevel(
-        camera,
-        torch.empty(camera.height, camera.width),
-        torch.empty(camera.height, camera.width),
+        intensity = alignment_numpy.intensity_of(surface.images.numpy(), least_silhouette)
+        return FrameLevel(camera, torch.from_numpy(intensity), surface.depth_m)
+    intensity = torch.empty(camera.height, camera.width)
+    module.align_intensity(
+        camera.size, address(surface.images), least_silhouette, address(intensity)
     )
-    module.align_prepare(
-        camera.size,
-        address(images),
-        least_silhouette,
-        address(view.intensity),
-        address(view.depth_m),
-    )
-    return view
+    return FrameLevel(camera, intensity, surface.depth_m)
 
 
 def model_level(level: FrameLevel) -> ModelLevel:

@@ -16,7 +16,7 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import backend
+from toolkit.rendering import backend, draw_surface
 from toolkit.tracking.alignment import (
     FrameLevel,
     Linearisation,
@@ -171,8 +171,9 @@ class DenseTracker:
     def _draw_levels(
         self, gaussians: GaussianCloud, camera: Camera, T_map_view: NDArray[np.float64]
     ) -> list[ModelLevel]:
-        drawn = self._backend.forward(gaussians, camera, se3.inverse(T_map_view), None, None)
-        view = view_of(drawn.images, camera, self.options.least_silhouette)
+        thin = self.options.least_silhouette
+        surface = draw_surface(self._backend, gaussians, camera, se3.inverse(T_map_view), thin)
+        view = view_of(surface, camera, thin)
         return [model_level(level) for level in pyramid(view, self.options.levels)]
 
     def _best_start(

@@ -18,6 +18,8 @@ enum { ROWS = 4 };  // rows summed in single precision before doubles take over
 constexpr float NU = 5.0f;
 // Depth differences beyond this share of the depth are an edge, not a surface.
 constexpr float EDGE = 0.05f;
+// The surface depth may differ from the mean depth by this share of it.
+constexpr float MOST_CORRECTION = 0.02f;
 
 // Sums of one group of rows: upper triangles of the two blocks of the Hessian.
 struct Sums {
@@ -176,17 +178,63 @@ void accumulate(const ModelLevel& model, const FrameLevel& frame, const Alignmen
     for (const Sums& s : sums) add(s, out);
 }
 
-void prepare_model(const Pinhole& camera, const float* images, float least_silhouette, float* intensity,
-                   float* depth) {
+void intensity_of(const Pinhole& camera, const float* images, float least_silhouette, float* intensity) {
     const int64_t plane = (int64_t)camera.width * camera.height;
-    const float *r = images, *g = images + plane, *b = images + 2 * plane, *d = images + 3 * plane,
-                *s = images + 4 * plane;
+    const float *r = images, *g = images + plane, *b = images + 2 * plane, *s = images + 4 * plane;
 #pragma omp parallel for schedule(static)
     for (int64_t i = 0; i < plane; ++i) {
-        const bool usable = s[i] >= least_silhouette;
-        const float inverse = usable ? 1.0f / s[i] : 0.0f;
+        const float inverse = s[i] >= least_silhouette ? 1.0f / s[i] : 0.0f;
         intensity[i] = (0.299f * r[i] + 0.587f * g[i] + 0.114f * b[i]) * inverse;
-        depth[i] = d[i] * inverse;
+    }
+}
+
+// Front-to-back compositing weighs the nearer of two overlapping Gaussians more, so on a
+// slanted surface the mean depth belongs to a point up to half a pixel off the ray. The mean
+// of the centres themselves does lie on the surface: intersect the ray with the plane there.
+void surface_depth(const Pinhole& camera, const double* T, const float* images, float least_silhouette,
+                   float* depth) {
+    const int W = camera.width, H = camera.height;
+    const size_t plane = (size_t)W * H;
+    float R[9], t[3];
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) R[3 * i + j] = (float)T[4 * i + j];
+        t[i] = (float)T[4 * i + 3];
+    }
+    std::vector<float> points(3 * plane);
+#pragma omp parallel
+    {
+#pragma omp for schedule(static)
+        for (int y = 0; y < H; ++y) {
+            for (int x = 0; x < W; ++x) {
+                const size_t i = (size_t)y * W + x;
+                const float s = images[4 * plane + i], inverse = s >= least_silhouette ? 1.0f / s : 0.0f;
+                const float a = images[5 * plane + i] * inverse, b = images[6 * plane + i] * inverse,
+                            c = images[7 * plane + i] * inverse;
+                for (int k = 0; k < 3; ++k) {
+                    points[3 * i + k] = inverse > 0 ? R[3 * k] * a + R[3 * k + 1] * b + R[3 * k + 2] * c + t[k] : 0.0f;
+                }
+            }
+        }
+#pragma omp for schedule(static)
+        for (int y = 0; y < H; ++y) {
+            for (int x = 0; x < W; ++x) {
+                const size_t i = (size_t)y * W + x;
+                const float* p = points.data() + 3 * i;
+                depth[i] = p[2];
+                if (!(p[2] > 0) || x == 0 || y == 0 || x == W - 1 || y == H - 1) continue;
+                const float *l = p - 3, *r = p + 3, *o = p - 3 * W, *u = p + 3 * W;
+                const float nearest = std::min(std::min(l[2], r[2]), std::min(o[2], u[2]));
+                const float farthest = std::max(std::max(l[2], r[2]), std::max(o[2], u[2]));
+                if (!(nearest > 0) || farthest - nearest > EDGE * p[2]) continue;
+                const float ax = r[0] - l[0], ay = r[1] - l[1], az = r[2] - l[2];
+                const float bx = u[0] - o[0], by = u[1] - o[1], bz = u[2] - o[2];
+                const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
+                const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
+                const float z = (nx * p[0] + ny * p[1] + nz * p[2]) / (nx * rx + ny * ry + nz);
+                // A plane seen edge-on says nothing.
+                if (std::fabs(z - p[2]) < MOST_CORRECTION * p[2]) depth[i] = z;
+            }
+        }
     }
 }
 

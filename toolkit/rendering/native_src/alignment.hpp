@@ -42,8 +42,11 @@ struct NormalEquations {
     double weighted_intensity, weighted_depth;  // sums of the weights
 };
 
-void prepare_model(const Pinhole& camera, const float* images, float least_silhouette, float* intensity,
+// Depth (m) at which each pixel's ray meets the drawn surface, 0 where thinner than asked.
+// images: [8, H, W] of a rendering whose features are the Gaussians' centres in the map.
+void surface_depth(const Pinhole& camera, const double* T_camera_map, const float* images, float least_silhouette,
                    float* depth);
+void intensity_of(const Pinhole& camera, const float* images, float least_silhouette, float* intensity);
 void build_model_level(const Pinhole& camera, const float* intensity, const float* depth, float* texture,
                        float* surface);
 void halve(int width, int height, const float* intensity, const float* depth, float* half_intensity,

@@ -75,11 +75,19 @@ void copy_visible(const Rasterisation& state, Address ids) {
     for (size_t i = 0; i < state.splats.size(); ++i) out[i] = state.splats[i].id;
 }
 
-// images: [5, H, W] of a rendering; intensity and depth: [H, W].
-void align_prepare(const Size& size, Address images, double least_silhouette, Address intensity, Address depth) {
+// images: [8, H, W] of a rendering with centres as features; depth: [H, W].
+void depth_of_surface(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
+                      Address images, double least_silhouette, Address depth) {
     const py::gil_scoped_release release;
-    prepare_model(pinhole({1, 1, 0, 0}, size), at<const float>(images), (float)least_silhouette,
-                  at<float>(intensity), at<float>(depth));
+    surface_depth(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
+                  (float)least_silhouette, at<float>(depth));
+}
+
+// images: [5 + S, H, W] of a rendering; intensity: [H, W].
+void align_intensity(const Size& size, Address images, double least_silhouette, Address intensity) {
+    const py::gil_scoped_release release;
+    intensity_of(pinhole({1, 1, 0, 0}, size), at<const float>(images), (float)least_silhouette,
+                 at<float>(intensity));
 }
 
 void align_level(const Intrinsics& intrinsics, const Size& size, Address intensity, Address depth,
@@ -134,14 +142,15 @@ double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double w
                 at<float>(gradient));
 }
 
+// images: rendered, observed colour, observed depth, surface depth.
 // weights: colour, depth, silhouette, structure, colour scale, depth scale, least silhouette.
-double loss_of_rgbd(const Size& size, Address images, Address rgb, Address depth,
-                    const std::array<double, 7>& weights, Address gradient) {
+double loss_of_rgbd(const Size& size, const std::array<Address, 4>& images, const std::array<double, 7>& weights,
+                    Address gradient) {
     const RgbdLoss loss = {(float)weights[0], (float)weights[1], (float)weights[2], (float)weights[3],
                            (float)weights[4], (float)weights[5], (float)weights[6]};
     const py::gil_scoped_release release;
-    return rgbd_loss(at<const float>(images), at<const float>(rgb), at<const float>(depth), size[1], size[0],
-                     loss, at<float>(gradient));
+    return rgbd_loss(at<const float>(images[0]), at<const float>(images[1]), at<const float>(images[2]),
+                     at<const float>(images[3]), size[1], size[0], loss, at<float>(gradient));
 }
 
 // The best instruction set that this processor runs and that we build for.
@@ -171,7 +180,8 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("forward", &forward);
     m.def("backward", &backward);
     m.def("copy_visible", &copy_visible);
-    m.def("align_prepare", &align_prepare);
+    m.def("surface_depth", &depth_of_surface);
+    m.def("align_intensity", &align_intensity);
     m.def("align_level", &align_level);
     m.def("align_halve", &align_halve);
     m.def("align_accumulate", &align_accumulate);

@@ -40,6 +40,7 @@ void add_all_features(const ForwardScratch& scratch, int count, const Gaussians&
     for (; c + WIDEST <= S; c += WIDEST) add_features<WIDEST>(scratch, count, map.features, S, c, sums);
     if (WIDEST > 8 && c + 8 <= S) add_features<8>(scratch, count, map.features, S, c, sums), c += 8;
     if (WIDEST > 4 && c + 4 <= S) add_features<4>(scratch, count, map.features, S, c, sums), c += 4;
+    if (S - c == 3) add_features<3>(scratch, count, map.features, S, c, sums), c += 3;
     for (; c < S; ++c) add_features<1>(scratch, count, map.features, S, c, sums);
 }
 

@@ -157,8 +157,8 @@ double ssim(const float* x, const float* y, int channels, int height, int width,
     return total / ((double)n * channels);
 }
 
-double rgbd_loss(const float* images, const float* rgb, const float* depth, int height, int width,
-                 const RgbdLoss& loss, float* gradient) {
+double rgbd_loss(const float* images, const float* rgb, const float* depth, const float* surface, int height,
+                 int width, const RgbdLoss& loss, float* gradient) {
     const size_t n = (size_t)height * width;
     const float flat = loss.colour * (1 - loss.structure) / 3;
     std::vector<double> sums((size_t)height);
@@ -172,15 +172,15 @@ double rgbd_loss(const float* images, const float* rgb, const float* depth, int 
                 sum += flat * value;
             }
             const float silhouette = images[4 * n + i], measured = depth[i];
-            const bool seen = measured > 0, solid = seen && silhouette > loss.least_silhouette;
+            const bool seen = measured > 0, solid = seen && surface[i] > 0 && silhouette > loss.least_silhouette;
             const float inverse = solid ? 1.0f / silhouette : 0.0f;
-            const float surface = images[3 * n + i] * inverse;
+            const float mean = images[3 * n + i] * inverse;
             // The sensor's noise grows with the square of the depth, and so does the scale.
             const float scale = loss.depth_scale * std::max(measured * measured, 0.25f);
-            const float slope = solid ? loss.depth * robust(surface - measured, scale, &value) : 0.0f;
+            const float slope = solid ? loss.depth * robust(surface[i] - measured, scale, &value) : 0.0f;
             if (solid) sum += loss.depth * value;
             gradient[3 * n + i] = slope * inverse;
-            gradient[4 * n + i] = -slope * surface * inverse - (seen ? loss.silhouette : 0.0f);
+            gradient[4 * n + i] = -slope * mean * inverse - (seen ? loss.silhouette : 0.0f);
             if (seen) sum += loss.silhouette * (1 - silhouette);
         }
         sums[(size_t)row] = sum;

@@ -14,9 +14,10 @@ struct RgbdLoss {
 
 // Value of the loss and its derivative by the rendered images, summed over pixels.
 //   images, gradient: [5 + S, H, W]; the gradient's first five channels are written.
-//   rgb: [3, H, W]; depth: [H, W] m, 0 where missing.
-double rgbd_loss(const float* images, const float* rgb, const float* depth, int height, int width,
-                 const RgbdLoss& loss, float* gradient);
+//   rgb: [3, H, W]; depth: [H, W] m, 0 where missing; surface: [H, W] m, see surface_depth. Its
+//   difference from the mean depth is held constant.
+double rgbd_loss(const float* images, const float* rgb, const float* depth, const float* surface, int height,
+                 int width, const RgbdLoss& loss, float* gradient);
 
 // Mean SSIM (11x11 Gaussian window, sigma 1.5, zero beyond the border) of planar images
 // [C, H, W]. Where `gradient` is not null, d(weight * sum over pixels of SSIM)/dx is added.
