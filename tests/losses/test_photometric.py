@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss, ssim_torch
+from toolkit.rendering import SurfaceView
 
 SIZES = [(37, 45), (16, 16), (11, 64), (5, 3), (1, 1)]
 SSIM_ONLY = replace(RgbdLossWeights(), colour=1.0, depth=0.0, silhouette=0.0, structure=1.0)
@@ -25,6 +27,15 @@ def drawn(height: int, width: int, channels: int = 0, seed: int = 0) -> Tensor:
     return images
 
 
+def seen(images: Tensor) -> SurfaceView:
+    """A drawn view; its surface lies up to a per cent off the mean depth, and has holes."""
+    mean = images[3] / images[4].clamp(min=0.1)
+    generator = torch.Generator().manual_seed(5)
+    surface = mean * (1 + 0.01 * torch.rand(mean.shape, generator=generator))
+    surface[torch.rand(mean.shape, generator=generator) < 0.1] = 0.0
+    return SurfaceView(SimpleNamespace(images=images), surface)
+
+
 def observed(height: int, width: int, seed: int = 1) -> tuple[Tensor, Tensor]:
     """Colour and depth near the rendering's, with holes in the depth."""
     images = drawn(height, width)
@@ -35,8 +46,9 @@ def observed(height: int, width: int, seed: int = 1) -> tuple[Tensor, Tensor]:
     return rgb, depth
 
 
-def restated(images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights) -> Tensor:
-    """The loss from its documentation, pixel by pixel in float64; SSIM from elsewhere."""
+def restated(view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights) -> Tensor:
+    """The loss from its documentation, pixel by pixel in float64."""
+    images, surface = view.images, view.depth_m
 
     def soft(error: Tensor, scale: Tensor | float) -> Tensor:
         return scale * (torch.sqrt(1 + (error / scale) ** 2) - 1)
@@ -47,9 +59,10 @@ def restated(images: Tensor, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeig
     if weights.structure:
         value = value + weights.colour * weights.structure * (1 - ssim_torch(colour, rgb))
     measured = depth_m > 0
-    solid = measured & (silhouette > weights.least_silhouette)
+    solid = measured & (surface > 0) & (silhouette > weights.least_silhouette)
     scale = weights.depth_scale_m * depth_m[solid].square().clamp(min=0.25)
-    error = depth_sum[solid] / silhouette[solid] - depth_m[solid]
+    mean = depth_sum[solid] / silhouette[solid]
+    error = mean + (surface[solid] - mean).detach() - depth_m[solid]
     value = value + weights.depth * soft(error, scale).sum() / depth_m.numel()
     return value + weights.silhouette * (1 - silhouette[measured]).sum() / depth_m.numel()
 
@@ -69,7 +82,7 @@ class TestSsim:
         leaf = images.double().requires_grad_()
         expected = 1.0 - ssim_torch(leaf[:3], rgb.double())
         (gradient,) = torch.autograd.grad(expected, leaf)
-        value, actual = rgbd_loss(images, rgb, depth, SSIM_ONLY)
+        value, actual = rgbd_loss(seen(images), rgb, depth, SSIM_ONLY)
         assert value == pytest.approx(float(expected.detach()), abs=2e-5)
         assert_close(actual / depth.numel(), gradient, 1e-3)
 
@@ -88,13 +101,13 @@ class TestSsim:
     def test_equal_images_have_similarity_one(self, kernels):
         rgb, depth = observed(24, 31)
         images = torch.cat([rgb, torch.ones(2, 24, 31)])
-        value, gradient = rgbd_loss(images, rgb, depth, SSIM_ONLY)
+        value, gradient = rgbd_loss(seen(images), rgb, depth, SSIM_ONLY)
         assert value == pytest.approx(0.0, abs=1e-5)
         assert float(gradient.abs().max()) < 1e-2
 
     def test_flat_images_have_finite_gradients(self, kernels):
         images, rgb = torch.zeros(5, 20, 20), torch.zeros(3, 20, 20)
-        value, gradient = rgbd_loss(images, rgb, torch.zeros(20, 20), SSIM_ONLY)
+        value, gradient = rgbd_loss(seen(images), rgb, torch.zeros(20, 20), SSIM_ONLY)
         assert np.isfinite(value) and bool(torch.isfinite(gradient).all())
 
 
@@ -123,9 +136,10 @@ class TestRgbdLoss:
         weights = replace(RgbdLossWeights(), structure=structure)
         images, (rgb, depth) = drawn(*size), observed(*size)
         leaf = images.double().requires_grad_()
-        expected = restated(leaf, rgb.double(), depth.double(), weights)
+        exact = SurfaceView(SimpleNamespace(images=leaf), seen(images).depth_m.double())
+        expected = restated(exact, rgb.double(), depth.double(), weights)
         (gradient,) = torch.autograd.grad(expected, leaf)
-        value, actual = rgbd_loss(images, rgb, depth, weights)
+        value, actual = rgbd_loss(seen(images), rgb, depth, weights)
         assert value == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-6)
         assert_close(actual / depth.numel(), gradient, 1e-3)
 
@@ -133,19 +147,26 @@ class TestRgbdLoss:
     def test_gradient_by_finite_differences(self, kernels, channel):
         """The value itself falls as the gradient says, in a direction of many pixels."""
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
-        _, gradient = rgbd_loss(images, rgb, depth, RgbdLossWeights())
+        _, gradient = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
         direction = torch.zeros_like(images)
         away = (images[4] - RgbdLossWeights().least_silhouette).abs() > 0.02
         direction[channel] = gradient[channel].sign() * away
         step = 1e-3
-        ahead, _ = rgbd_loss(images + step * direction, rgb, depth, RgbdLossWeights())
-        behind, _ = rgbd_loss(images - step * direction, rgb, depth, RgbdLossWeights())
+        surface, mean = seen(images).depth_m, images[3] / images[4]
+
+        def value(moved: Tensor) -> float:
+            # The surface goes with the mean depth.
+            shifted = torch.where(surface > 0, surface + moved[3] / moved[4] - mean, surface)
+            view = SurfaceView(SimpleNamespace(images=moved), shifted)
+            return rgbd_loss(view, rgb, depth, RgbdLossWeights())[0]
+
+        ahead, behind = value(images + step * direction), value(images - step * direction)
         predicted = float((gradient * direction).sum()) / depth.numel()
         assert (ahead - behind) / (2 * step) == pytest.approx(predicted, rel=0.03)
 
     def test_holes_in_the_depth_pull_at_no_depth(self, kernels):
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
-        _, gradient = rgbd_loss(images, rgb, depth, RgbdLossWeights())
+        _, gradient = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
         holes = depth == 0
         assert int(holes.sum()) > 50
         assert not gradient[3:5, holes].any()
@@ -154,7 +175,7 @@ class TestRgbdLoss:
     def test_depth_does_not_count_where_the_map_is_thin(self, kernels):
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
         weights = replace(RgbdLossWeights(), least_silhouette=0.7)
-        _, gradient = rgbd_loss(images, rgb, depth, weights)
+        _, gradient = rgbd_loss(seen(images), rgb, depth, weights)
         thin = images[4] < 0.69
         assert int(thin.sum()) > 50
         assert not gradient[3, thin].any()
@@ -162,21 +183,27 @@ class TestRgbdLoss:
 
     def test_features_have_no_part_in_it(self, kernels):
         images, (rgb, depth) = drawn(20, 24, channels=3), observed(20, 24)
-        value, gradient = rgbd_loss(images, rgb, depth, RgbdLossWeights())
-        plain, base = rgbd_loss(images[:5].contiguous(), rgb, depth, RgbdLossWeights())
+        value, gradient = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
+        plain, base = rgbd_loss(seen(images[:5].contiguous()), rgb, depth, RgbdLossWeights())
         assert value == plain
-        assert gradient.shape == images.shape and not gradient[5:].any()
-        assert torch.equal(gradient[:5], base)
+        assert gradient.shape == (5, 20, 24) and torch.equal(gradient, base)
+
+    def test_pixels_without_a_surface_pull_at_no_depth(self, kernels):
+        images, (rgb, depth) = drawn(20, 24), observed(20, 24)
+        view = seen(images)
+        _, gradient = rgbd_loss(view, rgb, depth, RgbdLossWeights())
+        assert int((view.depth_m == 0).sum()) > 20
+        assert not gradient[3, view.depth_m == 0].any()
 
     def test_an_empty_view_is_no_error(self, kernels):
         rgb, depth = observed(20, 24)
-        value, gradient = rgbd_loss(torch.zeros(5, 20, 24), rgb, depth, RgbdLossWeights())
+        value, gradient = rgbd_loss(seen(torch.zeros(5, 20, 24)), rgb, depth, RgbdLossWeights())
         assert np.isfinite(value) and bool(torch.isfinite(gradient).all())
 
     def test_the_inputs_stay_as_they_are(self, kernels):
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
         copies = images.clone(), rgb.clone(), depth.clone()
-        rgbd_loss(images, rgb, depth, RgbdLossWeights())
+        rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
         for before, after in zip(copies, (images, rgb, depth), strict=True):
             assert torch.equal(before, after)
 
@@ -188,9 +215,9 @@ def test_the_number_of_threads_does_not_change_a_bit(kernels):
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(1)
-        one, by_one = rgbd_loss(images, rgb, depth, RgbdLossWeights())
+        one, by_one = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
         torch.set_num_threads(2)
-        many, by_many = rgbd_loss(images, rgb, depth, RgbdLossWeights())
+        many, by_many = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
     finally:
         torch.set_num_threads(before)
     assert one == many and torch.equal(by_one, by_many)

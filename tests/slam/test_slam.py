@@ -182,7 +182,7 @@ class TestSameBits:
             "from slam_room import fed, fingerprint, first_steps, new_slam\n"
             "import torch\n"
             "assert torch.get_num_threads() == 2\n"
-            "room = first_steps(7)\n"
+            "room = first_steps(5)\n"
             "for _ in range(2):\n"
             "    slam = new_slam()\n"
             "    fed(slam, room.frames)\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from tracked_room import Room
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.rendering import SurfaceView
 from toolkit.tracking import alignment
 from toolkit.tracking.alignment import (
     FrameLevel,
@@ -56,6 +57,11 @@ def level_of(room: Room, number: int, width: int = 95, height: int = 71) -> Fram
     camera = frame.camera.cropped(0, 0, width, height)
     rgb = np.ascontiguousarray(frame.rgb[:height, :width])
     return FrameLevel(camera, intensity_of(rgb), torch.from_numpy(depth))
+
+
+def surface_view(images: torch.Tensor) -> SurfaceView:
+    """A drawn view whose surface is the mean depth."""
+    return SurfaceView(SimpleNamespace(images=images), images[3] / images[4])
 
 
 def assert_close(actual: torch.Tensor, expected: torch.Tensor, few: int = 0) -> None:
@@ -103,12 +109,12 @@ class TestAgainstNumpy:
         assert_close(actual.depth_m[..., None], expected.depth_m[..., None], few=2)
 
     def test_views(self, module, use):
-        images = torch.rand(7, 33, 45, generator=torch.Generator().manual_seed(0))
+        drawn = surface_view(torch.rand(5, 33, 45, generator=torch.Generator().manual_seed(0)))
         camera = Camera(40.0, 41.0, 20.0, 17.0, 45, 33)
         use(None)
-        expected = view_of(images, camera, 0.6)
+        expected = view_of(drawn, camera, 0.6)
         use(module)
-        actual = view_of(images, camera, 0.6)
+        actual = view_of(drawn, camera, 0.6)
         assert_close(actual.intensity[..., None], expected.intensity[..., None])
         assert_close(actual.depth_m[..., None], expected.depth_m[..., None])
 
@@ -274,12 +280,15 @@ def test_halving_never_mixes_two_surfaces(use):
     assert set(half.depth_m.unique().tolist()) == {1.0, 2.0}
 
 
-def test_thin_pixels_have_no_depth(use):
+def test_views_show_the_colour_of_the_surface(use):
+    """Thin pixels show a darker colour than the surface has: the silhouette is taken out."""
     use(None)
-    images = torch.ones(5, 4, 4)
-    images[4, :, 2:] = 0.5
-    view = view_of(images, Camera(4, 4, 2, 2, 4, 4), 0.9)
-    assert (view.depth_m[:, :2] > 0).all() and (view.depth_m[:, 2:] == 0).all()
+    images = 0.6 * torch.ones(5, 4, 4)
+    images[4, :, :2] = 0.95
+    images[:3, :, :2] = 0.95 * 0.6
+    view = view_of(surface_view(images), Camera(4, 4, 2, 2, 4, 4), 0.9)
+    assert torch.allclose(view.intensity[:, :2], torch.tensor(0.6))
+    assert (view.intensity[:, 2:] == 0).all()
 
 
 def test_model_levels_hold_no_border(use):

@@ -19,7 +19,7 @@ from tracked_room import (
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.rendering import native
+from toolkit.rendering import native, surface
 from toolkit.tracking import alignment
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.result import Health
@@ -166,7 +166,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
 
 
 def test_it_works_without_compiled_kernels(room, gaussians, monkeypatch):
-    for module in (native, alignment):
+    for module in (native, surface, alignment):
         monkeypatch.setattr(module, "kernels", lambda: None)
     tracker = DenseTracker(backend_name="reference")
     tracker.first_pose(room.frames[0])

@@ -11,7 +11,7 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.rendering import render
+from toolkit.rendering import backend, draw_surface, render
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Room:
     T_map_camera: NDArray[np.float64]
 
 
-def first_steps(count: int = 6, width: int = 96, height: int = 72) -> Room:
+def first_steps(count: int = 6, width: int = 160, height: int = 120) -> Room:
     frames, truth = tiny_room(count, width, height)
     T_map_world = se3.inverse(truth.T_world_camera[0])
     return Room(frames, T_map_world @ truth.T_world_camera)
@@ -54,11 +54,21 @@ def small_motion(seed: int, metres: float, degrees: float) -> NDArray[np.float64
 
 def ideal_frame(gaussians: GaussianCloud, like: Frame, T_map_camera: NDArray[np.float64]) -> Frame:
     """What the map itself shows there: a frame whose pose is known exactly."""
+    view = draw_surface(backend(), gaussians, like.camera, se3.inverse(T_map_camera), 0.9)
+    silhouette = view.output.silhouette.numpy()
+    rgb = (view.output.colour.numpy() / silhouette.clip(0.5)[..., None]).clip(0.0, 1.0)
+    return replace(like, rgb=rgb, depth_m=view.depth_m.numpy())
+
+
+def composited_frame(
+    gaussians: GaussianCloud, like: Frame, T_map_camera: NDArray[np.float64]
+) -> Frame:
+    """The same with the mean depth of compositing, which the papers' loss compares."""
     drawn = render(gaussians, like.camera, se3.inverse(T_map_camera))
-    silhouette = drawn.silhouette.numpy()
-    solid = silhouette > 0.9
-    rgb = (drawn.colour.numpy() / silhouette.clip(0.5)[..., None]).clip(0.0, 1.0)
-    return replace(like, rgb=rgb, depth_m=np.where(solid, drawn.depth_m.numpy(), np.float32(0)))
+    solid = drawn.silhouette.numpy() > 0.9
+    depth = np.where(solid, drawn.depth_m.numpy(), np.float32(0))
+    rgb = drawn.colour.clamp(0.0, 1.0).contiguous().numpy()
+    return replace(like, rgb=rgb, depth_m=depth)
 
 
 def blank_frame(like: Frame) -> Frame:
