@@ -13,6 +13,7 @@ import json
 import logging
 import os
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ class RunFolder:
             SettingsError: they differ; the first differing line is named.
         """
         before = self.config.read_text(encoding="utf-8").splitlines()
-        for old, new in zip(before, config.splitlines(), strict=False):
+        for old, new in zip_longest(before, config.splitlines(), fillvalue="(nothing)"):
             if old != new:
                 raise SettingsError(
                     f"cannot resume {self.path} with other settings: it began with "
@@ -144,7 +145,7 @@ class RunFolder:
         for path, _ in self._generations():
             try:
                 tree = read_array_tree(path)
-            except FormatError as error:
+            except (FormatError, RunFolderError) as error:
                 _log.warning("checkpoint %s is damaged, trying the one before: %s", path, error)
                 damaged.append(path)
                 continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
+from toolkit.mapping.depth_filter import denoised
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
 from toolkit.rendering import SurfaceView, backend, draw_surface
@@ -34,6 +35,7 @@ class MapperOptions:
         least_silhouette: seed where the map is thinner (H: tau_sil).
         depth_floor: seed where rendered depth lies behind the measured one by more than
             this share of it, and by more than `depth_factor` medians of the error.
+        denoise: smooth a keyframe's depth as much as its noise asks for.
         least_opacity: prune below it.
         largest_radius_m: prune beyond it.
     """
@@ -47,6 +49,7 @@ class MapperOptions:
     least_silhouette: float = 0.5
     depth_floor: float = 0.03
     depth_factor: float = 20.0
+    denoise: bool = True
     least_opacity: float = 0.005
     largest_radius_m: float = 0.5
     keyframes: KeyframePolicy = field(default_factory=KeyframePolicy)
@@ -103,6 +106,8 @@ class Mapper:
         bias: float = 0.0,
     ) -> MappingResult:
         """Extend and optimise the map with a frame whose pose is known."""
+        if self.options.denoise:
+            frame = replace(frame, depth_m=denoised(frame.depth_m))
         keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
         self.keyframes.append(keyframe)
         with self._recorder.timed("seeding"):
@@ -128,6 +133,8 @@ class Mapper:
         """Arrays and JSON values from which `restore` continues identically."""
         arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
         arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
+        # Copies: the next step changes the map in place.
+        arrays = {name: array.copy() for name, array in arrays.items()}
         for number, keyframe in enumerate(self.keyframes):
             arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
         values = {

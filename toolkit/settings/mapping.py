@@ -62,6 +62,7 @@ class MappingSettings(Settings):
     least_silhouette: float = Field(0.5, gt=0, lt=1, description="seed below it (tau_sil)")
     depth_floor: float = Field(0.03, ge=0, description="depth error that seeds, of depth")
     depth_factor: float = Field(20.0, ge=0, description="the same in medians of the error")
+    denoise: bool = Field(True, description="smooth noisy depth before it is mapped")
     least_opacity: float = Field(0.005, ge=0, description="prune below it")
     largest_radius_m: float = Field(0.5, gt=0, description="prune beyond it")
     keyframes: KeyframeSettings = KeyframeSettings()

@@ -46,6 +46,8 @@ def verdict(
         return Health.LOST, f"depth disagrees by {100 * scales.depth_m:.1f} cm at 1 m"
     if scales.intensity > limits.most_intensity:
         return Health.LOST, f"intensity disagrees by {scales.intensity:.2f}"
+    if not np.isfinite(information).all():
+        return Health.LOST, "the images hold values that are not finite"
     weakest = float(np.linalg.eigvalsh(information)[0])
     if not weakest > limits.least_information:
         return Health.LOST, f"the view does not fix the pose (information {weakest:.1e})"

@@ -28,8 +28,8 @@ class TrackingResult:
         intensity_residual: robust scale of the photometric residual, intensities in [0, 1].
         depth_residual_m: robust scale of the geometric residual at 1 m distance, metres.
         visible_fraction: share of the frame's measured pixels that the map explains.
-        information: [6, 6] inverse covariance of a left perturbation of T_map_camera,
-            (translation, rotation).
+        information: [6, 6] inverse covariance of a perturbation in the camera's frame,
+            T_map_camera exp(x) with x = (translation, rotation).
         health: GOOD or LOST.
         reason: why the frame is lost, empty when it is not.
         gain, bias: exposure of the frame against the map, model = gain * frame + bias.
