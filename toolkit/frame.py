@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -55,7 +55,7 @@ class Frame:
 class Recorder(Protocol):
     """Receives times and numbers of the running system; never changes it."""
 
-    def timed(self, stage: str): ...  # a context manager around one piece of work
+    def timed(self, stage: str) -> AbstractContextManager[None]: ...  # around one piece of work
 
     def count(self, name: str, value: float) -> None: ...
 

@@ -200,4 +200,5 @@ def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
     splats = read_splats(path)
     tensors = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
     values = [torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in tensors]
-    return GaussianCloud(*values, features=torch.zeros(len(values[0]), 0))
+    no_features = torch.zeros(len(values[0]), 0)
+    return GaussianCloud(*values, no_features)

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import tyro
 
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
+from toolkit.cli.finished_run import FinishedRun, measured, open_finished_run
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
-from toolkit.evaluation.run_metrics import MeasureOptions, measure_run, open_unseen
 
 _log = logging.getLogger(__name__)
 
@@ -64,24 +63,16 @@ def main(argv: Sequence[str]) -> int:
     if options.max_views < 1:
         raise SettingsError(f"--max-views must be at least 1, got {options.max_views}")
     run = open_finished_run(options.run)
-    metrics = _earlier_metrics(run) | _measured(run, options) | _counts(run)
+    path = options.dataset.path or run.dataset_path
+    figures = measured(
+        run.gaussians, run.tracked, run.open_dataset(path), run.settings, path, options.max_views
+    )
+    metrics = _earlier_metrics(run) | figures | _counts(run)
     write_metrics(run.folder.metrics, metrics)
     for key in _SHOWN:
         print(f"{key:<24}{_shown(metrics[key])}")
     print(f"wrote {run.folder.metrics}")
     return 0
-
-
-def _measured(run: FinishedRun, options: EvaluateOptions) -> Metrics:
-    path = options.dataset.path or run.dataset_path
-    dataset = run.open_dataset(path)
-    unseen = open_unseen(run.settings.dataset.kind, path, run.settings.image_size) if path else None
-    measure = MeasureOptions(
-        backend_name=run.settings.backend,
-        alignment="none" if run.settings.poses == "given" else "se3",
-        max_views=options.max_views,
-    )
-    return measure_run(run.gaussians, run.tracked, dataset, unseen, measure)
 
 
 def _counts(run: FinishedRun) -> Metrics:

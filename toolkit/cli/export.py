@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 import tyro
 from tqdm import tqdm
 
@@ -24,7 +23,7 @@ from toolkit.io.meshes import (
     write_points,
 )
 from toolkit.io.splats import SUFFIXES, export_splats
-from toolkit.rendering import render
+from toolkit.rendering import backend, draw_surface
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
 
@@ -120,14 +119,12 @@ def _views(run: FinishedRun, every: int) -> Iterator[DepthView]:
     camera = run.open_dataset().camera
     frames = run.tracked[::every]
     for frame in tqdm(frames, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
-        with torch.no_grad():
-            drawn = render(
-                run.gaussians,
-                camera,
-                se3.inverse(frame.T_map_camera),
-                backend_name=run.settings.backend,
-            )
-        solid = drawn.silhouette.numpy() > _LEAST_SILHOUETTE
-        depth_m = np.where(solid, drawn.depth_m.numpy(), np.float32(0.0))
-        rgb = np.clip(drawn.colour.numpy(), 0.0, 1.0)
-        yield DepthView(camera, frame.T_map_camera, rgb, depth_m)
+        drawn = draw_surface(
+            backend(run.settings.backend),
+            run.gaussians,
+            camera,
+            se3.inverse(frame.T_map_camera),
+            _LEAST_SILHOUETTE,
+        )
+        rgb = np.clip(drawn.output.colour.numpy(), 0.0, 1.0)
+        yield DepthView(camera, frame.T_map_camera, rgb, drawn.depth_m.numpy())

@@ -1,19 +1,21 @@
-"""What programs read back from the folder of a finished run."""
+"""What programs read back from the folder of a finished run, and how they measure it."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, RunFolderError
-from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.run_folder import RunFolder
 from toolkit.settings.files import load
@@ -85,6 +87,36 @@ def open_finished_run(path: Path) -> FinishedRun:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
+
+
+def measured(
+    gaussians: GaussianCloud,
+    tracked: Sequence[TrackedFrame],
+    dataset: Dataset,
+    settings: RunSettings,
+    dataset_path: Path | None = None,
+    max_views: int = MeasureOptions.max_views,
+) -> Metrics:
+    """A run's figures, measured as its settings ask for.
+
+    Args:
+        gaussians, tracked, dataset: as `measure_run` takes them.
+        settings: what the run was made with.
+        dataset_path: where the data set lies now; by default where the settings say.
+        max_views: most views scored of each group.
+
+    Raises:
+        DatasetError: a frame cannot be read, or truth and estimate share no time.
+    """
+    path = dataset_path or settings.dataset.path
+    unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
+    options = MeasureOptions(settings.backend, alignment_of(settings), max_views)
+    return measure_run(gaussians, tracked, dataset, unseen, options)
+
+
+def alignment_of(settings: RunSettings) -> Literal["none", "se3"]:
+    """Given poses put the map into the world of the truth; otherwise it has its own."""
+    return "none" if settings.poses == "given" else "se3"
 
 
 def _read_frames(path: Path) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import torch
 import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
@@ -34,11 +33,11 @@ from toolkit.io.pictures import (
 )
 from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
-from toolkit.rendering import render
+from toolkit.rendering import backend, draw_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.run_folder import read_cloud
 
-# Rendered pixels thinner than this show no depth.
+# Rendered pixels thinner than this show no surface.
 _LEAST_SILHOUETTE = 0.5
 # Views drawn beforehand to find the depths that the colours must cover.
 _SPAN_VIEWS = 8
@@ -93,7 +92,7 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Colour [H, W, 3], depth [H, W] in metres (0 where missing) and silhouette [H, W]."""
+    """Colour [H, W, 3], surface depth [H, W] in metres (0: none) and silhouette [H, W]."""
 
     rgb: NDArray[np.float32]
     depth_m: NDArray[np.float32]
@@ -211,13 +210,15 @@ def _prepared_folder(program: RenderProgram) -> Path:
 
 
 def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
-    T_camera_map = se3.inverse(shot.T_map_camera)
-    with torch.no_grad():
-        drawn = render(subject.gaussians, camera, T_camera_map, backend_name=subject.backend_name)
-    silhouette = drawn.silhouette.numpy()
-    covered = silhouette > _LEAST_SILHOUETTE
-    depth_m = np.where(covered, drawn.depth_m.numpy(), np.float32(0.0))
-    return _Drawn(drawn.colour.numpy(), depth_m, silhouette)
+    drawn = draw_surface(
+        backend(subject.backend_name),
+        subject.gaussians,
+        camera,
+        se3.inverse(shot.T_map_camera),
+        _LEAST_SILHOUETTE,
+    )
+    seen = drawn.output
+    return _Drawn(seen.colour.numpy(), drawn.depth_m.numpy(), seen.silhouette.numpy())
 
 
 def _picture(

@@ -6,7 +6,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +15,11 @@ import tyro
 from pydantic import ValidationError
 from tqdm import tqdm
 
+from toolkit.cli.run_results import held_out, write_results
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
-from toolkit.cli.run_results import held_out, write_results
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.mapping.factory import build_mapper
 from toolkit.run_folder import RunFolder
@@ -38,7 +38,7 @@ class RunProgram:
 
     out: Path
     """Run folder to write."""
-    settings: Annotated[RunSettings, tyro.conf.arg(name="")] = RunSettings()
+    settings: Annotated[RunSettings, tyro.conf.arg(name="")] = field(default_factory=RunSettings)
     config: Path | None = None
     """YAML settings to start from; options on the command line win."""
     resume: bool = False
@@ -52,10 +52,9 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: bad settings, data or output folder.
     """
     program = _parse(list(argv))
-    settings = _with_room(program)
-    dataset = open_dataset(
-        settings.dataset.kind, settings.dataset.path, settings.image_size, settings.max_frames
-    )
+    path = _dataset_path(program)
+    settings = _with_path(program.settings, path)
+    dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
     config = dump(settings)
     if program.resume:
         folder = RunFolder.open(program.out)
@@ -99,11 +98,11 @@ def _parse(argv: list[str]) -> RunProgram:
         raise SettingsError(first_fault(error)) from error
 
 
-def _with_room(program: RunProgram) -> RunSettings:
-    """Settings with a data set path: a synthetic run without one makes the default room."""
+def _dataset_path(program: RunProgram) -> Path:
+    """Where the data set lies: a synthetic run without a path makes the default room."""
     settings = program.settings
     if settings.dataset.path is not None:
-        return settings
+        return settings.dataset.path
     if settings.dataset.kind != "synthetic":
         raise SettingsError(f"--dataset.kind {settings.dataset.kind} needs --dataset.path DIR")
     from toolkit.datasets.synthetic import RoomSettings, make_room
@@ -112,8 +111,12 @@ def _with_room(program: RunProgram) -> RunSettings:
     if not program.resume and not (room / "traj.txt").exists():
         _log.info("making a synthetic room in %s", room)
         make_room(room, RoomSettings(seed=settings.seed))
-    path = settings.dataset.model_copy(update={"path": room})
-    return settings.model_copy(update={"dataset": path})
+    return room
+
+
+def _with_path(settings: RunSettings, path: Path) -> RunSettings:
+    dataset = settings.dataset.model_copy(update={"path": path})
+    return settings.model_copy(update={"dataset": dataset})
 
 
 def _process(

@@ -9,23 +9,19 @@ import numpy as np
 import torch
 
 from toolkit import __version__
+from toolkit.cli.finished_run import alignment_of, measured
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
 from toolkit.evaluation.report import ReportContent, ReportView, write_report
-from toolkit.evaluation.run_metrics import (
-    MeasureOptions,
-    TrackedFrame,
-    measure_run,
-    open_unseen,
-)
+from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.io.images import write_rgb
 from toolkit.io.pictures import view_strip
-from toolkit.rendering import render
+from toolkit.rendering import backend, draw_surface
 from toolkit.run_folder import RunFolder
 from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
@@ -67,9 +63,9 @@ def write_results(
     # Before evaluation, which has memory needs of its own.
     costs = _costs(slam, dataset, watch)
     _log.info("measuring the run")
-    metrics = cost_metrics(costs) | _measured(gaussians, tracked, dataset, settings)
+    metrics = cost_metrics(costs) | measured(gaussians, tracked, dataset, settings)
     write_metrics(folder.metrics, metrics)
-    views = _render_views(gaussians, tracked, dataset, folder)
+    views = _render_views(gaussians, tracked, dataset, folder, settings.backend)
     write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
     _log.info("wrote %s, with report.html in it", folder.path)
 
@@ -114,23 +110,12 @@ def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
     )
 
 
-def _measured(
+def _render_views(
     gaussians: GaussianCloud,
     tracked: list[TrackedFrame],
     dataset: Dataset,
-    settings: RunSettings,
-) -> Metrics:
-    path = settings.dataset.path
-    unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
-    options = MeasureOptions(
-        backend_name=settings.backend,
-        alignment="none" if settings.poses == "given" else "se3",
-    )
-    return measure_run(gaussians, tracked, dataset, unseen, options)
-
-
-def _render_views(
-    gaussians: GaussianCloud, tracked: list[TrackedFrame], dataset: Dataset, folder: RunFolder
+    folder: RunFolder,
+    backend_name: str,
 ) -> list[ReportView]:
     """A few views spread over the path: strips in `renders/`, and the same for the report."""
     views = []
@@ -138,10 +123,11 @@ def _render_views(
     for place in np.linspace(0, len(tracked) - 1, count).round().astype(int):
         view = tracked[place]
         frame = dataset[view.index]
-        with torch.no_grad():
-            drawn = render(gaussians, frame.camera, se3.inverse(view.T_map_camera))
-        colour = ((drawn.colour - view.bias) / view.gain).clamp(0.0, 1.0).numpy()
-        depth_m, silhouette = drawn.depth_m.numpy(), drawn.silhouette.numpy()
+        drawn = draw_surface(
+            backend(backend_name), gaussians, frame.camera, se3.inverse(view.T_map_camera)
+        )
+        colour = ((drawn.output.colour - view.bias) / view.gain).clamp(0.0, 1.0).numpy()
+        depth_m, silhouette = drawn.depth_m.numpy(), drawn.output.silhouette.numpy()
         name = f"frame{view.index:06d}"
         write_rgb(folder.renders / f"{name}.png", colour)
         picture = view_strip(colour, depth_m, silhouette, frame.rgb)
@@ -168,7 +154,7 @@ def _report(
         metrics=metrics,
         estimate=slam.trajectory,
         truth=dataset.ground_truth,
-        alignment="none" if settings.poses == "given" else "se3",
+        alignment=alignment_of(settings),
         views=views,
         stage_times=watch.stage_times(),
         settings=dump(settings),

@@ -95,8 +95,8 @@ def view_quality(
 
     Args:
         frame_index: the view's frame.
-        rendered: colour [H, W, 3] in [0, 1] and z-depth [H, W] in metres, the depth divided
-            by the silhouette, 0 where nothing was rendered.
+        rendered: colour [H, W, 3] in [0, 1] and z-depth [H, W] of the surface in
+            metres, 0 where nothing solid was rendered.
         measured: the frame's colour and depth, depth 0 where missing.
 
     Raises:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset
@@ -29,16 +28,16 @@ from toolkit.evaluation.metrics import (
     view_quality,
 )
 from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.evaluation.views import View
+from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.rendering import render
+from toolkit.rendering import backend, draw_surface
 from toolkit.tracking.dense import DenseTracker
 
 _log = logging.getLogger(__name__)
 
-# Rendered pixels thinner than this have no depth to compare.
+# Rendered pixels thinner than this have no surface to compare.
 _LEAST_SILHOUETTE = 0.5
 
 
@@ -60,6 +59,16 @@ class TrackedFrame:
     gain: float = 1.0
     bias: float = 0.0
     held_out: bool = False
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame, where it was taken, and its exposure against the map (map = gain * rgb + bias)."""
+
+    frame: Frame
+    T_map_camera: NDArray[np.float64]
+    gain: float = 1.0
+    bias: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -160,6 +169,10 @@ def _view_conventions(options: MeasureOptions) -> Metrics:
             f"carried into the map by the alignment ({options.alignment}), {most}"
         ),
         "views_unseen_refined_convention": "the same views, each pose refined on the final map",
+        "depth_convention": (
+            "where the ray meets the surface through the weighted mean of centres; "
+            f"pixels with silhouette at least {_LEAST_SILHOUETTE}"
+        ),
         "exposure_convention": "renders are brought to each view's exposure as tracking found it",
     }
 
@@ -216,14 +229,13 @@ def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> Vie
 
 def _quality(gaussians: GaussianCloud, view: View, backend_name: str) -> ViewQuality:
     T_camera_map = se3.inverse(view.T_map_camera)
-    with torch.no_grad():
-        drawn = render(gaussians, view.frame.camera, T_camera_map, backend_name=backend_name)
+    drawn = draw_surface(
+        backend(backend_name), gaussians, view.frame.camera, T_camera_map, _LEAST_SILHOUETTE
+    )
     # Back to the camera's own exposure, so that the observed image stays as it is.
-    colour = ((drawn.colour.numpy() - view.bias) / view.gain).clip(0.0, 1.0).astype(np.float32)
-    covered = drawn.silhouette.numpy() > _LEAST_SILHOUETTE
-    depth_m = np.where(covered, drawn.depth_m.numpy(), np.float32(0.0))
+    colour = (drawn.output.colour.numpy() - view.bias) / view.gain
     return view_quality(
         view.frame.index,
-        (colour, depth_m),
+        (colour.clip(0.0, 1.0).astype(np.float32), drawn.depth_m.numpy()),
         (view.frame.rgb, view.frame.depth_m),
     )

@@ -33,7 +33,7 @@ def open3d() -> ModuleType:
 
         module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
         _start_thread_pool(module)
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         raise DependencyError(
             f"Open3D cannot be loaded ({error}); mend it with: pip install open3d && "
             f"apt-get install -y {' '.join(SYSTEM_LIBRARIES)}"

@@ -70,7 +70,9 @@ class Trajectory:
         """The same path in another world frame."""
         return Trajectory(self.timestamps_s, T_new_world @ self.T_world_camera)
 
-    def associated_to(self, timestamps_s: NDArray[np.float64], max_difference_s: float) -> Trajectory:
+    def associated_to(
+        self, timestamps_s: NDArray[np.float64], max_difference_s: float
+    ) -> Trajectory:
         """The path at other times: the nearest pose, given the asked time's stamp.
 
         Times without a pose within the difference are left out.

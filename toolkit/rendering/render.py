@@ -108,7 +108,7 @@ class _Render(torch.autograd.Function):
     """Hands a backend's two passes to autograd, compact gradients made dense."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(  # noqa: PLR0913 - autograd wants every tensor as an argument of its own
         ctx: Any,
         chosen: Backend,
         camera: Camera,
@@ -129,7 +129,7 @@ class _Render(torch.autograd.Function):
         return ctx.drawn.images.detach()
 
     @staticmethod
-    def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:
         needed = ctx.needs_input_grad
         compact = ctx.drawn.backward(image_gradients, colours=needed[7])
         parts = (

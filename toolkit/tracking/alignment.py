@@ -128,8 +128,8 @@ def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> Fr
     """Intensity and surface depth of a drawn view, 0 where it is too thin."""
     module = kernels()
     if module is None:
-        intensity = alignment_numpy.intensity_of(surface.images.numpy(), least_silhouette)
-        return FrameLevel(camera, torch.from_numpy(intensity), surface.depth_m)
+        seen = alignment_numpy.intensity_of(surface.images.numpy(), least_silhouette)
+        return FrameLevel(camera, torch.from_numpy(seen), surface.depth_m)
     intensity = torch.empty(camera.height, camera.width)
     module.align_intensity(
         camera.size, address(surface.images), least_silhouette, address(intensity)

@@ -17,9 +17,7 @@ Image = NDArray[np.float32]
 
 def intensity_of(images: Image, least_silhouette: float) -> Image:
     """Intensity [H, W] of a rendering [5, H, W], 0 where it is too thin."""
-    usable = images[4] >= least_silhouette
-    inverse = np.where(usable, 1.0 / np.where(usable, images[4], 1.0), 0.0).astype(np.float32)
-    return np.tensordot(LUMA, images[:3], 1) * inverse
+    return np.tensordot(LUMA, images[:3], 1) * (images[4] >= least_silhouette)
 
 
 def halve(intensity: Image, depth: Image) -> tuple[Image, Image]:

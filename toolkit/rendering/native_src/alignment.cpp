@@ -183,8 +183,10 @@ void intensity_of(const Pinhole& camera, const float* images, float least_silhou
     const float *r = images, *g = images + plane, *b = images + 2 * plane, *s = images + 4 * plane;
 #pragma omp parallel for schedule(static)
     for (int64_t i = 0; i < plane; ++i) {
-        const float inverse = s[i] >= least_silhouette ? 1.0f / s[i] : 0.0f;
-        intensity[i] = (0.299f * r[i] + 0.587f * g[i] + 0.114f * b[i]) * inverse;
+        // As composited, not divided by the silhouette: mapping fits it like that, and the
+        // difference would come back as gain, brighter with every keyframe.
+        const float luma = 0.299f * r[i] + 0.587f * g[i] + 0.114f * b[i];
+        intensity[i] = s[i] >= least_silhouette ? luma : 0.0f;
     }
 }
 
