@@ -198,7 +198,8 @@ class RunFolder:
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
     """Gaussians of a splat file (.ply, .splat, .spz)."""
     splats = read_splats(path)
-    tensors = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
-    values = [torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in tensors]
-    no_features = torch.zeros(len(values[0]), 0)
-    return GaussianCloud(*values, no_features)
+    arrays = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
+    means, log_radii, opacity_logits, colours = (
+        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays
+    )
+    return GaussianCloud(means, log_radii, opacity_logits, colours, torch.zeros(len(means), 0))

@@ -117,12 +117,7 @@ def test_radius_below_a_pixel(native: NativeBackend) -> None:
     "sigma_px",
     [
         1e-6,
-        pytest.param(
-            1e-20,
-            marks=pytest.mark.xfail(
-                reason="projection.cpp: sigma^2 underflows to 0, the gradients become NaN"
-            ),
-        ),
+        1e-20,  # sigma squared underflows to 0
     ],
 )
 def test_vanishing_radius_has_finite_gradients(native: NativeBackend, sigma_px: float) -> None:

@@ -11,6 +11,7 @@ from tracked_room import (
     assert_same_place,
     blank_frame,
     blind_frame,
+    dead_sensor_frame,
     distance_mm,
     frame_from_elsewhere,
     ideal_frame,
@@ -85,7 +86,9 @@ def test_exposure_stays_fixed_where_asked_to(room, gaussians):
     assert_same_place(result.T_map_camera, room.T_map_camera[1])
 
 
-@pytest.mark.parametrize("make", [blank_frame, blind_frame, frame_from_elsewhere])
+@pytest.mark.parametrize(
+    "make", [blank_frame, blind_frame, dead_sensor_frame, frame_from_elsewhere]
+)
 def test_frames_that_cannot_be_placed_are_lost(room, gaussians, make):
     tracker = started(room)
     tracker.track(room.frames[1], gaussians)

@@ -82,6 +82,11 @@ def blind_frame(like: Frame) -> Frame:
     return replace(like, depth_m=np.zeros_like(like.depth_m))
 
 
+def dead_sensor_frame(like: Frame) -> Frame:
+    """Depth as it was, and no number in the colour: what a division by zero upstream leaves."""
+    return replace(like, rgb=np.full_like(like.rgb, np.nan))
+
+
 def frame_from_elsewhere(like: Frame) -> Frame:
     """Another room, seen from another place."""
     frames, _ = tiny_room(1, *like.camera.size, seed=5)

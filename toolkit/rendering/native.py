@@ -123,13 +123,14 @@ class NativeForwardPass:
         n = self._state.visible
         image_gradients = _contiguous(image_gradients)
         without_features = len(image_gradients) == BASE_CHANNELS
-        if without_features:
-            self._arrays[4] = self._arrays[4].new_zeros(len(self._arrays[4]), 0)
-        elif image_gradients.shape != self.images.shape:
+        expected = self.images[:BASE_CHANNELS] if without_features else self.images
+        if image_gradients.shape != expected.shape:
             raise ValueError(
-                f"image gradients must have shape {list(self.images.shape)}, "
+                f"image gradients must have shape {list(expected.shape)}, "
                 f"got {list(image_gradients.shape)}"
             )
+        if without_features:
+            self._arrays[4] = self._arrays[4].new_zeros(len(self._arrays[4]), 0)
         result = GaussianGradients(
             ids=torch.empty(n, dtype=torch.int64),
             means=torch.empty(n, 3),

@@ -104,7 +104,8 @@ class ReferenceForwardPass:
         cloud = self._cloud
         inputs = [cloud.means, cloud.log_radii, cloud.opacity_logits, cloud.colours]
         inputs += [self._features, self._T]
-        images = self._images[: len(image_gradients)]  # five: the features are left out
+        with torch.enable_grad():  # autograd itself calls this with recording switched off
+            images = self._images[: len(image_gradients)]  # five: the features are left out
         grads: tuple[Tensor | None, ...]
         if images.requires_grad:
             grads = torch.autograd.grad(images, inputs, image_gradients, allow_unused=True)

@@ -1,0 +1,91 @@
+"""The depth of the surface: kernel against torch, and no bias on a slanted wall."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from splat_scenes import Scene, random_scene
+from torch import Tensor
+
+from toolkit.frame import Frame
+from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.geometry.camera import Camera
+from toolkit.rendering import backend, draw_surface, surface
+from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.reference import ReferenceBackend
+
+CAMERA = Camera(fx=150.0, fy=150.0, cx=79.5, cy=59.5, width=160, height=120)
+
+
+def fallback(images: Tensor, scene: Scene, least_silhouette: float) -> Tensor:
+    return surface._surface_depth_torch(images, scene.camera, scene.T_camera_map, least_silhouette)
+
+
+def images_of(scene: Scene) -> Tensor:
+    """Images [8, H, W] whose features are the centres."""
+    means = scene.cloud.means
+    return (
+        ReferenceBackend()
+        .forward(scene.cloud, scene.camera, scene.T_camera_map, means, None)
+        .images
+    )
+
+
+@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("count", [120, 400])  # with holes, and nearly without
+def test_kernel_agrees_with_torch(
+    native: NativeBackend, monkeypatch: pytest.MonkeyPatch, number: int, count: int
+) -> None:
+    monkeypatch.setattr(surface, "kernels", lambda: native._module)
+    scene = random_scene(number, count=count)
+    images = images_of(scene).contiguous()
+    actual = surface.surface_depth(images, scene.camera, scene.T_camera_map, 0.5).double()
+    exact = fallback(images.double(), scene, 0.5)
+    assert torch.equal(actual > 0, exact > 0)
+    # Some pixels are corrected by a plane, and some are left at the mean.
+    corrected = (exact - images[3] / images[4].clamp(min=1e-6)).abs() > 1e-4
+    assert 5 <= int((corrected & (exact > 0)).sum()) < 0.2 * exact.numel()
+    # A pixel at the bound of what counts as an edge or a plane may go either way.
+    error = (actual - exact).abs() / exact.clamp(min=0.1)
+    assert int((error > 1e-4).sum()) <= 2
+    assert float(error.max()) <= 0.02
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 9), (9, 2), (3, 3)])
+def test_images_too_small_for_a_plane(
+    native: NativeBackend, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    monkeypatch.setattr(surface, "kernels", lambda: native._module)
+    scene = random_scene(3, count=200, size=size)
+    images = images_of(scene).contiguous()
+    actual = surface.surface_depth(images, scene.camera, scene.T_camera_map, 0.3)
+    torch.testing.assert_close(actual, fallback(images, scene, 0.3), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("slope", [(0.8, 0.0), (0.0, -0.8), (0.6, 0.6)])
+def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None:
+    """Seeded from a view as mapping does; the mean depth is too near, the surface is not."""
+    rays = CAMERA.rays()
+    # The plane z = 2 + slope . (x, y), met by each pixel's ray.
+    depth = (2.0 / (1.0 - rays[..., 0] * slope[0] - rays[..., 1] * slope[1])).astype(np.float32)
+    frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
+    everywhere = np.ones_like(depth, dtype=bool)
+    gaussians = seed(frame, np.eye(4), everywhere, SeedingOptions(largest_cell=1))
+    view = draw_surface(backend(), gaussians, CAMERA, np.eye(4))
+    at_two_metres = np.abs(depth - 2.0) < 0.3
+    at_two_metres[:8] = at_two_metres[-8:] = False
+    at_two_metres[:, :8] = at_two_metres[:, -8:] = False
+    mean_error = (view.output.depth_m.numpy() - depth)[at_two_metres].mean()
+    error = (view.depth_m.numpy() - depth)[at_two_metres].mean()
+    assert abs(mean_error) > 1e-3
+    assert abs(error) < 3e-4
+
+
+def test_thin_pixels_have_no_surface() -> None:
+    scene = random_scene(0, count=30)
+    view = draw_surface(backend(), scene.cloud, scene.camera, scene.T_camera_map, 0.5)
+    thin = view.output.silhouette < 0.5
+    assert thin.any() and not thin.all()
+    assert not view.depth_m[thin].any()
+    assert (view.depth_m[~thin] > 0).all()
