@@ -12,6 +12,7 @@ from tracked_room import (
     assert_same_place,
     blind_frame,
     composited_frame,
+    dead_sensor_frame,
     distance_mm,
     frame_from_elsewhere,
     small_motion,
@@ -122,7 +123,7 @@ def test_the_last_step_counts_too(room, opaque_map, preset):
     )
 
 
-@pytest.mark.parametrize("make", [blind_frame, frame_from_elsewhere])
+@pytest.mark.parametrize("make", [blind_frame, dead_sensor_frame, frame_from_elsewhere])
 def test_frames_that_cannot_be_placed_are_lost(room, opaque_map, make):
     tracker = FirstOrderTracker(FirstOrderOptions(iterations=10))
     tracker.first_pose(room.frames[0])

@@ -180,12 +180,8 @@ class Mapper:
         with self._recorder.timed("map backward"):
             gradients = view.drawn.backward(by_images)
         with self._recorder.timed("map update"):
-            named = {
-                "means": gradients.means,
-                "log_radii": gradients.log_radii,
-                "opacity_logits": gradients.opacity_logits,
-                "colours": gradients.colours,
-            }
+            names = ("means", "log_radii", "opacity_logits", "colours")
+            named = {name: getattr(gradients, name) for name in names}
             self.optimiser.step(self.gaussians, named, gradients.ids)
         return loss
 

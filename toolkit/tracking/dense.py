@@ -259,7 +259,7 @@ class DenseTracker:
             g[6:] = 0.0
         H[np.diag_indices(8)] *= 1.0 + 1e-6
         try:
-            step = -np.linalg.solve(H, g)
+            step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
         return step if np.isfinite(step).all() else None
