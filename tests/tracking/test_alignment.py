@@ -280,14 +280,14 @@ def test_halving_never_mixes_two_surfaces(use):
     assert set(half.depth_m.unique().tolist()) == {1.0, 2.0}
 
 
-def test_views_show_the_colour_of_the_surface(use):
-    """Thin pixels show a darker colour than the surface has: the silhouette is taken out."""
+def test_views_show_the_colour_as_composited(use):
+    """As mapping fits it: divided by the silhouette, it would come back as exposure."""
     use(None)
     images = 0.6 * torch.ones(5, 4, 4)
     images[4, :, :2] = 0.95
-    images[:3, :, :2] = 0.95 * 0.6
+    images[:3, :, :2] = 0.57
     view = view_of(surface_view(images), Camera(4, 4, 2, 2, 4, 4), 0.9)
-    assert torch.allclose(view.intensity[:, :2], torch.tensor(0.6))
+    assert torch.allclose(view.intensity[:, :2], torch.tensor(0.57))
     assert (view.intensity[:, 2:] == 0).all()
 
 

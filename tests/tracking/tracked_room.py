@@ -55,8 +55,7 @@ def small_motion(seed: int, metres: float, degrees: float) -> NDArray[np.float64
 def ideal_frame(gaussians: GaussianCloud, like: Frame, T_map_camera: NDArray[np.float64]) -> Frame:
     """What the map itself shows there: a frame whose pose is known exactly."""
     view = draw_surface(backend(), gaussians, like.camera, se3.inverse(T_map_camera), 0.9)
-    silhouette = view.output.silhouette.numpy()
-    rgb = (view.output.colour.numpy() / silhouette.clip(0.5)[..., None]).clip(0.0, 1.0)
+    rgb = view.output.colour.clamp(0.0, 1.0).contiguous().numpy()
     return replace(like, rgb=rgb, depth_m=view.depth_m.numpy())
 
 
