@@ -68,6 +68,9 @@ _MOST = Scales(intensity=0.2, depth_m=0.05)
 # Share of the pixels that hold gain and bias where they were in the last frame.
 _EXPOSURE_PRIOR = 0.02
 
+# Changes of exposure smaller than both are not told from the map's own smoothness.
+_CONTRAST_LOSS, _BRIGHTNESS_LOSS = 0.06, 0.02
+
 # Fewer residuals than this fix no pose.
 _FEWEST_PIXELS = 50
 
@@ -279,6 +282,7 @@ class DenseTracker:
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
         # Perturbations were on the view's side; the view stands at the pose itself now.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
+        gain, bias = _believable_exposure(estimate.gain, estimate.bias)
         health, reason = verdict(self.limits, estimate.scales, visible, information, measured)
         return TrackingResult(
             T_map_camera=estimate.T_map_camera,
@@ -291,9 +295,22 @@ class DenseTracker:
             information=information,
             health=health,
             reason=reason,
-            gain=estimate.gain,
-            bias=estimate.bias,
+            gain=gain,
+            bias=bias,
         )
+
+
+def _believable_exposure(gain: float, bias: float) -> tuple[float, float]:
+    """Gain and bias, or none where they could be the map's own loss of contrast.
+
+    A map is a little smoother than the camera's image, so a fit finds gain below and bias
+    above their true values; believed, they would grow from keyframe to keyframe (by 30 % of
+    the brightness over 300 frames of a room).
+    """
+    at_mid_grey = 0.5 * gain + bias - 0.5
+    if abs(gain - 1.0) < _CONTRAST_LOSS and abs(at_mid_grey) < _BRIGHTNESS_LOSS:
+        return 1.0, 0.0
+    return gain, bias
 
 
 def _rescaled(scales: Scales, linear: Linearisation, options: DenseOptions) -> Scales:
