@@ -12,7 +12,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 _NEAREST_SURFACE_M = 0.4
-_SEEN_SHARE = 0.98
+_SEEN_SHARE = 0.999
 _ATTEMPTS_PER_VIEW = 60
 _COLUMNS = 40
 
