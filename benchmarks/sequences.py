@@ -1,6 +1,6 @@
 """Runs `semsplat run` with its default settings on every sequence and prints a table.
 
-    SEMSPLAT_DATA=../shared/data python benchmarks/sequences.py --room DIR --noisy-room DIR --seeds 3
+    SEMSPLAT_DATA=DATA python benchmarks/sequences.py --room DIR --noisy-room DIR
 
 Rooms are made by `semsplat make-room --out DIR [--sensor-noise]`. Each run is a process of
 its own. A row is the median over the seeds, for times too.
@@ -49,6 +49,8 @@ class Options:
     """Seeds 0, 1, ... of each sequence."""
     only: tuple[str, ...] = ()
     """Names of rows to run; all without it."""
+    extra: str = ""
+    """Further options of every run, in one string."""
 
 
 def main() -> None:
@@ -60,7 +62,7 @@ def main() -> None:
     for name, arguments in _sequences(options).items():
         if options.only and name not in options.only:
             continue
-        runs = [_run(arguments, seed) for seed in range(options.seeds)]
+        runs = [_run([*arguments, *options.extra.split()], seed) for seed in range(options.seeds)]
         cells = [_median([run.get(column) for run in runs]) for column in COLUMNS]
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 

@@ -147,6 +147,7 @@ def _process(
     if not slam.mapper.keyframes:
         raise DatasetError(f"no frame of {settings.dataset.path} could start a map; see the log")
     folder.save_checkpoint(len(dataset), *slam.state())
+    _log.info("refining the map over %d keyframes", len(slam.mapper.keyframes))
     slam.finish()
 
 

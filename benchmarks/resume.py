@@ -1,0 +1,98 @@
+"""Kills runs at random moments, resumes them, and compares with an uninterrupted one.
+
+    python benchmarks/resume.py --room DIR --kills 10
+
+The results must be the same bytes: trajectory.txt, map.ply, loops.jsonl, and metrics.json
+but for times and memory.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from machine import describe_machine
+
+SAME_BYTES = ("trajectory.txt", "map.ply", "loops.jsonl", "frames.json", "config.yaml")
+DIFFERENT_EACH_TIME = ("_ms_per_frame", "_memory_mb")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Kill and resume."""
+
+    room: Path
+    """A synthetic room."""
+    kills: int = 10
+    """Interrupted runs."""
+    frames: int = 60
+    """Frames of each run."""
+    seed: int = 0
+    """Of the moments."""
+
+
+def main() -> int:
+    """Print one line a killed run; exit 1 if any differs."""
+    options = tyro.cli(Options)
+    print(describe_machine(), flush=True)
+    moments = random.Random(options.seed)
+    failures = 0
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole"
+        begin = time.monotonic()
+        subprocess.run(_command(options, whole), check=True, stderr=subprocess.DEVNULL)
+        length_s = time.monotonic() - begin
+        for number in range(options.kills):
+            out = Path(folder) / f"killed{number}"
+            after_s = moments.uniform(0.15, 0.95) * length_s
+            at_frame = _run_killed(_command(options, out), out, after_s)
+            resume = [*_command(options, out), "--resume"]
+            if not (out / "config.yaml").exists():  # killed before the run folder was made
+                resume = _command(options, out)
+            subprocess.run(resume, check=True, stderr=subprocess.DEVNULL)
+            different = _differences(whole, out)
+            failures += bool(different)
+            verdict = f"differs in {', '.join(different)}" if different else "identical"
+            print(f"killed after {after_s:5.1f} s, checkpoint at frame {at_frame}: {verdict}")
+    return 1 if failures else 0
+
+
+def _command(options: Options, out: Path) -> list[str]:
+    command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
+    command += ["--dataset.kind", "synthetic", "--dataset.path", str(options.room)]
+    return [*command, "--max-frames", str(options.frames), "--checkpoint.every-s", "1"]
+
+
+def _run_killed(command: list[str], out: Path, after_s: float) -> str:
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    time.sleep(after_s)
+    process.kill()
+    process.wait()
+    frames = [
+        json.loads(path.read_text())["next_frame"]
+        for path in (out / "checkpoint").glob("*/metadata.json")
+    ]
+    return str(max(frames)) if frames else "none"
+
+
+def _differences(whole: Path, resumed: Path) -> list[str]:
+    names = [n for n in SAME_BYTES if (whole / n).read_bytes() != (resumed / n).read_bytes()]
+    if _lasting(whole) != _lasting(resumed):
+        names.append("metrics.json")
+    return names
+
+
+def _lasting(run: Path) -> dict[str, object]:
+    metrics = json.loads((run / "metrics.json").read_text())
+    return {k: v for k, v in metrics.items() if not k.endswith(DIFFERENT_EACH_TIME)}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
