@@ -26,7 +26,8 @@ from toolkit.rendering import backend
 from toolkit.settings.tracking import FirstOrderSettings, TrackingSettings
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.factory import build_tracker
-from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker, pose_gradient
+from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
+from toolkit.tracking.pose_adam import pose_gradient
 
 BOTH = pytest.mark.parametrize("preset", sorted(PRESETS))
 

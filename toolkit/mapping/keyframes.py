@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.tracking.pose_adam import MOMENTS
 
 # Covisibility is judged on every n-th pixel in each direction.
 _STRIDE = 16
@@ -28,6 +29,7 @@ class Keyframe:
         rgb: [3, H, W] uint8 and depth_m: [H, W] float32, as observed.
         gain, bias: exposure against the map, map = gain * observed + bias.
         points: [P, 3] float32 sparse observed points in camera coordinates (m).
+        pose_moments: [13] float64 of the optimiser that adjusts the pose.
     """
 
     index: int
@@ -39,8 +41,9 @@ class Keyframe:
     gain: float
     bias: float
     points: NDArray[np.float32]
+    pose_moments: NDArray[np.float64] = field(default_factory=lambda: np.zeros(MOMENTS))
 
-    ARRAYS: ClassVar = ("T_map_camera", "rgb", "depth_m", "points")
+    ARRAYS: ClassVar = ("T_map_camera", "rgb", "depth_m", "points", "pose_moments")
 
     def arrays(self) -> dict[str, NDArray]:
         """The arrays of a checkpoint."""
@@ -69,6 +72,7 @@ class Keyframe:
             gain=float(values["gain"]),
             bias=float(values["bias"]),
             points=np.array(arrays["points"]),
+            pose_moments=np.array(arrays["pose_moments"]),
         )
 
     @classmethod

@@ -19,6 +19,7 @@ from toolkit.mapping.depth_filter import denoised
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
 from toolkit.rendering import SurfaceView, backend, draw_surface
+from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,9 @@ class MapperOptions:
         depth_floor: seed where rendered depth lies behind the measured one by more than
             this share of it, and by more than `depth_factor` medians of the error.
         denoise: smooth a keyframe's depth as much as its noise asks for.
+        bundle_adjustment: optimise the poses of keyframes together with the map (G-3); the
+            first one stays, or the whole would drift.
+        pose_translation_m, pose_rotation_rad: its steps.
         least_opacity: prune below it.
         largest_radius_m: prune beyond it.
     """
@@ -50,6 +54,9 @@ class MapperOptions:
     depth_floor: float = 0.03
     depth_factor: float = 20.0
     denoise: bool = True
+    bundle_adjustment: bool = False
+    pose_translation_m: float = 1e-4
+    pose_rotation_rad: float = 5e-5
     least_opacity: float = 0.005
     largest_radius_m: float = 0.5
     keyframes: KeyframePolicy = field(default_factory=KeyframePolicy)
@@ -183,7 +190,19 @@ class Mapper:
             names = ("means", "log_radii", "opacity_logits", "colours")
             named = {name: getattr(gradients, name) for name in names}
             self.optimiser.step(self.gaussians, named, gradients.ids)
+            if self.options.bundle_adjustment and keyframe is not self.keyframes[0]:
+                self._adjust_pose(keyframe, gradients.T_camera_map.numpy())
         return loss
+
+    def _adjust_pose(self, keyframe: Keyframe, by_matrix: NDArray[np.float64]) -> None:
+        """One step on a keyframe's pose, from the derivative [3, 4] by its entries."""
+        options = self.options
+        adam = PoseAdam(
+            options.pose_translation_m, options.pose_rotation_rad, keyframe.pose_moments
+        )
+        T_camera_map = se3.inverse(keyframe.T_map_camera)
+        step = adam.step(pose_gradient(by_matrix, T_camera_map))
+        keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))
 
     def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
         missing = self._missing(self.view(keyframe), keyframe.depth_m)

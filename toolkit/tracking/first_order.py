@@ -30,6 +30,7 @@ from toolkit.tracking.alignment import (
 )
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 from toolkit.tracking.result import TrackingResult
 
 
@@ -48,8 +49,6 @@ class FirstOrderOptions:
     translation_rate: float = 0.002
     rotation_rate: float = 0.001
 
-
-_BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
 
 # How the final pose is judged: residual scales to start from, rounds of their fixed point,
 # the gate on depth differences (share of the depth) and the least silhouette.
@@ -125,7 +124,7 @@ class FirstOrderTracker:
         depth_m = torch.from_numpy(frame.depth_m)
         weights = PRESETS[self.options.preset]
         T_camera_map = se3.inverse(T_map_camera)
-        adam = _PoseAdam(self.options)
+        adam = PoseAdam(self.options.translation_rate, self.options.rotation_rate)
         best: _Candidate | None = None
         renders = 0
         # A pose is judged by the render after its step (SplaTAM credits the step before), so
@@ -165,36 +164,6 @@ class FirstOrderTracker:
             health=health,
             reason=reason,
         )
-
-
-def pose_gradient(
-    by_matrix: NDArray[np.float64], T_camera_map: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Derivative [6] by xi of exp(xi) @ T_camera_map, from that by its entries [3, 4].
-
-    A rotation phi moves each column c of the matrix by phi x c, so its share of the
-    derivative is phi . (c x g); only the translation's column moves with rho.
-    """
-    by_rotation = np.cross(T_camera_map[:3], by_matrix, axis=0).sum(axis=1)
-    return np.concatenate([by_matrix[:, 3], by_rotation])
-
-
-class _PoseAdam:
-    """Adam over the six tangent coordinates, with a rate for each kind."""
-
-    def __init__(self, options: FirstOrderOptions) -> None:
-        self._rates = np.repeat([options.translation_rate, options.rotation_rate], 3)
-        self._first, self._second = np.zeros(6), np.zeros(6)
-        self._steps = 0
-
-    def step(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The tangent step [6] that a gradient [6] asks for."""
-        self._steps += 1
-        self._first = _BETA1 * self._first + (1.0 - _BETA1) * gradient
-        self._second = _BETA2 * self._second + (1.0 - _BETA2) * gradient**2
-        mean = self._first / (1.0 - _BETA1**self._steps)
-        spread = np.sqrt(self._second / (1.0 - _BETA2**self._steps))
-        return -self._rates * mean / (spread + _EPSILON)
 
 
 def _judged(frame: Frame, images: Tensor) -> tuple[Linearisation, Scales]:
