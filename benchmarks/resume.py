@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from machine import describe_machine
+from machine import describe_machine  # type: ignore[import-not-found]
 
 SAME_BYTES = ("trajectory.txt", "map.ply", "loops.jsonl", "frames.json", "config.yaml")
 DIFFERENT_EACH_TIME = ("_ms_per_frame", "_memory_mb")

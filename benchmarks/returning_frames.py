@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from machine import describe_machine
+from machine import describe_machine  # type: ignore[import-not-found]
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db

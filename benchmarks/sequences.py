@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from machine import describe_machine
+from machine import describe_machine  # type: ignore[import-not-found]
 
 COLUMNS = (
     "ate_rmse_cm",

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import tyro
 from tqdm import tqdm
 
+from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.checks import check_dataset
 
 
@@ -35,7 +35,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         ToolkitError: the data set cannot be opened at all.
     """
-    options = tyro.cli(CheckDataOptions, args=list(argv), prog="semsplat check-data")
+    options = parse_arguments(CheckDataOptions, argv, "check-data")
     report = check_dataset(options.kind, options.path, options.image_size, _with_progress)
     for line in report.summary:
         print(line)

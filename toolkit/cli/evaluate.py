@@ -9,6 +9,7 @@ from pathlib import Path
 
 import tyro
 
+from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.finished_run import FinishedRun, measured, open_finished_run
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
@@ -59,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: there is no finished run, its data set cannot be read, or a value is
             out of range.
     """
-    options = tyro.cli(EvaluateOptions, args=list(argv), prog="semsplat evaluate")
+    options = parse_arguments(EvaluateOptions, argv, "evaluate")
     if options.max_views < 1:
         raise SettingsError(f"--max-views must be at least 1, got {options.max_views}")
     run = open_finished_run(options.run)

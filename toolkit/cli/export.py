@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.errors import FormatError, SettingsError
 from toolkit.geometry import se3
@@ -62,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: there is no finished run, the ending is unknown, a value is out of
             range or the file cannot be written.
     """
-    options = tyro.cli(ExportOptions, args=list(argv), prog="semsplat export")
+    options = parse_arguments(ExportOptions, argv, "export")
     kind = _kind(options)
     _check_values(options)
     run = open_finished_run(options.run)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import tyro
-
+from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.synthetic import RoomSettings, SensorModel, make_room
 
 
@@ -44,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: a value is out of range, or the folder holds something else or
             cannot be written.
     """
-    options = tyro.cli(MakeRoomOptions, args=list(argv), prog="semsplat make-room")
+    options = parse_arguments(MakeRoomOptions, argv, "make-room")
     settings = RoomSettings(
         layout=options.layout,
         seed=options.seed,

@@ -14,6 +14,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.datasets.base import Dataset
 from toolkit.errors import DatasetError, SettingsError
@@ -109,7 +110,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: the map, trajectory or data set cannot be read, a value is out of
             range, or the folder cannot be written.
     """
-    program = tyro.cli(RenderProgram, args=list(argv), prog="semsplat render")
+    program = parse_arguments(RenderProgram, argv, "render")
     _check_values(program)
     subject = _open(program.map)
     dataset = None

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from pydantic import ValidationError
 from tqdm import tqdm
 
+from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.run_results import held_out, write_results
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
@@ -23,7 +23,7 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.mapping.factory import build_mapper
 from toolkit.run_folder import RunFolder
-from toolkit.settings.files import dump, first_fault, load
+from toolkit.settings.files import dump, load
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.tracking.factory import build_tracker
@@ -87,15 +87,8 @@ def _parse(argv: list[str]) -> RunProgram:
     start = RunSettings()
     if "--config" in argv[:-1]:
         start = load(Path(argv[argv.index("--config") + 1]))
-    try:
-        return tyro.cli(
-            RunProgram,
-            args=argv,
-            prog="semsplat run",
-            default=RunProgram(out=tyro.MISSING, settings=start),
-        )
-    except ValidationError as error:
-        raise SettingsError(first_fault(error)) from error
+    default = RunProgram(out=tyro.MISSING, settings=start)
+    return parse_arguments(RunProgram, argv, "run", default=default)
 
 
 def _dataset_path(program: RunProgram) -> Path:
