@@ -1,9 +1,8 @@
-"""Tiny recordings in every layout, and the folder of real ones."""
+"""Tiny recordings in every layout."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,21 +13,6 @@ from toolkit.geometry import se3
 from toolkit.io import images
 
 WIDTH, HEIGHT = 32, 24
-
-
-@pytest.fixture
-def real_data() -> Callable[[str], Path]:
-    """The folder of a real recording by name; skips where it is not at hand."""
-
-    def find(name: str) -> Path:
-        root = os.environ.get("SEMSPLAT_DATA")
-        if not root:
-            pytest.skip("SEMSPLAT_DATA is not set")
-        if not (Path(root) / name).exists():
-            pytest.skip(f"{name} is not in SEMSPLAT_DATA")
-        return Path(root) / name
-
-    return find
 
 
 def frame_rgb(index: int) -> np.ndarray:
