@@ -27,7 +27,3 @@ class RunFolderError(ToolkitError):
 
 class DependencyError(ToolkitError):
     """An optional package or a system library is missing."""
-
-
-class TrackingError(ToolkitError):
-    """Tracking cannot go on (not: one frame was lost, which is a verdict)."""
