@@ -1,0 +1,1 @@
+"""How a taxonomy is made from a list of class names (H-III.A.2)."""
