@@ -290,3 +290,34 @@ def test_gradients_reach_the_leaves_of_autograd() -> None:
     for actual, expected in zip(*results, strict=True):
         scale = float(expected.abs().max())
         assert float((actual.double() - expected).abs().max()) <= 2e-4 * scale
+
+
+@pytest.mark.parametrize("channels", [0, 1, 17])
+def test_centres_come_last_and_change_nothing_else(native: NativeBackend, channels: int) -> None:
+    scene = random_scene(channels + 40, count=50, channels=channels)
+    arguments = (scene.cloud, scene.camera, scene.T_camera_map)
+    plain = native.forward(*arguments, scene.cloud.features, None)
+    drawn = native.forward(*arguments, scene.cloud.features, None, centres=True)
+    assert torch.equal(drawn.images[:-3], plain.images)
+    means = native.forward(*arguments, scene.cloud.means, None)
+    assert torch.equal(drawn.images[-3:], means.images[5:])
+    weights = scene.loss_weights()
+    expected, actual = plain.backward(weights), drawn.backward(weights)
+    assert torch.equal(actual.means, expected.means)
+    assert torch.equal(actual.features, expected.features)
+
+
+@pytest.mark.parametrize("channels", [1, 4, 26, 101])
+def test_detached_features_leave_geometry_alone(native: NativeBackend, channels: int) -> None:
+    """Geometry and pose as without the feature channels, features as with them."""
+    scene = random_scene(channels + 60, count=50, channels=channels)
+    weights = scene.loss_weights()
+    drawn = [scene.forward(native) for _ in range(3)]
+    whole = drawn[0].backward(weights)
+    base = drawn[1].backward(weights[:5])
+    detached = drawn[2].backward(weights, detached=True)
+    for name in ("means", "log_radii", "opacity_logits", "colours", "T_camera_map"):
+        assert torch.allclose(getattr(detached, name), getattr(base, name), rtol=1e-5, atol=1e-6)
+    assert torch.allclose(detached.features, whole.features, rtol=1e-5, atol=1e-6)
+    expected = exact(scene).forward(ReferenceBackend()).backward(weights.double(), detached=True)
+    assert torch.allclose(detached.means.double(), expected.means[detached.ids], atol=1e-3)

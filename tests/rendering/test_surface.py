@@ -11,7 +11,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import backend, draw_surface, surface
+from toolkit.rendering import DrawOptions, backend, draw_surface, surface
 from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -84,7 +84,7 @@ def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None
 
 def test_thin_pixels_have_no_surface() -> None:
     scene = random_scene(0, count=30)
-    view = draw_surface(backend(), scene.cloud, scene.camera, scene.T_camera_map, 0.5)
+    view = draw_surface(backend(), scene.cloud, scene.camera, scene.T_camera_map, DrawOptions(0.5))
     thin = view.output.silhouette < 0.5
     assert thin.any() and not thin.all()
     assert not view.depth_m[thin].any()

@@ -11,7 +11,7 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.rendering import backend, draw_surface, render
+from toolkit.rendering import DrawOptions, backend, draw_surface, render
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,9 @@ def small_motion(seed: int, metres: float, degrees: float) -> NDArray[np.float64
 
 def ideal_frame(gaussians: GaussianCloud, like: Frame, T_map_camera: NDArray[np.float64]) -> Frame:
     """What the map itself shows there: a frame whose pose is known exactly."""
-    view = draw_surface(backend(), gaussians, like.camera, se3.inverse(T_map_camera), 0.9)
+    view = draw_surface(
+        backend(), gaussians, like.camera, se3.inverse(T_map_camera), DrawOptions(0.9)
+    )
     rgb = view.output.colour.clamp(0.0, 1.0).contiguous().numpy()
     return replace(like, rgb=rgb, depth_m=view.depth_m.numpy())
 

@@ -3,10 +3,11 @@
 from toolkit.rendering.backend import TILE, GaussianGradients, region_of_pixels, tile_counts
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.render import backend, render
-from toolkit.rendering.surface import SurfaceView, draw_surface
+from toolkit.rendering.surface import DrawOptions, SurfaceView, draw_surface
 
 __all__ = [
     "TILE",
+    "DrawOptions",
     "GaussianGradients",
     "RenderOutput",
     "SurfaceView",

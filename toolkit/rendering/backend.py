@@ -44,13 +44,17 @@ class GaussianGradients:
 class ForwardPass(Protocol):
     """One drawn view."""
 
-    images: Tensor  # [5 + S, H, W], detached
+    images: Tensor  # [5 + S, H, W], or [5 + S + 3, H, W] with centres; detached
 
-    def backward(self, image_gradients: Tensor, colours: bool = True) -> GaussianGradients:
+    def backward(
+        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
+    ) -> GaussianGradients:
         """Gradients of a scalar whose derivative by the images [5 + S, H, W] is given.
 
         May be called once. `colours=False` skips the colour gradients (pose-only tracking);
-        gradients for the first five images alone leave the features out.
+        gradients for the first five images alone leave the features out. `detached`: what the
+        feature channels ask for goes to the features alone, so that geometry, opacity and pose
+        hear of colour and depth only. Centres have no gradient.
         """
         ...
 
@@ -67,8 +71,12 @@ class Backend(Protocol):
         T_camera_map: NDArray[np.float64],
         features: Tensor | None,
         region: Tensor | None,
+        centres: bool = False,
     ) -> ForwardPass:
-        """Draw the Gaussians as seen from the camera; see `toolkit.rendering.render`."""
+        """Draw the Gaussians as seen from the camera; see `toolkit.rendering.render`.
+
+        `centres` composites the Gaussians' means as three more channels, the last ones.
+        """
         ...
 
 

@@ -91,6 +91,7 @@ class NativeForwardPass:
     ):
         self._module, self._arrays, self._region = module, arrays, region
         self._idle = idle
+        self._channels = BASE_CHANNELS + arrays[4].shape[1]
         self._state = idle.pop() if idle else module.Rasterisation()
         self.images = torch.empty(0)
 
@@ -102,11 +103,11 @@ class NativeForwardPass:
     def _map(self) -> tuple[int, list[int], int]:
         return len(self._arrays[0]), [address(a) for a in self._arrays], self._arrays[4].shape[1]
 
-    def draw(self, camera: Camera, T_camera_map: NDArray[np.float64]) -> None:
+    def draw(self, camera: Camera, T_camera_map: NDArray[np.float64], centres: bool) -> None:
         """Fill `images`."""
         # Tiles outside a region are never written, so they must start at zero.
         create = torch.empty if self._region is None else torch.zeros
-        channels = BASE_CHANNELS + self._arrays[4].shape[1]
+        channels = self._channels + (3 if centres else 0)
         self.images = create(channels, camera.height, camera.width)
         self._module.forward(
             self._state,
@@ -115,15 +116,18 @@ class NativeForwardPass:
             camera.size,
             np.asarray(T_camera_map, dtype=np.float64)[:3].reshape(-1).tolist(),
             address(self._region),
+            centres,
             address(self.images),
         )
 
-    def backward(self, image_gradients: Tensor, colours: bool = True) -> GaussianGradients:
+    def backward(
+        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
+    ) -> GaussianGradients:
         """See ForwardPass.backward."""
         n = self._state.visible
         image_gradients = _contiguous(image_gradients)
         without_features = len(image_gradients) == BASE_CHANNELS
-        expected = self.images[:BASE_CHANNELS] if without_features else self.images
+        expected = self.images[: BASE_CHANNELS if without_features else self._channels]
         if image_gradients.shape != expected.shape:
             raise ValueError(
                 f"image gradients must have shape {list(expected.shape)}, "
@@ -154,6 +158,7 @@ class NativeForwardPass:
             *self._map,
             address(self._region),
             address(image_gradients),
+            detached,
             [address(t) for t in sinks],
         )
         return result
@@ -175,6 +180,7 @@ class NativeBackend:
         T_camera_map: NDArray[np.float64],
         features: Tensor | None,
         region: Tensor | None,
+        centres: bool = False,
     ) -> NativeForwardPass:
         """See Backend.forward."""
         arrays = [
@@ -188,5 +194,5 @@ class NativeBackend:
         ]
         region = None if region is None else _contiguous(region, torch.uint8)
         drawn = NativeForwardPass(self._module, self._idle, arrays, region)
-        drawn.draw(camera, T_camera_map)
+        drawn.draw(camera, T_camera_map, centres)
         return drawn

@@ -20,6 +20,7 @@ from toolkit.rendering.backend import (
     GaussianGradients,
     tile_counts,
 )
+from toolkit.rendering.output import BASE_CHANNELS
 
 
 def composite(
@@ -99,21 +100,19 @@ class ReferenceForwardPass:
         self._images = images
         self.images = images.detach()
 
-    def backward(self, image_gradients: Tensor, colours: bool = True) -> GaussianGradients:
+    def backward(
+        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
+    ) -> GaussianGradients:
         """See ForwardPass.backward."""
         cloud = self._cloud
         inputs = [cloud.means, cloud.log_radii, cloud.opacity_logits, cloud.colours]
         inputs += [self._features, self._T]
         with torch.enable_grad():  # autograd itself calls this with recording switched off
             images = self._images[: len(image_gradients)]  # five: the features are left out
-        grads: tuple[Tensor | None, ...]
-        if images.requires_grad:
-            grads = torch.autograd.grad(images, inputs, image_gradients, allow_unused=True)
-        else:  # nothing was drawn
-            grads = (None,) * len(inputs)
-        full = [
-            g if g is not None else torch.zeros_like(x) for g, x in zip(grads, inputs, strict=True)
-        ]
+            base = images[:BASE_CHANNELS]
+        full = self._gradients(base if detached else images, inputs, image_gradients)
+        if detached:
+            full[4] = self._gradients(images, inputs[4:5], image_gradients)[0]
         return GaussianGradients(
             ids=torch.arange(len(cloud)),
             means=full[0],
@@ -123,6 +122,15 @@ class ReferenceForwardPass:
             features=full[4],
             T_camera_map=full[5].to(torch.float64),
         )
+
+    @staticmethod
+    def _gradients(images: Tensor, inputs: list[Tensor], by_images: Tensor) -> list[Tensor]:
+        if not images.requires_grad:  # nothing was drawn
+            return [torch.zeros_like(x) for x in inputs]
+        found = torch.autograd.grad(
+            images, inputs, by_images[: len(images)], retain_graph=True, allow_unused=True
+        )
+        return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
 
 
 class ReferenceBackend:
@@ -137,6 +145,7 @@ class ReferenceBackend:
         T_camera_map: NDArray[np.float64],
         features: Tensor | None,
         region: Tensor | None,
+        centres: bool = False,
     ) -> ReferenceForwardPass:
         """See Backend.forward."""
         if features is None:
@@ -156,5 +165,6 @@ class ReferenceBackend:
             )
             features = features.detach().requires_grad_()
             T = torch.as_tensor(T_camera_map[:3], dtype=gaussians.means.dtype).requires_grad_()
-            images = composite(cloud, camera, T, features, region)
+            extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
+            images = composite(cloud, camera, T, extra, region)
         return ReferenceForwardPass(cloud, T, features, images)

@@ -27,11 +27,27 @@ _MOST_CORRECTION = 0.02  # share of the depth
 
 
 @dataclass(frozen=True)
+class DrawOptions:
+    """What to draw beside colour, depth and silhouette.
+
+    Attributes:
+        least_silhouette: pixels thinner than this have no surface.
+        features: draw the Gaussians' feature channels too.
+        region: tiles to draw, as `render` takes it.
+    """
+
+    least_silhouette: float = 0.5
+    features: bool = False
+    region: Tensor | None = None
+
+
+@dataclass(frozen=True)
 class SurfaceView:
     """A drawn view and the depth of its surface.
 
     Attributes:
-        drawn: the forward pass; its first five channels are those of `render`.
+        drawn: the forward pass with the centres drawn; the rest of its channels is as `render`
+            draws them.
         depth_m: [H, W] where each ray meets the surface, 0 where nothing solid was drawn.
     """
 
@@ -44,6 +60,11 @@ class SurfaceView:
         return self.drawn.images[:BASE_CHANNELS]
 
     @property
+    def features(self) -> Tensor:
+        """Feature channels [S, H, W], weighted sums like the colour."""
+        return self.drawn.images[BASE_CHANNELS:-3]
+
+    @property
     def output(self) -> RenderOutput:
         """The same as `render` returns it."""
         return RenderOutput(self.images)
@@ -54,22 +75,24 @@ def draw_surface(
     gaussians: GaussianCloud,
     camera: Camera,
     T_camera_map: NDArray[np.float64],
-    least_silhouette: float = 0.5,
+    options: DrawOptions | None = None,
 ) -> SurfaceView:
     """Draw Gaussians together with their centres, and find the surface.
 
     Args:
         T_camera_map: [4, 4], map to camera.
-        least_silhouette: pixels thinner than this have no surface.
     """
-    drawn = backend.forward(gaussians, camera, T_camera_map, gaussians.means, None)
-    return SurfaceView(drawn, surface_depth(drawn.images, camera, T_camera_map, least_silhouette))
+    options = options or DrawOptions()
+    channels = gaussians.features if options.features else None
+    drawn = backend.forward(gaussians, camera, T_camera_map, channels, options.region, centres=True)
+    depth_m = surface_depth(drawn.images, camera, T_camera_map, options.least_silhouette)
+    return SurfaceView(drawn, depth_m)
 
 
 def surface_depth(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], least_silhouette: float
 ) -> Tensor:
-    """Surface depth [H, W] of images [8, H, W] whose features are the centres in the map."""
+    """Surface depth [H, W] of images [..., H, W] whose last channels are the centres."""
     module = kernels()
     if module is None:
         return _surface_depth_torch(images, camera, T_camera_map, least_silhouette)
@@ -79,6 +102,7 @@ def surface_depth(
         camera.size,
         np.asarray(T_camera_map[:3]).reshape(-1).tolist(),
         address(images),
+        address(images[-3:]),
         least_silhouette,
         address(depth_m),
     )
@@ -91,7 +115,7 @@ def _surface_depth_torch(
     """The kernel's equations: the reference, and what runs without a compiler."""
     T = torch.as_tensor(T_camera_map, dtype=images.dtype)
     solid = images[4] >= least_silhouette
-    mean = images[5:8] / torch.where(solid, images[4], torch.ones_like(images[4]))
+    mean = images[-3:] / torch.where(solid, images[4], torch.ones_like(images[4]))
     points = torch.einsum("ij,jyx->yxi", T[:3, :3], mean) + T[:3, 3]
     points = torch.where(solid[..., None], points, torch.zeros_like(points))
     depth = points[..., 2].clone()

@@ -16,7 +16,7 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import backend, draw_surface
+from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking.alignment import (
     FrameLevel,
     Linearisation,
@@ -175,7 +175,8 @@ class DenseTracker:
         self, gaussians: GaussianCloud, camera: Camera, T_map_view: NDArray[np.float64]
     ) -> list[ModelLevel]:
         thin = self.options.least_silhouette
-        surface = draw_surface(self._backend, gaussians, camera, se3.inverse(T_map_view), thin)
+        T_view_map = se3.inverse(T_map_view)
+        surface = draw_surface(self._backend, gaussians, camera, T_view_map, DrawOptions(thin))
         view = view_of(surface, camera, thin)
         return [model_level(level) for level in pyramid(view, self.options.levels)]
 

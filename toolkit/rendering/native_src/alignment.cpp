@@ -193,8 +193,8 @@ void intensity_of(const Pinhole& camera, const float* images, float least_silhou
 // Front-to-back compositing weighs the nearer of two overlapping Gaussians more, so on a
 // slanted surface the mean depth belongs to a point up to half a pixel off the ray. The mean
 // of the centres themselves does lie on the surface: intersect the ray with the plane there.
-void surface_depth(const Pinhole& camera, const double* T, const float* images, float least_silhouette,
-                   float* depth) {
+void surface_depth(const Pinhole& camera, const double* T, const float* images, const float* centres,
+                   float least_silhouette, float* depth) {
     const int W = camera.width, H = camera.height;
     const size_t plane = (size_t)W * H;
     float R[9], t[3];
@@ -210,8 +210,8 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
             for (int x = 0; x < W; ++x) {
                 const size_t i = (size_t)y * W + x;
                 const float s = images[4 * plane + i], inverse = s >= least_silhouette ? 1.0f / s : 0.0f;
-                const float a = images[5 * plane + i] * inverse, b = images[6 * plane + i] * inverse,
-                            c = images[7 * plane + i] * inverse;
+                const float a = centres[i] * inverse, b = centres[plane + i] * inverse,
+                            c = centres[2 * plane + i] * inverse;
                 for (int k = 0; k < 3; ++k) {
                     points[3 * i + k] = inverse > 0 ? R[3 * k] * a + R[3 * k + 1] * b + R[3 * k + 2] * c + t[k] : 0.0f;
                 }

@@ -43,9 +43,9 @@ struct NormalEquations {
 };
 
 // Depth (m) at which each pixel's ray meets the drawn surface, 0 where thinner than asked.
-// images: [8, H, W] of a rendering whose features are the Gaussians' centres in the map.
-void surface_depth(const Pinhole& camera, const double* T_camera_map, const float* images, float least_silhouette,
-                   float* depth);
+// images: [5, H, W] of a rendering; centres: [3, H, W], its Gaussians' centres in the map.
+void surface_depth(const Pinhole& camera, const double* T_camera_map, const float* images, const float* centres,
+                   float least_silhouette, float* depth);
 void intensity_of(const Pinhole& camera, const float* images, float least_silhouette, float* intensity);
 void build_model_level(const Pinhole& camera, const float* intensity, const float* depth, float* texture,
                        float* surface);

@@ -16,6 +16,9 @@ enum { SUMS = 8, POSE_CHUNK = 4096 };
 // Sums of one pair: e = alpha dL/dalpha, its moments, and the base channels' gradients.
 enum { E, E_DX, E_DY, E_SQUARE, GRAD_Z, GRAD_R, GRAD_G, GRAD_B };
 
+// What the feature channels' gradients reach: nothing, the features, or the whole Gaussian.
+enum class Features { NONE, ALONE, MOVE };
+
 struct BackwardScratch {
     TileEntry entries[BATCH];
     alignas(64) float T[BLOCKS][16], behind[BLOCKS][16];
@@ -67,8 +70,9 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     }
 }
 
-// Adds <f, d> over N feature channels to each block's dot product, and returns dL/df.
-template <int N>
+// dL/df of N feature channels; where they move the Gaussian too, adds <f, d> to each block's
+// dot product.
+template <int N, bool MOVE>
 SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, const float* f, int first,
                                   float* gradient) {
     F16 acc[N];
@@ -76,14 +80,14 @@ SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, con
     for (uint32_t m = blocks; m; m &= m - 1) {
         const int block = __builtin_ctz(m);
         const F16 w = load(scratch.weight[block]);
-        F16 dot = load(scratch.dot[block]);
+        F16 dot = MOVE ? load(scratch.dot[block]) : all(0.0f);
         const float* d = scratch.d_features.data() + ((size_t)first * BLOCKS + block) * 16;
         for (int c = 0; c < N; ++c) {
             const F16 dc = load(d + (size_t)c * TILE_PIXELS);
-            dot = fma(dc, all(f[first + c]), dot);
+            if (MOVE) dot = fma(dc, all(f[first + c]), dot);
             acc[c] = fma(w, dc, acc[c]);
         }
-        store(scratch.dot[block], dot);
+        if (MOVE) store(scratch.dot[block], dot);
     }
     if (N == 16) {
         sum16(acc, gradient + first);
@@ -96,29 +100,30 @@ SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, con
     }
 }
 
+template <bool MOVE>
 void feature_steps(BackwardScratch& scratch, uint32_t blocks, const float* f, int S, float* gradient) {
     int c = 0;
-    for (; c + WIDEST <= S; c += WIDEST) feature_step<WIDEST>(scratch, blocks, f, c, gradient);
-    if (WIDEST > 8 && c + 8 <= S) feature_step<8>(scratch, blocks, f, c, gradient), c += 8;
-    if (WIDEST > 4 && c + 4 <= S) feature_step<4>(scratch, blocks, f, c, gradient), c += 4;
-    for (; c < S; ++c) feature_step<1>(scratch, blocks, f, c, gradient);
+    for (; c + WIDEST <= S; c += WIDEST) feature_step<WIDEST, MOVE>(scratch, blocks, f, c, gradient);
+    if (WIDEST > 8 && c + 8 <= S) feature_step<8, MOVE>(scratch, blocks, f, c, gradient), c += 8;
+    if (WIDEST > 4 && c + 4 <= S) feature_step<4, MOVE>(scratch, blocks, f, c, gradient), c += 4;
+    for (; c < S; ++c) feature_step<1, MOVE>(scratch, blocks, f, c, gradient);
 }
 
 // One pair: all its blocks, back to front state in `scratch`, sums into `out` (SUMS floats).
-template <bool COLOUR, bool FEATURES>
+template <bool COLOUR, Features FEATURES>
 SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntry& e, uint32_t blocks,
                                         const float* f, int S, float* out, float* d_features) {
     F16 acc[SUMS];
     for (F16& a : acc) a = all(0.0f);
-    if (FEATURES) {
+    if (FEATURES != Features::NONE) {
         for (uint32_t m = blocks; m; m &= m - 1) {
             const int block = __builtin_ctz(m);
             const Alpha a = alpha_of(e, block);
             const F16 T = load(scratch.T[block]) * reciprocal(all(1.0f) - a.value);
             store(scratch.weight[block], a.value * T);
-            store(scratch.dot[block], all(0.0f));
+            if (FEATURES == Features::MOVE) store(scratch.dot[block], all(0.0f));
         }
-        feature_steps(scratch, blocks, f, S, d_features);
+        feature_steps<FEATURES == Features::MOVE>(scratch, blocks, f, S, d_features);
     }
     for (uint32_t m = blocks; m; m &= m - 1) {
         const int block = __builtin_ctz(m);
@@ -128,7 +133,7 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
         const F16 w = a.value * T;
         const F16 dr = load(scratch.d[0][block]), dg = load(scratch.d[1][block]);
         const F16 db = load(scratch.d[2][block]), dz = load(scratch.d[3][block]);
-        F16 dot = FEATURES ? load(scratch.dot[block]) : all(0.0f);
+        F16 dot = FEATURES == Features::MOVE ? load(scratch.dot[block]) : all(0.0f);
         dot = fma(dr, all(e.r), fma(dg, all(e.g), fma(db, all(e.b), fma(dz, all(e.z), dot))));
         const F16 behind = load(scratch.behind[block]);
         const F16 grad = keep(a.free, fnma(behind, inverse, T * dot) * a.value);
@@ -163,7 +168,7 @@ struct PairSums {
     }
 };
 
-template <bool COLOUR, bool FEATURES>
+template <bool COLOUR, Features FEATURES>
 void differentiate_tile(const Gaussians& map, const Rasterisation& state, int tile, BackwardScratch& scratch,
                         PairSums& sums, float* d_features) {
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
@@ -175,7 +180,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
     for (int k = last; k < count; ++k) {
         const int splat = state.pair_splat[begin + k], slot = state.pair_slot[begin + k];
         std::fill_n(sums.row(splat, slot), (int)SUMS, 0.0f);
-        if (FEATURES) std::fill_n(sums.feature_row(d_features, splat, slot, S), S, 0.0f);
+        if (FEATURES != Features::NONE) std::fill_n(sums.feature_row(d_features, splat, slot, S), S, 0.0f);
     }
     uint32_t open = 0;  // blocks that have met their last pair
     for (int end = last; end > 0;) {
@@ -193,9 +198,9 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
                 if (k < ends[block]) open |= 1u << block;
             }
             const TileEntry& e = scratch.entries[k - start];
-            float* fg = FEATURES ? sums.feature_row(d_features, e.splat, e.slot, S) : nullptr;
+            float* fg = FEATURES != Features::NONE ? sums.feature_row(d_features, e.splat, e.slot, S) : nullptr;
             differentiate_pair<COLOUR, FEATURES>(scratch, e, e.blocks & open,
-                                                 FEATURES ? map.features + (size_t)e.id * S : nullptr, S,
+                                                 fg ? map.features + (size_t)e.id * S : nullptr, S,
                                                  sums.row(e.splat, e.slot), fg);
         }
         end = start;
@@ -256,10 +261,10 @@ void finish(const Gaussians& map, const Rasterisation& state, const PairSums& su
     }
 }
 
-template <bool COLOUR, bool FEATURES>
+template <bool COLOUR, Features FEATURES>
 void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                          const float* d_images, PairSums& sums, float* d_features) {
-    const int tiles = state.tiles(), S = FEATURES ? map.feature_channels : 0;
+    const int tiles = state.tiles(), S = FEATURES != Features::NONE ? map.feature_channels : 0;
 #pragma omp parallel
     {
         auto scratch = std::make_unique<BackwardScratch>();
@@ -273,20 +278,29 @@ void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rast
     }
 }
 
+template <Features FEATURES>
+void differentiate_tiles_of(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
+                            const float* d_images, PairSums& sums, const GradientSinks& out) {
+    const auto run = out.colours ? differentiate_tiles<true, FEATURES> : differentiate_tiles<false, FEATURES>;
+    run(map, region, state, d_images, sums, out.features);
+}
+
 }  // namespace
 
 void differentiate(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
-                   const float* d_images, const GradientSinks& out) {
+                   const float* d_images, bool detached, const GradientSinks& out) {
     // Kept from call to call: fresh pages cost more than the sums.
     static thread_local PairSums sums;
     sums.own.resize(state.splats.size() * SUMS);
     sums.shared.resize((size_t)state.slots * SUMS);
     sums.shared_features.resize((size_t)state.slots * map.feature_channels);
-    // Without features of its own S is 0, and the template drops their code.
-    const auto run = map.feature_channels
-                         ? (out.colours ? differentiate_tiles<true, true> : differentiate_tiles<false, true>)
-                         : (out.colours ? differentiate_tiles<true, false> : differentiate_tiles<false, false>);
-    run(map, region, state, d_images, sums, out.features);
+    if (!map.feature_channels) {
+        differentiate_tiles_of<Features::NONE>(map, region, state, d_images, sums, out);
+    } else if (detached) {
+        differentiate_tiles_of<Features::ALONE>(map, region, state, d_images, sums, out);
+    } else {
+        differentiate_tiles_of<Features::MOVE>(map, region, state, d_images, sums, out);
+    }
     finish(map, state, sums, out);
 }
 

@@ -10,6 +10,7 @@
 #include "alignment.hpp"
 #include "losses.hpp"
 #include "optimisation.hpp"
+#include "semantics.hpp"
 #include "splats.hpp"
 
 namespace py = pybind11;
@@ -24,14 +25,16 @@ T* at(Address a) {
     return reinterpret_cast<T*>(a);
 }
 
-Gaussians gaussians_at(int64_t count, const std::array<Address, 5>& arrays, int feature_channels) {
+Gaussians gaussians_at(int64_t count, const std::array<Address, 5>& arrays, int feature_channels,
+                       bool centres) {
     return {count,
             at<const float>(arrays[0]),
             at<const float>(arrays[1]),
             at<const float>(arrays[2]),
             at<const float>(arrays[3]),
             at<const float>(arrays[4]),
-            feature_channels};
+            feature_channels,
+            centres};
 }
 
 typedef std::array<double, 4> Intrinsics;
@@ -45,8 +48,8 @@ Pinhole pinhole(const Intrinsics& intrinsics, const Size& size) {
 // Sorts, bins and composites; `state` is what backward needs.
 void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays, int feature_channels,
              const Intrinsics& intrinsics, const Size& size,
-             const std::array<double, 12>& T_camera_map, Address region, Address images) {
-    const Gaussians map = gaussians_at(count, arrays, feature_channels);
+             const std::array<double, 12>& T_camera_map, Address region, bool centres, Address images) {
+    const Gaussians map = gaussians_at(count, arrays, feature_channels, centres);
     state.camera = pinhole(intrinsics, size);
     for (int row = 0; row < 3; ++row) {
         for (int k = 0; k < 3; ++k) state.R[3 * row + k] = (float)T_camera_map[4 * row + k];
@@ -62,12 +65,13 @@ void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& 
 
 // sinks: means, log radii, opacity logits, colours (or 0), features, T_camera_map (float64).
 void backward(const Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays,
-              int feature_channels, Address region, Address image_gradients, const std::array<Address, 6>& sinks) {
-    const Gaussians map = gaussians_at(count, arrays, feature_channels);
+              int feature_channels, Address region, Address image_gradients, bool detached,
+              const std::array<Address, 6>& sinks) {
+    const Gaussians map = gaussians_at(count, arrays, feature_channels, false);
     const GradientSinks out = {at<float>(sinks[0]), at<float>(sinks[1]), at<float>(sinks[2]),
                                at<float>(sinks[3]), at<float>(sinks[4]), at<double>(sinks[5])};
     const py::gil_scoped_release release;
-    differentiate(map, at<const uint8_t>(region), state, at<const float>(image_gradients), out);
+    differentiate(map, at<const uint8_t>(region), state, at<const float>(image_gradients), detached, out);
 }
 
 void copy_visible(const Rasterisation& state, Address ids) {
@@ -75,12 +79,12 @@ void copy_visible(const Rasterisation& state, Address ids) {
     for (size_t i = 0; i < state.splats.size(); ++i) out[i] = state.splats[i].id;
 }
 
-// images: [8, H, W] of a rendering with centres as features; depth: [H, W].
+// images, centres: [5, H, W] and [3, H, W] of a rendering; depth: [H, W].
 void depth_of_surface(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
-                      Address images, double least_silhouette, Address depth) {
+                      Address images, Address centres, double least_silhouette, Address depth) {
     const py::gil_scoped_release release;
     surface_depth(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
-                  (float)least_silhouette, at<float>(depth));
+                  at<const float>(centres), (float)least_silhouette, at<float>(depth));
 }
 
 // images: [5 + S, H, W] of a rendering; intensity: [H, W].
@@ -153,6 +157,19 @@ double loss_of_rgbd(const Size& size, const std::array<Address, 4>& images, cons
                      at<const float>(images[3]), size[1], size[0], loss, at<float>(gradient));
 }
 
+// images: features [S, H, W], silhouette, labels. heads: first channels, widths, weights, targets.
+// gradients: by the features, and by the silhouette or 0.
+double loss_of_semantics(const Size& size, const std::array<Address, 3>& images, int count,
+                         const std::array<Address, 4>& heads, bool bits, double least_silhouette,
+                         const std::array<Address, 2>& gradients) {
+    const SemanticHeads code = {count, at<const int32_t>(heads[0]), at<const int32_t>(heads[1]),
+                                at<const float>(heads[2]), at<const int32_t>(heads[3]), bits};
+    const py::gil_scoped_release release;
+    return semantic_loss(at<const float>(images[0]), at<const float>(images[1]), at<const int32_t>(images[2]),
+                         size[1], size[0], code, (float)least_silhouette, at<float>(gradients[0]),
+                         at<float>(gradients[1]));
+}
+
 // The best instruction set that this processor runs and that we build for.
 std::string instruction_set() {
 #if defined(__x86_64__)
@@ -188,5 +205,6 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("adam", &adam);
     m.def("mean_ssim", &mean_ssim);
     m.def("rgbd_loss", &loss_of_rgbd);
+    m.def("semantic_loss", &loss_of_semantics);
     m.def("instruction_set", &instruction_set);
 }

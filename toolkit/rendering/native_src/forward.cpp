@@ -42,6 +42,7 @@ void add_all_features(const ForwardScratch& scratch, int count, const Gaussians&
     if (WIDEST > 4 && c + 4 <= S) add_features<4>(scratch, count, map.features, S, c, sums), c += 4;
     if (S - c == 3) add_features<3>(scratch, count, map.features, S, c, sums), c += 3;
     for (; c < S; ++c) add_features<1>(scratch, count, map.features, S, c, sums);
+    if (map.centres) add_features<3>(scratch, count, map.means, 3, 0, sums + 16 * S);
 }
 
 // Composites one batch into one block. Returns how many of the block's list it used; fewer
@@ -151,7 +152,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
             ends[block] = start + list.entry[used - 1] + 1;
             if (FEATURES) {
                 add_all_features(scratch, weighted, map,
-                                 scratch.features.data() + (size_t)block * map.feature_channels * 16);
+                                 scratch.features.data() + (size_t)block * map.extra_channels() * 16);
             }
             if (!bits(ge(load(T + 16 * block), all(TRANSMITTANCE_CUT)))) alive &= ~(1u << block);
         }
@@ -161,7 +162,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
 }  // namespace
 
 void composite(const Gaussians& map, const uint8_t* region, Rasterisation& state, float* images) {
-    const int tiles = state.tiles(), S = map.feature_channels;
+    const int tiles = state.tiles(), S = map.extra_channels();
     state.transmittance.resize((size_t)tiles * TILE_PIXELS);
     state.block_end.resize((size_t)tiles * BLOCKS);
 #pragma omp parallel

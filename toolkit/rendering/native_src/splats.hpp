@@ -66,6 +66,8 @@ struct Gaussians {
     const float* colours;        // [N, 3]
     const float* features;       // [N, S] or null
     int feature_channels;        // S
+    bool centres;                // composite the means as three more channels, after the features
+    int extra_channels() const { return feature_channels + (centres ? 3 : 0); }
 };
 
 // Everything that forward leaves for backward.
@@ -95,9 +97,12 @@ struct GradientSinks {
 
 void project(const Gaussians& gaussians, Rasterisation& out);
 void bin(const uint8_t* region, Rasterisation& out);
-// images: [5 + S, H, W]: red, green, blue, depth (m, times weight), silhouette, features.
+// images: [5 + S (+ 3), H, W]: red, green, blue, depth (m, times weight), silhouette, features,
+// and the centres where they are asked for.
 void composite(const Gaussians& gaussians, const uint8_t* region, Rasterisation& state, float* images);
+// image_gradients: [5 + S, H, W]. `detached`: what the feature channels ask for goes to the
+// features alone, and leaves geometry, opacity and pose as they are.
 void differentiate(const Gaussians& gaussians, const uint8_t* region, const Rasterisation& state,
-                   const float* image_gradients, const GradientSinks& sinks);
+                   const float* image_gradients, bool detached, const GradientSinks& sinks);
 
 }  // namespace semsplat

@@ -1,0 +1,163 @@
+"""The semantic loss: kernel against autograd, void, schedule, and the network's term."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights, semantic_loss_torch
+from toolkit.rendering.native import kernels
+from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
+from toolkit.semantics.decoder import NetworkDecoder
+from toolkit.semantics.taxonomy import Taxonomy
+
+TREE = Taxonomy(
+    {
+        "large": {"soft": ["bed", "sofa", "mattress"], "hard": ["table", "desk"]},
+        "small": {"round": ["cup", "plate", "vase"], "phone": {}},
+    }
+)
+CODES = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
+
+
+def scene(channels: int, size: tuple[int, int], seed: int = 0):
+    generator = torch.Generator().manual_seed(seed)
+    height, width = size
+    silhouette = torch.rand(height, width, generator=generator) * 0.8 + 0.2
+    features = 4.0 * torch.randn(channels, height, width, generator=generator) * silhouette
+    labels = torch.randint(0, 10, (height, width), generator=generator, dtype=torch.int32)
+    return features, silhouette, labels
+
+
+@pytest.mark.skipif(kernels() is None, reason="no native kernels were built")
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (4, 4), (17, 31), (40, 48)])
+@pytest.mark.parametrize("name", CODES)
+def test_kernel_equals_autograd(name, size):
+    code = CODES[name](TREE)
+    images = scene(code.channels, size)
+    loss = SemanticLoss(code, SemanticLossWeights(moves_geometry=True))
+    actual = loss(*images, (0, 10))
+    expected = semantic_loss_torch(code, images, 0.2, 0.5, True)
+    assert actual.value == pytest.approx(expected.value, rel=1e-5, abs=1e-9)
+    assert torch.allclose(actual.features, expected.features, atol=1e-6)
+    assert torch.allclose(actual.silhouette, expected.silhouette, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_large_logits_stay_finite(name):
+    code = CODES[name](TREE)
+    features, silhouette, labels = scene(code.channels, (8, 16))
+    result = SemanticLoss(code, SemanticLossWeights())(features * 1e4, silhouette, labels, (0, 1))
+    assert np.isfinite(result.value) and torch.isfinite(result.features).all()
+
+
+def test_void_and_thin_pixels_do_not_count():
+    code = one_hot_code(TREE)
+    features, silhouette, labels = scene(code.channels, (20, 20))
+    result = SemanticLoss(code, SemanticLossWeights())(features, silhouette, labels, (0, 1))
+    counted = (labels > 0) & (silhouette >= 0.5)
+    assert (result.features[:, ~counted] == 0).all()
+    assert (result.features[:, counted].abs().sum(0) > 0).all()
+    assert result.silhouette is None
+
+
+def test_an_image_without_labels_costs_nothing():
+    code = one_hot_code(TREE)
+    features, silhouette, labels = scene(code.channels, (6, 7))
+    network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator())
+    loss = SemanticLoss(code, SemanticLossWeights(inter_from=0), network)
+    result = loss(features, silhouette, torch.zeros_like(labels), (5, 10))
+    assert result.value == 0.0 and not result.features.any()
+
+
+def trained(code, weights, steps):
+    network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator().manual_seed(0))
+    loss = SemanticLoss(code, weights, network)
+    before = {name: a.copy() for name, a in network.state().items()}
+    for step in steps:
+        result = loss(*scene(code.channels, (20, 20)), (step, 60))
+    after = network.state()
+    return any((before[n] != after[n]).any() for n in before), result
+
+
+def test_inter_level_waits_for_its_step():
+    code = one_hot_code(TREE)
+    weights = SemanticLossWeights(inter_from=15)
+    assert not trained(code, weights, [0, 14])[0]
+    assert trained(code, weights, [15])[0]
+
+
+def test_inter_level_starts_by_a_quarter_of_a_short_call():
+    code = one_hot_code(TREE)
+    network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator())
+    loss = SemanticLoss(code, SemanticLossWeights(inter_from=15), network)
+    images = scene(code.channels, (20, 20))
+    alone = SemanticLoss(code, SemanticLossWeights())(*images, (0, 12)).value
+    assert loss(*images, (2, 12)).value == alone
+    assert loss(*images, (3, 12)).value > alone
+
+
+def test_sampled_inter_term_stands_for_all_pixels():
+    """Its gradient, averaged over many samples, is that of all pixels."""
+    code = one_hot_code(TREE)
+    images = scene(code.channels, (24, 24))
+
+    def gradient(pixels: int, rounds: int) -> torch.Tensor:
+        total = torch.zeros_like(images[0])
+        generator = np.random.default_rng(1)
+        for _ in range(rounds):
+            network = NetworkDecoder(
+                code.channels, len(TREE), generator=torch.Generator().manual_seed(2)
+            )
+            weights = SemanticLossWeights(intra=0.0, inter_from=0, inter_pixels=pixels)
+            total += SemanticLoss(code, weights, network, generator)(*images, (1, 4)).features
+        return total / rounds
+
+    every, sampled = gradient(0, 1), gradient(40, 400)
+    scale = every.abs().max()
+    assert (sampled.sum((1, 2)) - every.sum((1, 2))).abs().max() < 0.1 * every.abs().sum() / 7
+    assert (sampled - every).abs().mean() < 0.15 * scale
+
+
+def test_the_network_learns_to_read_the_code():
+    code = binary_code(TREE)
+    network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator().manual_seed(0))
+    labels = torch.arange(1, 10).repeat(20)
+    values = code.start_values[labels].T.contiguous()
+    first = network.learn(values, labels)[0]
+    for _ in range(150):
+        last = network.learn(values, labels)[0]
+    assert last < 0.05 * first
+    assert (network.logits(values).argmax(0) + 1 == labels).all()
+
+
+def test_the_network_s_gradient_is_that_of_its_loss():
+    code = one_hot_code(TREE)
+    labels = torch.tensor([1, 5, 9])
+    values = torch.randn(code.channels, 3, generator=torch.Generator().manual_seed(1))
+
+    def fresh() -> NetworkDecoder:
+        return NetworkDecoder(code.channels, len(TREE), generator=torch.Generator().manual_seed(0))
+
+    gradient = fresh().learn(values, labels)[1]
+    step = 1e-2
+    moved = values.clone()
+    moved[2, 1] += step
+    low = values.clone()
+    low[2, 1] -= step
+    numeric = (fresh().learn(moved, labels)[0] - fresh().learn(low, labels)[0]) / (2 * step) * 3
+    assert float(gradient[2, 1]) == pytest.approx(numeric, rel=2e-2, abs=1e-3)
+
+
+def test_a_restored_network_goes_on_identically():
+    code = one_hot_code(TREE)
+    labels = torch.tensor([1, 5, 9, 2])
+    values = torch.randn(code.channels, 4, generator=torch.Generator().manual_seed(1))
+    first = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator().manual_seed(0))
+    for _ in range(3):
+        first.learn(values, labels)
+    second = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator().manual_seed(7))
+    second.restore(first.state())
+    assert first.learn(values, labels)[0] == second.learn(values, labels)[0]
+    assert torch.equal(first.logits(values), second.logits(values))

@@ -1,0 +1,171 @@
+"""The semantic loss and its derivative: intra-level, then inter-level (H-9 to H-13)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toolkit.rendering.native import address, kernels
+from toolkit.semantics.codes import Heads, SemanticCode
+from toolkit.semantics.decoder import NetworkDecoder
+
+
+@dataclass(frozen=True)
+class SemanticLossWeights:
+    """Weights of the semantic loss.
+
+    Attributes:
+        weight: of the whole beside colour and depth (H-24: 0.2; G-3: 0.5).
+        intra: of the code's own questions (H-9: w1).
+        inter: of the network's flat classes, once it counts (H-9: w2).
+        inter_from: first step within a mapping call at which it does (H: eta), but never
+            later than a quarter of the call, or short calls would not reach it.
+        inter_pixels: pixels that the network sees a step; 0 takes them all.
+        least_silhouette: thinner pixels do not count.
+        moves_geometry: whether semantics may move Gaussians, as in the papers, or only
+            changes their features.
+    """
+
+    weight: float = 0.2
+    intra: float = 1.0
+    inter: float = 5.0
+    inter_from: int = 15
+    inter_pixels: int = 2048
+    least_silhouette: float = 0.5
+    moves_geometry: bool = False
+
+
+@dataclass(frozen=True)
+class SemanticGradient:
+    """Derivative of the loss summed over pixels.
+
+    Attributes:
+        value: the mean loss over pixels.
+        features: [S, H, W] by the composited features.
+        silhouette: [H, W] by the silhouette, or None where geometry does not feel semantics.
+    """
+
+    value: float
+    features: Tensor
+    silhouette: Tensor | None
+
+
+class SemanticLoss:
+    """The loss of one code, with the network that reads it where there is one.
+
+    Args:
+        network: decoder whose loss is the inter-level term, or None for none.
+        generator: chooses the pixels that the network sees.
+    """
+
+    def __init__(
+        self,
+        code: SemanticCode,
+        weights: SemanticLossWeights,
+        network: NetworkDecoder | None = None,
+        generator: np.random.Generator | None = None,
+    ) -> None:
+        self.code, self.weights, self.network = code, weights, network
+        self._generator = generator or np.random.default_rng(0)
+
+    def __call__(
+        self, features: Tensor, silhouette: Tensor, labels: Tensor, progress: tuple[int, int]
+    ) -> SemanticGradient:
+        """Loss of a rendered view.
+
+        Args:
+            features: [S, H, W] composited sums. silhouette: [H, W].
+            labels: [H, W] int32 class ids, 0 void, which never counts.
+            progress: the step within the mapping call, from 0, and the call's steps.
+        """
+        weights = self.weights
+        result = self._intra(features, silhouette, labels)
+        step, steps = progress
+        if self.network is None or step < min(weights.inter_from, steps // 4):
+            return result
+        value = result.value + self._add_inter(features, silhouette, labels, result)
+        return SemanticGradient(value, result.features, result.silhouette)
+
+    def _intra(self, features: Tensor, silhouette: Tensor, labels: Tensor) -> SemanticGradient:
+        scale = self.weights.weight * self.weights.intra
+        least = self.weights.least_silhouette
+        by_silhouette = torch.zeros_like(silhouette) if self.weights.moves_geometry else None
+        module = kernels()
+        if module is None or self.code.heads is None:
+            return semantic_loss_torch(
+                self.code, (features, silhouette, labels), scale, least, by_silhouette is not None
+            )
+        gradient = torch.empty_like(features)
+        heads = _scaled(self.code.heads, scale)
+        total = module.semantic_loss(
+            (features.shape[2], features.shape[1]),
+            [address(t) for t in (features, silhouette, labels)],
+            len(heads.first),
+            [a.ctypes.data for a in (heads.first, heads.width, heads.weight, heads.targets)],
+            heads.bits,
+            least,
+            [address(gradient), address(by_silhouette)],
+        )
+        return SemanticGradient(total / labels.numel(), gradient, by_silhouette)
+
+    def _add_inter(
+        self, features: Tensor, silhouette: Tensor, labels: Tensor, onto: SemanticGradient
+    ) -> float:
+        """Adds the network's term on a sample of pixels, spread evenly over the image."""
+        weights, network = self.weights, self.network
+        assert network is not None
+        counted = (labels > 0) & (silhouette >= weights.least_silhouette)
+        pixels = counted.view(-1).nonzero().squeeze(1)
+        if len(pixels) == 0:
+            return 0.0
+        every = len(pixels)
+        if weights.inter_pixels and every > weights.inter_pixels:
+            stride = every // weights.inter_pixels
+            start = torch.arange(weights.inter_pixels) * stride
+            jitter = self._generator.integers(stride, size=weights.inter_pixels)
+            pixels = pixels[start + torch.from_numpy(jitter)]
+        thick = silhouette.view(-1)[pixels]
+        values = features.view(len(features), -1).index_select(1, pixels) / thick
+        value, by_values = network.learn(values, labels.view(-1)[pixels].long())
+        scale = weights.weight * weights.inter
+        # The sample stands for all pixels that count.
+        by_values = by_values * (scale * every / len(pixels))
+        onto.features.view(len(features), -1)[:, pixels] += by_values / thick
+        if onto.silhouette is not None:
+            onto.silhouette.view(-1)[pixels] -= (by_values * values).sum(0) / thick
+        return scale * value * every / labels.numel()
+
+
+def _scaled(heads: Heads, scale: float) -> Heads:
+    weight = (heads.weight * scale).astype(np.float32)
+    return Heads(heads.first, heads.width, weight, heads.targets, heads.bits)
+
+
+def semantic_loss_torch(
+    code: SemanticCode,
+    images: tuple[Tensor, Tensor, Tensor],
+    scale: float,
+    least_silhouette: float,
+    moves_geometry: bool = False,
+) -> SemanticGradient:
+    """The intra-level term by autograd: the native kernel's reference, and any code's way.
+
+    Args:
+        images: features [S, H, W], silhouette [H, W] and labels [H, W].
+    """
+    features, silhouette, labels = images
+    pixels = ((labels > 0) & (silhouette >= least_silhouette)).view(-1).nonzero().squeeze(1)
+    with torch.enable_grad():
+        leaves = [features.detach().requires_grad_(), silhouette.detach().requires_grad_()]
+        flat = leaves[0].view(len(features), -1).index_select(1, pixels)
+        values = flat / leaves[1].view(-1).index_select(0, pixels)
+        loss = scale * code.pixel_loss(values, labels.view(-1)[pixels]).sum()
+        by_features, by_silhouette = torch.autograd.grad(loss, leaves)
+    return SemanticGradient(
+        float(loss.detach()) / labels.numel(),
+        by_features,
+        by_silhouette if moves_geometry else None,
+    )

@@ -1,0 +1,166 @@
+#include "semantics.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "simd.hpp"
+
+namespace semsplat {
+namespace {
+
+enum { LANE = 16 };
+
+// Natural logarithm of normal positive numbers, relative error below 1e-6; the compiler
+// turns the loop over lanes into vectors.
+inline void log_lanes(const float* x, float* out) {
+    for (int i = 0; i < LANE; ++i) {
+        int32_t raw;
+        std::memcpy(&raw, x + i, 4);
+        const int32_t shifted = raw - 0x3f3504f3;  // sqrt(1/2): the mantissa then lies around 1
+        const int32_t exponent = shifted >> 23;
+        const int32_t mantissa_bits = raw - (exponent << 23);
+        float m;
+        std::memcpy(&m, &mantissa_bits, 4);
+        const float f = (m - 1.0f) / (m + 1.0f), q = f * f;
+        const float series = f * (2.0f + q * (0.66666667f + q * (0.4f + q * (0.28571430f + q * 0.2222222f))));
+        out[i] = series + (float)exponent * 0.69314718f;
+    }
+}
+
+struct Lanes {
+    alignas(64) float inverse[LANE];   // 1 / silhouette, 0 where the pixel says nothing
+    alignas(64) float active[LANE];    // 1 or 0
+    alignas(64) float pull[LANE];      // sum of gradient times value: what the silhouette feels
+    int32_t target[LANE];
+};
+
+// One head of sixteen pixels. Returns nothing; adds each pixel's loss to `value`.
+void softmax_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float* scratch,
+                  float* gradient, float* value) {
+    const F16 inverse = load(lanes.inverse);
+    F16 most = load(features) * inverse;
+    for (int c = 1; c < channels; ++c) most = maximum(most, load(features + c * plane) * inverse);
+    F16 sum = all(0.0f);
+    for (int c = 0; c < channels; ++c) {
+        const F16 e = exp_negative(load(features + c * plane) * inverse - most);
+        store(scratch + LANE * c, e);
+        sum = sum + e;
+    }
+    alignas(64) float sums[LANE], logs[LANE], tops[LANE];
+    store(sums, sum);
+    store(tops, most);
+    log_lanes(sums, logs);
+    for (int i = 0; i < LANE; ++i) {
+        const float z = features[lanes.target[i] * plane + i] * lanes.inverse[i];
+        value[i] += weight * lanes.active[i] * (logs[i] + tops[i] - z);
+    }
+    for (int c = 0; c < channels; ++c) {
+        float* g = gradient + c * plane;
+        for (int i = 0; i < LANE; ++i) {
+            const float p = scratch[LANE * c + i] / sums[i];
+            const float d = weight * lanes.inverse[i] * (p - (lanes.target[i] == c ? 1.0f : 0.0f));
+            lanes.pull[i] += d * features[c * plane + i] * lanes.inverse[i];
+            g[i] = d;
+        }
+    }
+}
+
+void bits_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float*,
+               float* gradient, float* value) {
+    for (int c = 0; c < channels; ++c) {
+        alignas(64) float magnitude[LANE], e[LANE], grown[LANE], logs[LANE];
+        for (int i = 0; i < LANE; ++i) magnitude[i] = -std::fabs(features[c * plane + i] * lanes.inverse[i]);
+        store(e, exp_negative(load(magnitude)));
+        for (int i = 0; i < LANE; ++i) grown[i] = 1.0f + e[i];
+        log_lanes(grown, logs);
+        for (int i = 0; i < LANE; ++i) {
+            const float z = features[c * plane + i] * lanes.inverse[i];
+            const float bit = (float)((lanes.target[i] >> c) & 1);
+            value[i] += weight * lanes.active[i] * (logs[i] + std::max(z, 0.0f) - bit * z);
+            const float p = (z >= 0 ? 1.0f : e[i]) / grown[i];
+            const float d = weight * lanes.inverse[i] * (p - bit);
+            lanes.pull[i] += d * z;
+            gradient[c * plane + i] = d;
+        }
+    }
+}
+
+}  // namespace
+
+double semantic_loss(const float* features, const float* silhouette, const int32_t* labels, int height, int width,
+                     const SemanticHeads& heads, float least_silhouette, float* gradient,
+                     float* silhouette_gradient) {
+    const int64_t plane = (int64_t)height * width;
+    const int64_t groups = plane / LANE, rest = plane - groups * LANE;
+    int channels = 0, widest = 1;
+    for (int h = 0; h < heads.count; ++h) {
+        channels = std::max(channels, heads.first[h] + heads.width[h]);
+        widest = std::max(widest, heads.width[h]);
+    }
+    const auto head = heads.bits ? bits_head : softmax_head;
+    std::vector<double> by_chunk;
+    const int64_t chunk = 64, chunks = (groups + chunk - 1) / chunk;
+    by_chunk.assign((size_t)chunks + 1, 0.0);
+    // Sixteen pixels; features and gradient at their first one, planes apart.
+    const auto sixteen = [&](const float* f, const float* s, const int32_t* l, size_t apart, float* g,
+                             float* scratch, float* pull) {
+        Lanes lanes;
+        alignas(64) float value[LANE] = {0};
+        bool any = false;
+        for (int i = 0; i < LANE; ++i) {
+            const bool active = l[i] > 0 && s[i] >= least_silhouette;
+            lanes.active[i] = active ? 1.0f : 0.0f;
+            lanes.inverse[i] = active ? 1.0f / s[i] : 0.0f;
+            lanes.pull[i] = 0;
+            any |= active;
+        }
+        if (!any) {
+            for (int c = 0; c < channels; ++c) std::fill_n(g + c * apart, (int)LANE, 0.0f);
+            return 0.0;
+        }
+        for (int h = 0; h < heads.count; ++h) {
+            for (int i = 0; i < LANE; ++i) {
+                lanes.target[i] = l[i] > 0 ? heads.targets[(l[i] - 1) * heads.count + h] : 0;
+            }
+            const size_t at = heads.first[h] * apart;
+            head(f + at, apart, heads.width[h], heads.weight[h], lanes, scratch, g + at, value);
+        }
+        double total = 0;
+        for (int i = 0; i < LANE; ++i) {
+            total += value[i];
+            if (pull) pull[i] -= lanes.pull[i];
+        }
+        return total;
+    };
+#pragma omp parallel
+    {
+        std::vector<float> scratch((size_t)widest * LANE);
+#pragma omp for schedule(static)
+        for (int64_t k = 0; k < chunks; ++k) {
+            for (int64_t at = k * chunk; at < std::min(groups, (k + 1) * chunk); ++at) {
+                const int64_t p = at * LANE;
+                by_chunk[k] += sixteen(features + p, silhouette + p, labels + p, plane, gradient + p, scratch.data(),
+                                       silhouette_gradient ? silhouette_gradient + p : nullptr);
+            }
+        }
+    }
+    if (rest) {  // the last pixels, padded with void ones
+        const int64_t p = groups * LANE;
+        std::vector<float> f((size_t)channels * LANE, 0.0f), g(f.size(), 0.0f), scratch((size_t)widest * LANE);
+        float s[LANE] = {0}, pull[LANE] = {0};
+        int32_t l[LANE] = {0};
+        std::copy_n(silhouette + p, rest, s);
+        std::copy_n(labels + p, rest, l);
+        for (int c = 0; c < channels; ++c) std::copy_n(features + c * plane + p, rest, f.data() + c * LANE);
+        by_chunk[chunks] = sixteen(f.data(), s, l, LANE, g.data(), scratch.data(), pull);
+        for (int c = 0; c < channels; ++c) std::copy_n(g.data() + c * LANE, rest, gradient + c * plane + p);
+        for (int64_t i = 0; silhouette_gradient && i < rest; ++i) silhouette_gradient[p + i] += pull[i];
+    }
+    double total = 0;
+    for (double v : by_chunk) total += v;
+    return total;
+}
+
+}  // namespace semsplat

@@ -1,0 +1,95 @@
+"""The small network that reads codes as flat classes (H-12, H-13)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+
+class NetworkDecoder:
+    """Two 1x1 convolutions with a ReLU between, and the Adam that trains them.
+
+    A 1x1 convolution is a matrix on every pixel, so any set of pixels will do.
+
+    Args:
+        channels: S of the code. classes: C. hidden: units between.
+        generator: of the start weights.
+    """
+
+    def __init__(
+        self,
+        channels: int,
+        classes: int,
+        hidden: int = 64,
+        learning_rate: float = 5e-3,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        self._rate = learning_rate
+        shapes = {"in": (hidden, channels), "out": (classes, hidden)}
+        self._parameters: dict[str, Tensor] = {}
+        for name, (rows, columns) in shapes.items():
+            weight = torch.randn(rows, columns, generator=generator) * (2.0 / columns) ** 0.5
+            self._parameters[f"{name}_weight"] = weight
+            self._parameters[f"{name}_bias"] = torch.zeros(rows, 1)
+        self._first = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
+        self._second = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
+        self._steps = 0
+
+    def logits(self, values: Tensor) -> Tensor:
+        """Logits [C, P] of the flat classes for values [S, P]."""
+        p = {name: parameter.to(values) for name, parameter in self._parameters.items()}
+        hidden = torch.relu(p["in_weight"] @ values + p["in_bias"])
+        return p["out_weight"] @ hidden + p["out_bias"]
+
+    def learn(self, values: Tensor, class_ids: Tensor) -> tuple[float, Tensor]:
+        """One step on cross-entropy (H-12).
+
+        Args:
+            values: [S, P]. class_ids: [P] int64 > 0.
+
+        Returns:
+            The mean loss, as a share of that of a blind guess, and the gradient [S, P] of its
+            **sum** by the values.
+        """
+        leaves = {n: p.detach().requires_grad_() for n, p in self._parameters.items()}
+        values = values.detach().requires_grad_()
+        with torch.enable_grad():
+            self._parameters = leaves
+            logits = self.logits(values)
+            guess = float(np.log(len(logits)))
+            loss = torch.nn.functional.cross_entropy(logits.T, class_ids - 1) / guess
+            by_values, *by_parameters = torch.autograd.grad(loss, [values, *leaves.values()])
+        self._parameters = {n: p.detach() for n, p in leaves.items()}
+        self._step(dict(zip(leaves, by_parameters, strict=True)))
+        return float(loss.detach()), by_values * values.shape[1]
+
+    def _step(self, gradients: dict[str, Tensor], beta1: float = 0.9, beta2: float = 0.99) -> None:
+        self._steps += 1
+        for name, gradient in gradients.items():
+            first = self._first[name].mul_(beta1).add_(gradient, alpha=1 - beta1)
+            second = self._second[name].mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
+            scale = (second / (1 - beta2**self._steps)).sqrt() + 1e-8
+            self._parameters[name] -= self._rate * first / (1 - beta1**self._steps) / scale
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays that `restore` takes."""
+        arrays = {"steps": np.array(self._steps)}
+        for kind, tensors in self._groups():
+            arrays |= {f"{kind}_{name}": t.numpy().copy() for name, t in tensors.items()}
+        return arrays
+
+    def restore(self, arrays: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self._steps = int(arrays["steps"])
+        for kind, tensors in self._groups():
+            for name in tensors:
+                tensors[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
+
+    def _groups(self) -> tuple[tuple[str, dict[str, Tensor]], ...]:
+        return (
+            ("parameter", self._parameters),
+            ("first", self._first),
+            ("second", self._second),
+        )
