@@ -12,6 +12,7 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.semantics.labeller import Labeller
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import Tracker
 
@@ -52,9 +53,16 @@ class _TrackedFrame:
 class Slam:
     """RGB-D Gaussian SLAM: feed it frames in order, then call `finish`."""
 
-    def __init__(self, tracker: Tracker, mapper: Mapper, recorder: Recorder | None = None) -> None:
+    def __init__(
+        self,
+        tracker: Tracker,
+        mapper: Mapper,
+        recorder: Recorder | None = None,
+        labeller: Labeller | None = None,
+    ) -> None:
         self.tracker = tracker
         self.mapper = mapper
+        self._labeller = labeller
         self._recorder = recorder or NullRecorder()
         self._tracked: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[NDArray[np.float64]] = []
@@ -67,6 +75,8 @@ class Slam:
             may_map: False keeps the frame out of the map (a held-out view).
         """
         tracking = None
+        if self._labeller is not None and self._labeller.every_frame:
+            frame = self._labelled(frame, None)
         if not self.mapper.keyframes:
             T_map_camera = self.tracker.first_pose(frame) if may_map else None
         else:
@@ -80,11 +90,18 @@ class Slam:
         mapping = None
         if may_map and self.mapper.wants(frame, T_map_camera):
             exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
+            if self._labeller is not None and not self._labeller.every_frame:
+                frame = self._labelled(frame, T_map_camera)
             with self._recorder.timed("mapping"):
                 mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
 
         self._remember(frame, T_map_camera, tracking)
         return FrameResult(frame.index, T_map_camera, tracking, mapping)
+
+    def _labelled(self, frame: Frame, T_map_camera: NDArray[np.float64] | None) -> Frame:
+        assert self._labeller is not None
+        with self._recorder.timed("labelling"):
+            return self._labeller.label(frame, T_map_camera)
 
     def finish(self) -> None:
         """Refine the map over all keyframes."""
@@ -126,6 +143,8 @@ class Slam:
         arrays, values = self.mapper.state()
         arrays = {f"mapper/{k}": a for k, a in arrays.items()}
         arrays |= {f"tracker/{k}": a for k, a in self.tracker.state().items()}
+        if self._labeller is not None:
+            arrays |= {f"segmenter/{k}": a for k, a in self._labeller.segmenter.state().items()}
         arrays["T_keyframe_camera"] = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
         return arrays, {
             "mapper": values,
@@ -141,6 +160,8 @@ class Slam:
 
         self.mapper.restore(below("mapper/"), values["mapper"])
         self.tracker.restore(below("tracker/"))
+        if self._labeller is not None:
+            self._labeller.segmenter.restore(below("segmenter/"))
         self._tracked = [_TrackedFrame(**f) for f in values["tracked"]]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
         self.lost_frames = [int(i) for i in values["lost_frames"]]

@@ -107,7 +107,59 @@ def test_radius_is_the_footprint_of_the_cell(options, cell):
 def test_features_follow_their_pixels():
     frame = noisy_wall()
     v, u = np.mgrid[:24, :32]
-    features = torch.from_numpy(np.stack([u, v], -1).astype(np.float32))
-    cloud = seed(frame, np.eye(4), everywhere(frame), SINGLE, features)
+    frame = replace(frame, labels=(32 * v + u).astype(np.int32))
+    by_class = torch.from_numpy(np.stack([u.ravel(), v.ravel()], -1).astype(np.float32))
+    cloud = seed(frame, np.eye(4), everywhere(frame), SINGLE, by_class)
     uv = CAMERA.project(cloud.means.double().numpy())
     assert np.allclose(cloud.features.numpy(), uv, atol=1e-3)
+
+
+def test_a_cell_does_not_span_two_classes():
+    frame = plain_wall()
+    labels = np.ones(frame.depth_m.shape, np.int32)
+    labels[:, 17:] = 2  # the border lies within the cells of columns 16 and 17
+    frame = replace(frame, labels=labels)
+    by_class = torch.tensor([[0.0], [1.0], [2.0]])
+    cloud = seed(frame, np.eye(4), everywhere(frame), CELLS, by_class)
+    assert len(cloud) == 15 * 12 + 2 * 24
+    right = CAMERA.project(cloud.means.double().numpy())[:, 0] > 16.5
+    assert torch.equal(cloud.features[:, 0], torch.from_numpy(1.0 + right).float())
+
+
+def two_classes() -> Frame:
+    labels = np.ones((24, 32), np.int32)
+    labels[:4, :4] = 2
+    return replace(noisy_wall(), labels=labels)
+
+
+@pytest.mark.parametrize("choice", ["uniform", "semantic"])
+def test_a_random_share_seeds_larger_gaussians(choice):
+    """As many as asked for, and together they cover the same area."""
+    options = SeedingOptions(choice=choice, share=0.25)
+    frame = two_classes()
+    generator = np.random.default_rng(0)
+    cloud = seed(frame, np.eye(4), everywhere(frame), options, None, generator)
+    every = seed(frame, np.eye(4), everywhere(frame), SINGLE)
+    assert len(cloud) == 192
+    assert float((cloud.radii_m**2).sum()) == pytest.approx(
+        float((every.radii_m**2).sum()), rel=1e-4
+    )
+
+
+def test_semantic_choice_favours_small_classes():
+    by_class = torch.tensor([[0.0], [1.0], [2.0]])
+    small = {}
+    for choice in ("uniform", "semantic"):
+        options = SeedingOptions(choice=choice, share=0.1)
+        cloud = seed(
+            two_classes(),
+            np.eye(4),
+            everywhere(two_classes()),
+            options,
+            by_class,
+            np.random.default_rng(0),
+        )
+        small[choice] = int((cloud.features[:, 0] == 2).sum())
+    # sqrt(16) : sqrt(752) of 77 pixels, against 16 : 752.
+    assert small["semantic"] == 10
+    assert small["uniform"] < 6

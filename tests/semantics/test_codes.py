@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.semantics.codes import (
+    CodeOptions,
     ColourCode,
     SemanticCode,
     binary_code,
@@ -65,7 +66,7 @@ def test_start_values_decode_to_their_class(code, tree):
 
 def test_heads_start_equally_sure(tree):
     for make in (flat_code, one_hot_code, binary_code):
-        code = make(tree, start_confidence=0.8)
+        code = make(tree, CodeOptions(start_confidence=0.8))
         first, width = code.heads.first[-1], code.heads.width[-1]
         values = code.start_values[1, first : first + width]
         if code.heads.bits:

@@ -8,6 +8,7 @@ import pytest
 
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.losses.photometric import RgbdLossWeights
+from toolkit.losses.semantic import SemanticLossWeights
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import MapperOptions
 from toolkit.mapping.sparse_adam import LearningRates
@@ -19,6 +20,7 @@ from toolkit.settings.mapping import (
     MappingSettings,
     SeedingSettings,
 )
+from toolkit.settings.semantics import SemanticLossSettings
 from toolkit.settings.tracking import DenseSettings, FirstOrderSettings, HealthSettings
 from toolkit.tracking.dense import DenseOptions
 from toolkit.tracking.first_order import FirstOrderOptions
@@ -30,6 +32,7 @@ PAIRS = [
     (HealthLimits(), HealthSettings()),
     (MapperOptions(), MappingSettings()),
     (SeedingOptions(), SeedingSettings()),
+    (SemanticLossWeights(), SemanticLossSettings()),
     (LearningRates(), LearningRateSettings()),
     (RgbdLossWeights(), LossSettings()),
     (KeyframePolicy(), KeyframeSettings()),

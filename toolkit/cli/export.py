@@ -24,7 +24,7 @@ from toolkit.io.meshes import (
     write_points,
 )
 from toolkit.io.splats import SUFFIXES, export_splats
-from toolkit.rendering import backend, draw_surface
+from toolkit.rendering import DrawOptions, backend, draw_surface
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
 
@@ -125,7 +125,7 @@ def _views(run: FinishedRun, every: int) -> Iterator[DepthView]:
             run.gaussians,
             camera,
             se3.inverse(frame.T_map_camera),
-            _LEAST_SILHOUETTE,
+            DrawOptions(_LEAST_SILHOUETTE),
         )
         rgb = np.clip(drawn.output.colour.numpy(), 0.0, 1.0)
         yield DepthView(camera, frame.T_map_camera, rgb, drawn.depth_m.numpy())

@@ -34,7 +34,7 @@ from toolkit.io.pictures import (
 )
 from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
-from toolkit.rendering import backend, draw_surface
+from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.run_folder import read_cloud
 
@@ -216,7 +216,7 @@ def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
         subject.gaussians,
         camera,
         se3.inverse(shot.T_map_camera),
-        _LEAST_SILHOUETTE,
+        DrawOptions(_LEAST_SILHOUETTE),
     )
     seen = drawn.output
     return _Drawn(seen.colour.numpy(), drawn.depth_m.numpy(), seen.silhouette.numpy())

@@ -32,7 +32,7 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.rendering import backend, draw_surface
+from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking.dense import DenseTracker
 
 _log = logging.getLogger(__name__)
@@ -229,9 +229,8 @@ def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> Vie
 
 def _quality(gaussians: GaussianCloud, view: View, backend_name: str) -> ViewQuality:
     T_camera_map = se3.inverse(view.T_map_camera)
-    drawn = draw_surface(
-        backend(backend_name), gaussians, view.frame.camera, T_camera_map, _LEAST_SILHOUETTE
-    )
+    options = DrawOptions(_LEAST_SILHOUETTE)
+    drawn = draw_surface(backend(backend_name), gaussians, view.frame.camera, T_camera_map, options)
     # Back to the camera's own exposure, so that the observed image stays as it is.
     colour = (drawn.output.colour.numpy() - view.bias) / view.gain
     return view_quality(

@@ -6,13 +6,15 @@ with opacity 0.5 (the papers') renders it at 32 dB, `0.6 d / f` with 0.95 at 38 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
+from toolkit.gaussians.allocation import choose_pixels
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 
@@ -28,6 +30,10 @@ class SeedingOptions:
             pixels a side.
         flat_colour: largest colour range within a cell that still counts as plain.
         flat_depth: largest deviation of a cell's depth from a plane, as a share of depth.
+        choice: which pixels seed: all of them, plain ones in cells; or a random share, the
+            same everywhere ("uniform") or by the square root of each class's area (G,
+            "semantic"). Fewer Gaussians are made larger.
+        share: of the pixels, where they are chosen at random.
     """
 
     radius: float = 0.6
@@ -35,6 +41,8 @@ class SeedingOptions:
     largest_cell: int = 2
     flat_colour: float = 0.04
     flat_depth: float = 0.005
+    choice: Literal["cells", "uniform", "semantic"] = "cells"
+    share: float = 0.5
 
 
 def seed(
@@ -42,20 +50,31 @@ def seed(
     T_map_camera: NDArray[np.float64],
     mask: NDArray[np.bool_],
     options: SeedingOptions,
-    features: torch.Tensor | None = None,
+    start_values: torch.Tensor | None = None,
+    generator: np.random.Generator | None = None,
 ) -> GaussianCloud:
     """Gaussians in the map's frame for the masked pixels that have depth.
 
     Args:
         mask: [H, W] pixels that the map lacks.
-        features: [H, W, S] start values of the feature channels, or None for S = 0.
+        start_values: [C + 1, S] features by the class id of the frame's labels; row 0 is for
+            void, and for all of a frame without labels. None for S = 0.
+        generator: chooses the pixels where the options ask for a random share.
     """
     wanted = mask & (frame.depth_m > 0)
+    if options.choice != "cells":
+        ids = frame.labels if options.choice == "semantic" else None
+        chosen, area = choose_pixels(
+            wanted, ids, options.share, generator or np.random.default_rng(0)
+        )
+        cloud = _seed_cells(frame, T_map_camera, chosen, 1, options, start_values)
+        grown = torch.from_numpy(np.log(area[chosen]) / 2).to(cloud.log_radii)
+        return replace(cloud, log_radii=cloud.log_radii + grown)
     parts = []
     cell = options.largest_cell
     while cell >= 1:
         chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell, options)
-        parts.append(_seed_cells(frame, T_map_camera, chosen, cell, options, features))
+        parts.append(_seed_cells(frame, T_map_camera, chosen, cell, options, start_values))
         wanted = wanted & ~chosen
         cell //= 2
     return GaussianCloud.concatenate(parts)
@@ -87,6 +106,9 @@ def _plain_cells(
     bend = abs(inverse - mean - slope_x * x - slope_y * y).max(axis=2)
     # A steep plane would leave gaps between large round Gaussians.
     steep = cell * np.hypot(slope_x[..., 0], slope_y[..., 0]) > 0.05 * mean[..., 0]
+    if frame.labels is not None:
+        labels = _blocks(frame.labels, cell)
+        plain &= (labels == labels[..., :1]).all(axis=2)
     good = full & plain & (bend < options.flat_depth * mean[..., 0]) & ~steep
     out = np.zeros_like(wanted)
     rows, columns = good.shape
@@ -100,7 +122,7 @@ def _seed_cells(
     chosen: NDArray[np.bool_],
     cell: int,
     options: SeedingOptions,
-    features: torch.Tensor | None,
+    start_values: torch.Tensor | None,
 ) -> GaussianCloud:
     """One Gaussian for each chosen cell, at its mean ray, depth and colour."""
     rows, columns = np.nonzero(_blocks(chosen, cell).all(axis=2))
@@ -114,11 +136,12 @@ def _seed_cells(
     points = se3.transform_points(T_map_camera, rays * depth[:, None])
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))  # noqa: E731
     depth_t = tensor(depth)
-    if features is not None:
-        centre = cell // 2
-        features = features[
-            torch.from_numpy(rows * cell + centre), torch.from_numpy(columns * cell + centre)
-        ]
+    features = None
+    if start_values is not None:
+        ids = np.zeros(len(rows), np.int64)
+        if frame.labels is not None:  # a plain cell has one label
+            ids = frame.labels[rows * cell, columns * cell].astype(np.int64)
+        features = start_values.index_select(0, torch.from_numpy(ids))
     return GaussianCloud.from_values(
         means=tensor(points),
         radii_m=depth_t * (options.radius * cell / camera.focal),

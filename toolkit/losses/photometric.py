@@ -42,7 +42,11 @@ class RgbdLossWeights:
 
 
 def rgbd_loss(
-    view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
+    view: SurfaceView,
+    rgb: Tensor,
+    depth_m: Tensor,
+    weights: RgbdLossWeights,
+    out: Tensor | None = None,
 ) -> tuple[float, Tensor]:
     """Mapping loss of a drawn view and its derivative by the rendered images.
 
@@ -51,16 +55,18 @@ def rgbd_loss(
 
     Args:
         rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
+        out: [5, H, W] where to write the gradient, or None for a new tensor.
 
     Returns:
         The mean over pixels, and the gradient [5, H, W] of the **sum** over pixels, so that
         a Gaussian's gradient does not depend on the image's size.
     """
     module = kernels()
-    if module is None:
-        return _rgbd_loss_torch(view, rgb, depth_m, weights)
     images = view.images
-    gradient = torch.empty_like(images)
+    gradient = torch.empty_like(images) if out is None else out
+    if module is None:
+        value, found = _rgbd_loss_torch(view, rgb, depth_m, weights)
+        return value, gradient.copy_(found)
     value = module.rgbd_loss(
         (images.shape[2], images.shape[1]),
         [address(t) for t in (images, rgb, depth_m, view.depth_m)],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ class SemanticLoss:
 
     Args:
         network: decoder whose loss is the inter-level term, or None for none.
-        generator: chooses the pixels that the network sees.
+        seed: of the choice of pixels that the network sees; each of its steps has its own.
     """
 
     def __init__(
@@ -66,13 +66,18 @@ class SemanticLoss:
         code: SemanticCode,
         weights: SemanticLossWeights,
         network: NetworkDecoder | None = None,
-        generator: np.random.Generator | None = None,
+        seed: int = 0,
     ) -> None:
         self.code, self.weights, self.network = code, weights, network
-        self._generator = generator or np.random.default_rng(0)
+        self._seed = seed
 
     def __call__(
-        self, features: Tensor, silhouette: Tensor, labels: Tensor, progress: tuple[int, int]
+        self,
+        features: Tensor,
+        silhouette: Tensor,
+        labels: Tensor,
+        progress: tuple[int, int],
+        out: Tensor | None = None,
     ) -> SemanticGradient:
         """Loss of a rendered view.
 
@@ -80,25 +85,28 @@ class SemanticLoss:
             features: [S, H, W] composited sums. silhouette: [H, W].
             labels: [H, W] int32 class ids, 0 void, which never counts.
             progress: the step within the mapping call, from 0, and the call's steps.
+            out: [S, H, W] where to write the gradient, or None for a new tensor.
         """
         weights = self.weights
-        result = self._intra(features, silhouette, labels)
+        gradient = torch.empty_like(features) if out is None else out
+        result = self._intra(features, silhouette, labels, gradient)
         step, steps = progress
         if self.network is None or step < min(weights.inter_from, steps // 4):
             return result
         value = result.value + self._add_inter(features, silhouette, labels, result)
         return SemanticGradient(value, result.features, result.silhouette)
 
-    def _intra(self, features: Tensor, silhouette: Tensor, labels: Tensor) -> SemanticGradient:
+    def _intra(
+        self, features: Tensor, silhouette: Tensor, labels: Tensor, gradient: Tensor
+    ) -> SemanticGradient:
         scale = self.weights.weight * self.weights.intra
         least = self.weights.least_silhouette
         by_silhouette = torch.zeros_like(silhouette) if self.weights.moves_geometry else None
         module = kernels()
         if module is None or self.code.heads is None:
-            return semantic_loss_torch(
-                self.code, (features, silhouette, labels), scale, least, by_silhouette is not None
-            )
-        gradient = torch.empty_like(features)
+            images = (features, silhouette, labels)
+            found = semantic_loss_torch(self.code, images, scale, least, by_silhouette is not None)
+            return replace(found, features=gradient.copy_(found.features))
         heads = _scaled(self.code.heads, scale)
         total = module.semantic_loss(
             (features.shape[2], features.shape[1]),
@@ -125,7 +133,8 @@ class SemanticLoss:
         if weights.inter_pixels and every > weights.inter_pixels:
             stride = every // weights.inter_pixels
             start = torch.arange(weights.inter_pixels) * stride
-            jitter = self._generator.integers(stride, size=weights.inter_pixels)
+            generator = np.random.default_rng((self._seed, network.steps))
+            jitter = generator.integers(stride, size=weights.inter_pixels)
             pixels = pixels[start + torch.from_numpy(jitter)]
         thick = silhouette.view(-1)[pixels]
         values = features.view(len(features), -1).index_select(1, pixels) / thick

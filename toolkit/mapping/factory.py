@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from toolkit.frame import Recorder
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.losses.photometric import RgbdLossWeights
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import LearningRates
+from toolkit.semantics.codes import SemanticCode
+from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.settings.mapping import MappingSettings
+from toolkit.settings.semantics import SemanticsSettings
 
 
 def build_mapper(
@@ -18,6 +24,7 @@ def build_mapper(
     generator: np.random.Generator,
     backend_name: str = "auto",
     recorder: Recorder | None = None,
+    semantics: SemanticMapping | None = None,
 ) -> Mapper:
     """The mapper that the settings describe."""
     values = settings.model_dump()
@@ -25,4 +32,24 @@ def build_mapper(
     values["seeding"] = SeedingOptions(**values["seeding"])
     values["rates"] = LearningRates(**values["rates"])
     values["loss"] = RgbdLossWeights(**values["loss"])
-    return Mapper(MapperOptions(**values), generator, backend_name, recorder)
+    return Mapper(MapperOptions(**values), generator, backend_name, recorder, semantics)
+
+
+def build_semantic_mapping(
+    settings: SemanticsSettings, code: SemanticCode | None, seed: int
+) -> SemanticMapping:
+    """Semantics of a map, or none where there is no code."""
+    if code is None:
+        return SemanticMapping()
+    network = None
+    if settings.network.use:
+        network = NetworkDecoder(
+            code.channels,
+            len(code.taxonomy),
+            settings.network.hidden,
+            settings.network.learning_rate,
+            torch.Generator().manual_seed(seed),
+        )
+    weights = SemanticLossWeights(**settings.loss.model_dump())
+    loss = SemanticLoss(code, weights, network, seed)
+    return SemanticMapping(loss, settings.reader)

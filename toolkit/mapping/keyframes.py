@@ -28,6 +28,7 @@ class Keyframe:
         T_map_camera: [4, 4] float64; local bundle adjustment may move it.
         rgb: [3, H, W] uint8 and depth_m: [H, W] float32, as observed.
         gain, bias: exposure against the map, map = gain * observed + bias.
+        class_ids: [H, W] int16 labels of the taxonomy, 0 void, or None.
         points: [P, 3] float32 sparse observed points in camera coordinates (m).
         pose_moments: [13] float64 of the optimiser that adjusts the pose.
     """
@@ -41,13 +42,17 @@ class Keyframe:
     gain: float
     bias: float
     points: NDArray[np.float32]
+    class_ids: Tensor | None = None
     pose_moments: NDArray[np.float64] = field(default_factory=lambda: np.zeros(MOMENTS))
 
     ARRAYS: ClassVar = ("T_map_camera", "rgb", "depth_m", "points", "pose_moments")
 
     def arrays(self) -> dict[str, NDArray]:
         """The arrays of a checkpoint."""
-        return {name: np.asarray(getattr(self, name)) for name in self.ARRAYS}
+        arrays = {name: np.asarray(getattr(self, name)) for name in self.ARRAYS}
+        if self.class_ids is not None:
+            arrays["class_ids"] = self.class_ids.numpy()
+        return arrays
 
     def values(self) -> dict[str, Any]:
         """The rest of a checkpoint, as JSON holds it."""
@@ -72,6 +77,7 @@ class Keyframe:
             gain=float(values["gain"]),
             bias=float(values["bias"]),
             points=np.array(arrays["points"]),
+            class_ids=_tensor(arrays.get("class_ids")),
             pose_moments=np.array(arrays["pose_moments"]),
         )
 
@@ -93,11 +99,17 @@ class Keyframe:
             gain=gain,
             bias=bias,
             points=sparse[sparse[..., 2] > 0].astype(np.float32),
+            class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
         )
 
     def target_rgb(self) -> Tensor:
         """Observed colour [3, H, W] at the map's exposure."""
         return (self.rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
+
+    @property
+    def labels(self) -> Tensor | None:
+        """Class ids [H, W] int32, as the losses take them."""
+        return None if self.class_ids is None else self.class_ids.to(torch.int32)
 
     def share_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
         """Share of this keyframe's points inside the image of a camera at another pose."""
@@ -110,6 +122,10 @@ class Keyframe:
         inside = ahead & (uv >= 0).all(axis=1)
         inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
         return float(inside.mean())
+
+
+def _tensor(array: NDArray | None) -> Tensor | None:
+    return None if array is None else torch.from_numpy(np.array(array))
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,10 @@ from toolkit.geometry import se3
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.depth_filter import denoised
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
+from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
-from toolkit.rendering import SurfaceView, backend, draw_surface
+from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
+from toolkit.rendering.output import BASE_CHANNELS
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
 
@@ -88,11 +90,13 @@ class Mapper:
         generator: np.random.Generator | None = None,
         backend_name: str = "auto",
         recorder: Recorder | None = None,
+        semantics: SemanticMapping | None = None,
     ) -> None:
         self.options = options or MapperOptions()
-        self.gaussians = GaussianCloud.empty()
+        self.semantics = semantics or SemanticMapping()
+        self.gaussians = GaussianCloud.empty(self.semantics.channels)
         self.keyframes: list[Keyframe] = []
-        self.optimiser = SparseAdam(self.options.rates)
+        self.optimiser = SparseAdam(self.options.rates, self.semantics.channels)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -112,9 +116,14 @@ class Mapper:
         gain: float = 1.0,
         bias: float = 0.0,
     ) -> MappingResult:
-        """Extend and optimise the map with a frame whose pose is known."""
+        """Extend and optimise the map with a frame whose pose is known.
+
+        A map with semantics takes the frame's labels as class ids of its taxonomy.
+        """
         if self.options.denoise:
             frame = replace(frame, depth_m=denoised(frame.depth_m))
+        if self.semantics.channels == 0:
+            frame = replace(frame, labels=None)
         keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
         self.keyframes.append(keyframe)
         with self._recorder.timed("seeding"):
@@ -125,15 +134,16 @@ class Mapper:
             self.keyframes, self.options.window, self.options.least_overlap, self._generator
         )
         loss = float("nan")
-        for _ in range(steps):
-            loss = self._step(self._pick(window))
+        for step in range(steps):
+            loss = self._step(self._pick(window), (step, steps))
         return MappingResult(seeded, self._prune(), loss)
 
     def refine(self) -> None:
         """Optimise over all keyframes, each equally often, in random order."""
-        for _ in range(self.options.final_iterations):
-            for i in self._generator.permutation(len(self.keyframes)):
-                self._step(self.keyframes[i])
+        rounds, count = self.options.final_iterations, len(self.keyframes)
+        for done in range(rounds):
+            for number, i in enumerate(self._generator.permutation(count)):
+                self._step(self.keyframes[i], (done * count + number, rounds * count))
         self._prune()
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -142,6 +152,7 @@ class Mapper:
         arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
         # Copies: the next step changes the map in place.
         arrays = {name: array.copy() for name, array in arrays.items()}
+        arrays |= {f"semantics/{name}": a for name, a in self.semantics.state().items()}
         for number, keyframe in enumerate(self.keyframes):
             arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
         values = {
@@ -154,13 +165,10 @@ class Mapper:
         """Take over an earlier `state`."""
         tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
         self.gaussians = GaussianCloud(**tensors)
-        self.optimiser.restore(
-            {k.split("/", 1)[1]: a for k, a in arrays.items() if k.startswith("optimiser/")}
-        )
+        self.optimiser.restore(_below(arrays, "optimiser/"))
+        self.semantics.restore(_below(arrays, "semantics/"))
         self.keyframes = [
-            Keyframe.from_state(
-                {k: arrays[f"keyframes/{number}/{k}"] for k in Keyframe.ARRAYS}, value
-            )
+            Keyframe.from_state(_below(arrays, f"keyframes/{number}/"), value)
             for number, value in enumerate(values["keyframes"])
         ]
         self._generator.bit_generator.state = values["generator"]
@@ -175,24 +183,39 @@ class Mapper:
             return window[0]
         return window[1 + int(self._generator.integers(len(window) - 1))]
 
-    def _step(self, keyframe: Keyframe) -> float:
-        """One optimisation step on one keyframe (H-24)."""
+    def _step(self, keyframe: Keyframe, progress: tuple[int, int]) -> float:
+        """One optimisation step on one keyframe (H-24); `progress` is its place in the call."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
+        labels = keyframe.labels
         with self._recorder.timed("map forward"):
-            view = draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map)
+            options = DrawOptions(features=labels is not None)
+            view = draw_surface(
+                self._backend, self.gaussians, keyframe.camera, T_camera_map, options
+            )
         with self._recorder.timed("map loss"):
-            loss, by_images = rgbd_loss(
-                view, keyframe.target_rgb(), keyframe.depth_m, self.options.loss
+            images = view.drawn.images
+            by_images = torch.empty(len(images) - 3, *images.shape[1:])
+            loss, _ = rgbd_loss(
+                view,
+                keyframe.target_rgb(),
+                keyframe.depth_m,
+                self.options.loss,
+                by_images[:BASE_CHANNELS],
+            )
+        with self._recorder.timed("map semantic loss"):
+            semantic, by_images, detached = self.semantics.gradient(
+                view, labels, progress, by_images
             )
         with self._recorder.timed("map backward"):
-            gradients = view.drawn.backward(by_images)
+            gradients = view.drawn.backward(by_images, detached=detached)
         with self._recorder.timed("map update"):
-            names = ("means", "log_radii", "opacity_logits", "colours")
+            names = ["means", "log_radii", "opacity_logits", "colours"]
+            names += ["features"] if len(by_images) > BASE_CHANNELS else []
             named = {name: getattr(gradients, name) for name in names}
             self.optimiser.step(self.gaussians, named, gradients.ids)
             if self.options.bundle_adjustment and keyframe is not self.keyframes[0]:
                 self._adjust_pose(keyframe, gradients.T_camera_map.numpy())
-        return loss
+        return loss + semantic
 
     def _adjust_pose(self, keyframe: Keyframe, by_matrix: NDArray[np.float64]) -> None:
         """One step on a keyframe's pose, from the derivative [3, 4] by its entries."""
@@ -207,8 +230,14 @@ class Mapper:
     def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
         missing = self._missing(self.view(keyframe), keyframe.depth_m)
         bright = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
-        exposed = Frame(frame.index, frame.timestamp_s, bright, frame.depth_m, frame.camera)
-        seeds = seed(exposed, keyframe.T_map_camera, missing.numpy(), self.options.seeding)
+        seeds = seed(
+            replace(frame, rgb=bright),
+            keyframe.T_map_camera,
+            missing.numpy(),
+            self.options.seeding,
+            self.semantics.start_values,
+            self._generator,
+        )
         if len(seeds) == 0:
             return 0
         self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
@@ -238,3 +267,8 @@ class Mapper:
             self.gaussians = cloud.select(~bad)
             self.optimiser.keep(~bad)
         return count
+
+
+def _below(arrays: dict[str, NDArray], prefix: str) -> dict[str, NDArray]:
+    """The arrays whose names begin so, without it."""
+    return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}

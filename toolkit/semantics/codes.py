@@ -71,18 +71,29 @@ class Heads:
     bits: bool
 
 
+@dataclass(frozen=True)
+class CodeOptions:
+    """How a code starts and how its heads are weighed.
+
+    Attributes:
+        start_confidence: of a head right after seeding, in (0, 1).
+        normalise: divide each head's loss by that of a blind guess, so that weights do not
+            depend on the number of classes; the papers do not.
+    """
+
+    start_confidence: float = 0.9
+    normalise: bool = True
+
+
 class HeadedCode:
     """Flat, one-hot and binary codes.
 
     Args:
         name: of the code.
         taxonomy: its classes.
-        targets: [C, K] what each head asks of each class.
-        choices: [K] number of answers of each head, at least 2.
+        questions: what each head asks of each class, [C, K], and the number of answers that
+            each head has, [K], at least 2.
         bits: spell the answers in binary.
-        start_confidence: of a head right after seeding, in (0, 1).
-        normalise: divide each head's loss by that of a blind guess, so that weights do not
-            depend on the number of classes; the papers do not.
     """
 
     def __init__(
@@ -91,21 +102,21 @@ class HeadedCode:
         taxonomy: Taxonomy,
         questions: tuple[NDArray[np.int32], NDArray[np.int32]],
         bits: bool,
-        start_confidence: float = 0.9,
-        normalise: bool = True,
+        options: CodeOptions | None = None,
     ) -> None:
+        options = options or CodeOptions()
         targets, choices = questions
         self.name, self.taxonomy = name, taxonomy
         width = np.ceil(np.log2(choices)).astype(np.int32) if bits else choices.astype(np.int32)
         guess = width * math.log(2.0) if bits else np.log(choices)
-        weight = 1.0 / guess if normalise else np.ones(len(choices))
+        weight = 1.0 / guess if options.normalise else np.ones(len(choices))
         first = (np.cumsum(width) - width).astype(np.int32)
         self.channels = int(width.sum())
         self.heads: Heads | None = Heads(
             first, width, weight.astype(np.float32), np.ascontiguousarray(targets), bits
         )
         self._ones = torch.from_numpy(self._codewords())
-        self._start = self._start_values(start_confidence)
+        self._start = self._start_values(options.start_confidence)
 
     @property
     def start_values(self) -> Tensor:
@@ -160,21 +171,21 @@ class HeadedCode:
         return torch.cat([values.new_zeros(1, self.channels), values])
 
 
-def flat_code(taxonomy: Taxonomy, **options: float) -> HeadedCode:
+def flat_code(taxonomy: Taxonomy, options: CodeOptions | None = None) -> HeadedCode:
     """One channel a class."""
     targets = np.arange(len(taxonomy), dtype=np.int32)[:, None]
     questions = targets, np.array([len(taxonomy)], np.int32)
-    return HeadedCode("flat", taxonomy, questions, False, **options)
+    return HeadedCode("flat", taxonomy, questions, False, options)
 
 
-def one_hot_code(taxonomy: Taxonomy, **options: float) -> HeadedCode:
+def one_hot_code(taxonomy: Taxonomy, options: CodeOptions | None = None) -> HeadedCode:
     """At each level one channel a sibling (H-7)."""
-    return HeadedCode("one-hot", taxonomy, _levels(taxonomy), False, **options)
+    return HeadedCode("one-hot", taxonomy, _levels(taxonomy), False, options)
 
 
-def binary_code(taxonomy: Taxonomy, **options: float) -> HeadedCode:
+def binary_code(taxonomy: Taxonomy, options: CodeOptions | None = None) -> HeadedCode:
     """At each level the sibling's number in binary (H-8)."""
-    return HeadedCode("binary", taxonomy, _levels(taxonomy), True, **options)
+    return HeadedCode("binary", taxonomy, _levels(taxonomy), True, options)
 
 
 def _levels(taxonomy: Taxonomy) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -16,6 +16,9 @@ class NetworkDecoder:
     Args:
         channels: S of the code. classes: C. hidden: units between.
         generator: of the start weights.
+
+    Attributes:
+        steps: taken so far.
     """
 
     def __init__(
@@ -35,7 +38,7 @@ class NetworkDecoder:
             self._parameters[f"{name}_bias"] = torch.zeros(rows, 1)
         self._first = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
         self._second = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
-        self._steps = 0
+        self.steps = 0
 
     def logits(self, values: Tensor) -> Tensor:
         """Logits [C, P] of the flat classes for values [S, P]."""
@@ -66,23 +69,23 @@ class NetworkDecoder:
         return float(loss.detach()), by_values * values.shape[1]
 
     def _step(self, gradients: dict[str, Tensor], beta1: float = 0.9, beta2: float = 0.99) -> None:
-        self._steps += 1
+        self.steps += 1
         for name, gradient in gradients.items():
             first = self._first[name].mul_(beta1).add_(gradient, alpha=1 - beta1)
             second = self._second[name].mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
-            scale = (second / (1 - beta2**self._steps)).sqrt() + 1e-8
-            self._parameters[name] -= self._rate * first / (1 - beta1**self._steps) / scale
+            scale = (second / (1 - beta2**self.steps)).sqrt() + 1e-8
+            self._parameters[name] -= self._rate * first / (1 - beta1**self.steps) / scale
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes."""
-        arrays = {"steps": np.array(self._steps)}
+        arrays = {"steps": np.array(self.steps)}
         for kind, tensors in self._groups():
             arrays |= {f"{kind}_{name}": t.numpy().copy() for name, t in tensors.items()}
         return arrays
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
-        self._steps = int(arrays["steps"])
+        self.steps = int(arrays["steps"])
         for kind, tensors in self._groups():
             for name in tensors:
                 tensors[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))

@@ -24,6 +24,10 @@ class SeedingSettings(Settings):
     largest_cell: Literal[1, 2, 4] = Field(2, description="pixels a side on plain surfaces")
     flat_colour: float = Field(0.04, ge=0, description="colour range that counts as plain")
     flat_depth: float = Field(0.005, ge=0, description="bend that counts as plane, of depth")
+    choice: Literal["cells", "uniform", "semantic"] = Field(
+        "cells", description="which pixels seed: all in cells, or a random share (G: semantic)"
+    )
+    share: float = Field(0.5, gt=0, le=1, description="of the pixels, where chosen at random")
 
 
 class LearningRateSettings(Settings):

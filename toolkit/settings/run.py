@@ -9,6 +9,7 @@ from pydantic import Field
 
 from toolkit.settings.base import Settings
 from toolkit.settings.mapping import MappingSettings
+from toolkit.settings.semantics import SemanticsSettings
 from toolkit.settings.tracking import TrackingSettings
 
 DatasetKind = Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
@@ -40,4 +41,5 @@ class RunSettings(Settings):
     backend: Literal["auto", "native", "reference", "cuda"] = Field("auto", description="renderer")
     tracking: TrackingSettings = TrackingSettings()
     mapping: MappingSettings = MappingSettings()
+    semantics: SemanticsSettings = SemanticsSettings()
     checkpoint: CheckpointSettings = CheckpointSettings()

@@ -1,0 +1,95 @@
+"""What mapping knows of semantics: start values, loss and reading of one code."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.losses.semantic import SemanticLoss
+from toolkit.rendering import SurfaceView
+from toolkit.rendering.output import BASE_CHANNELS
+from toolkit.semantics.decoding import Decoding, decode
+
+# Pixels thinner than this are read as void.
+_LEAST_SILHOUETTE = 0.5
+
+
+class SemanticMapping:
+    """Semantics of one map; `loss=None` is a map without any, S = 0.
+
+    Args:
+        loss: the loss of its code.
+        reader: whether classes are read along the code's paths or by the trained network.
+    """
+
+    def __init__(
+        self, loss: SemanticLoss | None = None, reader: Literal["path", "network"] = "path"
+    ) -> None:
+        self._loss = loss
+        self._by_network = reader == "network" and loss is not None and loss.network is not None
+        self.channels = 0 if loss is None else loss.code.channels
+
+    @property
+    def start_values(self) -> Tensor:
+        """Features of a new Gaussian by its pixel's class id, [C + 1, S]."""
+        return torch.zeros(1, 0) if self._loss is None else self._loss.code.start_values
+
+    def gradient(
+        self,
+        view: SurfaceView,
+        labels: Tensor | None,
+        progress: tuple[int, int],
+        by_images: Tensor,
+    ) -> tuple[float, Tensor, bool]:
+        """Adds the semantic loss to what the images are asked for.
+
+        Args:
+            labels: [H, W] int32, or None where the keyframe has none.
+            progress: step within the mapping call, and its steps.
+            by_images: [5 + S, H, W]; the first five hold the gradient of colour and depth.
+
+        Returns:
+            The loss, the gradient for the backward pass (five channels where nothing is asked
+            of the features), and whether geometry is to be kept out of it.
+        """
+        if self._loss is None or labels is None:
+            return 0.0, by_images[:BASE_CHANNELS], False
+        silhouette = view.output.silhouette
+        out = by_images[BASE_CHANNELS:]
+        result = self._loss(view.features, silhouette, labels, progress, out)
+        if result.silhouette is not None:
+            by_images[4] += result.silhouette
+        return result.value, by_images, result.silhouette is None
+
+    def decode_view(self, view: SurfaceView) -> Decoding:
+        """What each pixel of a view [H * W] shows."""
+        silhouette = view.output.silhouette.reshape(-1)
+        seen = silhouette >= _LEAST_SILHOUETTE
+        safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
+        return self._decode(view.features.reshape(self.channels, -1) / safe, seen)
+
+    def decode_gaussians(self, features: Tensor) -> Decoding:
+        """What each Gaussian of features [N, S] is; those that never had a label are void."""
+        return self._decode(features.T.contiguous(), (features != 0).any(dim=1))
+
+    def _decode(self, values: Tensor, seen: Tensor) -> Decoding:
+        assert self._loss is not None, "a map without semantics has nothing to decode"
+        network = self._loss.network
+        by_network = self._by_network and network is not None
+        logits = network.logits if by_network and network else self._loss.code.logits
+        return decode(values, logits, self._loss.code.taxonomy, seen)
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays that `restore` takes."""
+        if self._loss is None or self._loss.network is None:
+            return {}
+        return self._loss.network.state()
+
+    def restore(self, arrays: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        if self._loss is not None and self._loss.network is not None:
+            self._loss.network.restore({k: np.array(a) for k, a in arrays.items()})
