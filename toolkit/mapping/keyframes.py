@@ -13,6 +13,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.rendering import pixels_of_region
 from toolkit.tracking.pose_adam import MOMENTS
 
 # Covisibility is judged on every n-th pixel in each direction.
@@ -105,6 +106,17 @@ class Keyframe:
     def target_rgb(self) -> Tensor:
         """Observed colour [3, H, W] at the map's exposure."""
         return (self.rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
+
+    def observed(self, region: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Colour, depth and labels as the losses take them, nothing outside a region of tiles.
+
+        Where a renderer draws nothing, nothing was observed: both sides agree.
+        """
+        rgb, depth_m, labels = self.target_rgb(), self.depth_m, self.labels
+        if region is None:
+            return rgb, depth_m, labels
+        inside = pixels_of_region(region, *depth_m.shape)
+        return rgb * inside, depth_m * inside, None if labels is None else labels * inside
 
     @property
     def labels(self) -> Tensor | None:

@@ -16,6 +16,7 @@ from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.depth_filter import denoised
+from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
@@ -34,6 +35,7 @@ class MapperOptions:
         final_iterations: steps a keyframe at the end, over all of them.
         window: keyframes a mapping call works on.
         newest_share: share of the steps spent on the newest keyframe.
+        tile_share: share of a keyframe's tiles that further steps of a call see.
         least_overlap: share of the newest keyframe's points another one must see.
         least_silhouette: seed where the map is thinner (H: tau_sil).
         depth_floor: seed where rendered depth lies behind the measured one by more than
@@ -51,6 +53,7 @@ class MapperOptions:
     final_iterations: int = 10
     window: int = 8
     newest_share: float = 0.4
+    tile_share: float = 1.0
     least_overlap: float = 0.15
     least_silhouette: float = 0.5
     depth_floor: float = 0.03
@@ -133,17 +136,18 @@ class Mapper:
         window = choose_window(
             self.keyframes, self.options.window, self.options.least_overlap, self._generator
         )
-        loss = float("nan")
+        loss, focus = float("nan"), TileFocus(self.options.tile_share)
         for step in range(steps):
-            loss = self._step(self._pick(window), (step, steps))
+            loss = self._step(self._pick(window), (step, steps), focus)
         return MappingResult(seeded, self._prune(), loss)
 
     def refine(self) -> None:
         """Optimise over all keyframes, each equally often, in random order."""
         rounds, count = self.options.final_iterations, len(self.keyframes)
+        focus = TileFocus(self.options.tile_share)
         for done in range(rounds):
             for number, i in enumerate(self._generator.permutation(count)):
-                self._step(self.keyframes[i], (done * count + number, rounds * count))
+                self._step(self.keyframes[i], (done * count + number, rounds * count), focus)
         self._prune()
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -183,25 +187,22 @@ class Mapper:
             return window[0]
         return window[1 + int(self._generator.integers(len(window) - 1))]
 
-    def _step(self, keyframe: Keyframe, progress: tuple[int, int]) -> float:
+    def _step(self, keyframe: Keyframe, progress: tuple[int, int], focus: TileFocus) -> float:
         """One optimisation step on one keyframe (H-24); `progress` is its place in the call."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        labels = keyframe.labels
+        region = focus.region(keyframe)
+        rgb, depth_m, labels = keyframe.observed(region)
         with self._recorder.timed("map forward"):
-            options = DrawOptions(features=labels is not None)
+            options = DrawOptions(features=labels is not None, region=region)
             view = draw_surface(
                 self._backend, self.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed("map loss"):
             images = view.drawn.images
             by_images = torch.empty(len(images) - 3, *images.shape[1:])
-            loss, _ = rgbd_loss(
-                view,
-                keyframe.target_rgb(),
-                keyframe.depth_m,
-                self.options.loss,
-                by_images[:BASE_CHANNELS],
-            )
+            loss, base = rgbd_loss(view, rgb, depth_m, self.options.loss, by_images[:BASE_CHANNELS])
+            if region is None:
+                focus.learn(keyframe, base)
         with self._recorder.timed("map semantic loss"):
             semantic, by_images, detached = self.semantics.gradient(
                 view, labels, progress, by_images

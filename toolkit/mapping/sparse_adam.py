@@ -25,6 +25,7 @@ class LearningRates:
         epsilon: gradients well below it hardly move anything: a Gaussian that fits rests. In
             units of the loss summed over pixels, by the parameter in its own unit.
         settle_steps: a Gaussian's rates fall as 1 / (1 + its steps / settle_steps).
+        freeze_steps: a Gaussian with so many steps is settled and moves no more; 0 is never.
     """
 
     means: float = 0.04
@@ -34,6 +35,7 @@ class LearningRates:
     features: float = 0.02
     epsilon: float = 0.05
     settle_steps: float = 60.0
+    freeze_steps: int = 0
 
 
 BETA1, BETA2 = 0.9, 0.99
@@ -69,6 +71,10 @@ class SparseAdam:
 
         Parameters without a gradient in the dictionary stay as they are.
         """
+        if self.rates.freeze_steps:
+            alive = (self.steps[ids] < self.rates.freeze_steps).nonzero().squeeze(1)
+            ids = ids.index_select(0, alive)
+            gradients = {name: g.index_select(0, alive) for name, g in gradients.items()}
         module = kernels()
         if module is None:
             self._step_torch(cloud, gradients, ids)

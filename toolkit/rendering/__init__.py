@@ -1,6 +1,12 @@
 """Splat rendering: one call, several backends."""
 
-from toolkit.rendering.backend import TILE, GaussianGradients, region_of_pixels, tile_counts
+from toolkit.rendering.backend import (
+    TILE,
+    GaussianGradients,
+    pixels_of_region,
+    region_of_pixels,
+    tile_counts,
+)
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.render import backend, render
 from toolkit.rendering.surface import DrawOptions, SurfaceView, draw_surface
@@ -13,6 +19,7 @@ __all__ = [
     "SurfaceView",
     "backend",
     "draw_surface",
+    "pixels_of_region",
     "region_of_pixels",
     "render",
     "tile_counts",

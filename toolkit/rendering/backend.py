@@ -91,3 +91,8 @@ def region_of_pixels(mask: Tensor) -> Tensor:
     rows, columns = -(-height // TILE), -(-width // TILE)
     padded = torch.nn.functional.pad(mask, (0, columns * TILE - width, 0, rows * TILE - height))
     return padded.view(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
+
+
+def pixels_of_region(region: Tensor, height: int, width: int) -> Tensor:
+    """Mask [H, W] of the pixels of tiles [rows, columns]."""
+    return region.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:height, :width]
