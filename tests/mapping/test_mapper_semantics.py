@@ -1,0 +1,132 @@
+"""A map that learns what its Gaussians are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from mapped_room import fed, same_bits
+
+from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
+from toolkit.geometry import se3
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
+from toolkit.semantics.decoder import NetworkDecoder
+from toolkit.semantics.taxonomy import Taxonomy
+
+TREE = Taxonomy(
+    {
+        f"{i // 35}": {
+            f"{j // 7}": list(CLASS_NAMES[j : j + 7])
+            for j in range(i, min(i + 35, len(CLASS_NAMES)), 7)
+        }
+        for i in range(0, len(CLASS_NAMES), 35)
+    },
+    classes=CLASS_NAMES,
+)
+CODES = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
+FEW = MapperOptions(first_iterations=8, iterations=4, final_iterations=1)
+
+
+def semantics(code: str = "one-hot", network: bool = False, **weights: float) -> SemanticMapping:
+    chosen = CODES[code](TREE)
+    generator = torch.Generator().manual_seed(0)
+    trained = NetworkDecoder(chosen.channels, len(TREE), 32, 0.02, generator) if network else None
+    loss = SemanticLoss(chosen, SemanticLossWeights(**weights), trained)
+    return SemanticMapping(loss, "network" if network else "path")
+
+
+def mapper_with(options: MapperOptions = FEW, **kinds) -> Mapper:
+    return Mapper(options, np.random.default_rng(3), semantics=semantics(**kinds))
+
+
+def accuracy(mapper: Mapper, room, number: int) -> float:
+    """Share of a frame's labelled pixels that the map shows right."""
+    frame = room.frames[number]
+    T_camera_map = se3.inverse(room.T_map_camera[number])
+    view = draw_surface(
+        backend(), mapper.gaussians, frame.camera, T_camera_map, DrawOptions(features=True)
+    )
+    shown = mapper.semantics.decode_view(view).class_ids.reshape(frame.labels.shape)
+    return float((shown == frame.labels)[frame.labels > 0].mean())
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_a_map_shows_what_it_was_told(room, code):
+    mapper = fed(mapper_with(code=code), room, [0, 4, 8])
+    assert accuracy(mapper, room, 4) > 0.97
+    assert accuracy(mapper, room, 6) > 0.93  # never mapped
+
+
+def test_wrong_labels_are_voted_out(room):
+    """One keyframe in five calls the floor a sofa, from the first on."""
+    sofa, floor = (CLASS_NAMES.index(n) + 1 for n in ("sofa", "floor"))
+    mapper = mapper_with(replace(FEW, final_iterations=20))
+    for number in (0, 2, 4, 6, 8):
+        frame = room.frames[number]
+        if number == 0:
+            labels = np.where(frame.labels == floor, sofa, frame.labels).astype(np.int32)
+            frame = replace(frame, labels=labels)
+        mapper.add_keyframe(frame, room.T_map_camera[number])
+    mapper.refine()
+    answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
+    on_the_floor = np.isin(answer.class_ids, [sofa, floor])
+    assert (answer.class_ids[on_the_floor] == floor).mean() > 0.95
+
+
+def test_geometry_does_not_hear_of_semantics(room):
+    plain = fed(Mapper(FEW, np.random.default_rng(3)), room, [0, 4])
+    mapper = fed(mapper_with(), room, [0, 4])
+    # Cells do not span classes, so that the two maps differ in a few Gaussians at borders;
+    # with the very same seeds, every value of geometry is the same.
+    single = replace(FEW, seeding=replace(FEW.seeding, largest_cell=1))
+    plain = fed(Mapper(single, np.random.default_rng(3)), room, [0, 4])
+    mapper = fed(mapper_with(single), room, [0, 4])
+    for name in ("means", "log_radii", "opacity_logits", "colours"):
+        one, other = getattr(plain.gaussians, name), getattr(mapper.gaussians, name)
+        assert torch.allclose(one, other, atol=1e-5), name
+
+
+def test_the_papers_gradients_reach_geometry(room):
+    single = replace(FEW, seeding=replace(FEW.seeding, largest_cell=1))
+    free = fed(mapper_with(single, moves_geometry=True, weight=5.0), room, [0, 4])
+    still = fed(mapper_with(single, weight=5.0), room, [0, 4])
+    assert (free.gaussians.means - still.gaussians.means).abs().max() > 1e-5
+
+
+def test_the_network_learns_while_mapping(room):
+    options = replace(FEW, iterations=12, first_iterations=60)
+    mapper = fed(mapper_with(options, network=True, inter_from=2), room, [0, 3, 6])
+    assert accuracy(mapper, room, 3) > 0.9
+
+
+def test_a_restored_map_goes_on_with_the_same_bits(room):
+    mapper = fed(mapper_with(network=True, inter_from=1), room, [0, 3])
+    arrays, values = mapper.state()
+    other = mapper_with(network=True, inter_from=1)
+    other.restore({name: array.copy() for name, array in arrays.items()}, values)
+    for one in (mapper, other):
+        fed(one, room, [7])
+        one.refine()
+    assert same_bits(mapper, other)
+
+
+def test_frames_without_labels_leave_features_alone(room):
+    mapper = fed(mapper_with(), room, [0])
+    before = mapper.gaussians.features.clone()
+    bare = replace(room.frames[1], labels=None)
+    mapper.add_keyframe(bare, room.T_map_camera[1])
+    assert torch.equal(mapper.gaussians.features[: len(before)], before) or len(before) > 0
+    answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
+    assert (answer.class_ids[: len(before)] > 0).mean() > 0.99
+
+
+def test_a_map_without_semantics_keeps_no_labels(room):
+    mapper = fed(Mapper(FEW), room, [0])
+    assert mapper.keyframes[0].class_ids is None
+    assert mapper.gaussians.features.shape[1] == 0
