@@ -1,4 +1,4 @@
-"""Pictures for people: depth in colours with a scale, silhouettes, captioned strips.
+"""Pictures for people: depth in colours with a scale, legends, captioned strips.
 
 All pictures are [H, W, 3] uint8 RGB; `toolkit.io.images.write_png` saves them.
 """
@@ -117,6 +117,45 @@ def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
 
 
 @dataclass(frozen=True)
+class LegendEntry:
+    """A colour (RGB, 0..255) and what it means."""
+
+    text: str
+    colour: tuple[int, int, int]
+
+
+def with_legend(picture: Picture, entries: Sequence[LegendEntry], columns: int = 3) -> Picture:
+    """A picture with its legend beside it, on the right, in as many columns as it needs.
+
+    Args:
+        picture: [H, W, 3].
+        entries: the most important first; what does not fit is counted in the last line.
+        columns: at most so many.
+    """
+    if not entries:
+        return picture
+    height = picture.shape[0]
+    scale = _font_scale(height)
+    rows = max(1, height // _line_height(scale))
+    entries = _shortened(entries, rows * columns)
+    parts = [picture]
+    for first in range(0, len(entries), rows):
+        column = entries[first : first + rows]
+        width = max(_text_size(entry.text, scale)[0] for entry in column)
+        width += 4 * round(_FONT_HEIGHT * scale)  # a swatch, and a letter of margin around it
+        parts.append(_legend_block(column, (height, width), scale))
+    return np.concatenate(parts, axis=1)
+
+
+def legend_below(picture: Picture, entries: Sequence[LegendEntry], rows: int) -> Picture:
+    """A picture with its legend below it, always `rows` lines high and not wider than it."""
+    height, width = picture.shape[:2]
+    scale = _font_scale(height)
+    block = _legend_block(_shortened(entries, rows), (rows * _line_height(scale), width), scale)
+    return np.concatenate([picture, block], axis=0)
+
+
+@dataclass(frozen=True)
 class Panel:
     """One picture of a strip, and the words above it."""
 
@@ -193,6 +232,32 @@ def _ticks(span: DepthSpan, most: int) -> list[float]:
     step = _tick_step((span.far_m - span.near_m) * 5.0 / max(min(most, 6), 2))
     first, last = math.ceil(span.near_m / step - 1e-9), math.floor(span.far_m / step + 1e-9)
     return [step * i for i in range(first, last + 1)] or [span.far_m]
+
+
+def _legend_block(entries: Sequence[LegendEntry], size: tuple[int, int], scale: float) -> Picture:
+    """Entries below each other on paper of a size (height, width); long ones in small print."""
+    block = np.full((*size, 3), _PAPER, np.uint8)
+    letter, line = round(_FONT_HEIGHT * scale), _line_height(scale)
+    left = 2 * letter + letter // 2
+    for row, entry in enumerate(entries):
+        top = row * line + (line - letter) // 2
+        block[top : top + letter, letter // 2 : letter // 2 + round(1.5 * letter)] = entry.colour
+        room = size[1] - left - letter // 2
+        fitting = scale * min(1.0, room / max(_text_size(entry.text, scale)[0], 1))
+        _write(block, entry.text, (left, top + letter), fitting)
+    return block
+
+
+def _shortened(entries: Sequence[LegendEntry], most: int) -> list[LegendEntry]:
+    """The first entries; the last of `most` lines says how many are left out."""
+    if len(entries) <= most:
+        return list(entries)
+    kept = list(entries[: max(most - 1, 0)])
+    return [*kept, LegendEntry(f"and {len(entries) - len(kept)} more", _PAPER)][:most]
+
+
+def _line_height(scale: float) -> int:
+    return round(1.8 * _FONT_HEIGHT * scale)
 
 
 def _font_scale(height: int) -> float:

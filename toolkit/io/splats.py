@@ -28,6 +28,8 @@ SUFFIXES = (".ply", ".splat", ".spz")
 CONSTANT_HARMONIC = 0.28209479
 # Beyond this ratio of the largest to the smallest axis a splat is no ball.
 _ISOTROPY = 1.01
+# Column of the nodes at a level; its number follows.
+_LEVEL = "label_l"
 _OWN_ATTRIBUTES = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
 
 _PLY_BYTES = {
@@ -61,6 +63,68 @@ class SplatLike(Protocol):
 
 
 @dataclass(frozen=True)
+class SplatLabels:
+    """What each splat is: columns that lie beside the cloud in a PLY.
+
+    Attributes:
+        label: [N] int32, class ids, 0 void.
+        levels: [N, L] int32, the node at each level of the class tree, an index into its
+            `nodes`; -1 for void, or where the map is unsure at that level.
+        confidence: [N] float32 in [0, 1].
+
+    Raises:
+        ValueError: shapes disagree.
+    """
+
+    label: NDArray[np.int32]
+    levels: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        n = len(self.label)
+        if self.label.shape != (n,) or self.confidence.shape != (n,):
+            raise ValueError(
+                f"label and confidence must both have shape [{n}], got "
+                f"{list(self.label.shape)} and {list(self.confidence.shape)}"
+            )
+        if self.levels.ndim != 2 or self.levels.shape[0] != n or self.levels.shape[1] == 0:
+            raise ValueError(f"levels must have shape [{n}, L], got {list(self.levels.shape)}")
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    def columns(self) -> dict[str, NDArray]:
+        """The columns as `write_splat_ply` takes them."""
+        levels = {f"{_LEVEL}{i}": column for i, column in enumerate(self.levels.T)}
+        return {"label": self.label, **levels, "confidence": self.confidence}
+
+    @classmethod
+    def from_columns(cls, columns: Mapping[str, NDArray]) -> SplatLabels | None:
+        """Labels out of a file's columns; None where they are not there, or not ours.
+
+        Raises:
+            FormatError: a level is missing between others.
+        """
+        # Other tools have a column "label", too, of their own type and meaning.
+        found = {i: columns[f"{_LEVEL}{i}"] for i in range(99) if f"{_LEVEL}{i}" in columns}
+        integers = [columns.get("label"), *found.values()]
+        if not found or "confidence" not in columns or not all(map(_is_integer, integers)):
+            return None
+        if list(found) != list(range(len(found))):
+            missing = next(i for i in range(99) if i not in found)
+            raise FormatError(f"the splats have no column {_LEVEL}{missing}; write them again")
+        return cls(
+            label=columns["label"].astype(np.int32),
+            levels=np.stack(list(found.values()), axis=1).astype(np.int32),
+            confidence=columns["confidence"].astype(np.float32),
+        )
+
+    def select(self, index: NDArray) -> SplatLabels:
+        """The labels of a boolean mask [N] or of integer indices [M]."""
+        return SplatLabels(self.label[index], self.levels[index], self.confidence[index])
+
+
+@dataclass(frozen=True)
 class Splats:
     """Isotropic splats as read from a file.
 
@@ -69,7 +133,7 @@ class Splats:
         log_radii: [N] float32, natural logarithm of the standard deviation in metres.
         opacity_logits: [N] float32.
         colours: [N, 3] float32, RGB.
-        extra: further columns [N] by name, such as `label` (int32) or `confidence`.
+        extra: further columns [N] by name, such as `submap` (int32) or those of `labels`.
     """
 
     means: NDArray[np.float32]
@@ -81,6 +145,15 @@ class Splats:
     def __len__(self) -> int:
         return len(self.means)
 
+    @property
+    def labels(self) -> SplatLabels | None:
+        """What each splat is, or None where the file does not say.
+
+        Raises:
+            FormatError: a level is missing between others.
+        """
+        return SplatLabels.from_columns(self.extra)
+
 
 def write_splat_ply(
     path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None = None
@@ -90,7 +163,8 @@ def write_splat_ply(
     Args:
         path: the file, ending in `.ply`.
         splats: the Gaussians; colours are clamped to [0, 1].
-        extra: further columns [N] by name: integers become int32, others float32.
+        extra: further columns [N] by name, `SplatLabels.columns` for instance: integers
+            become int32, others float32.
 
     Raises:
         ValueError: a column has the wrong length, or the suffix is not `.ply`.
@@ -111,10 +185,13 @@ def write_splat_ply(
     _write(path, cloud)
 
 
-def export_splats(path: PathLike, splats: SplatLike) -> None:
+def export_splats(
+    path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None = None
+) -> None:
     """Write splats for viewers as `.ply`, `.splat` or `.spz`, chosen by the suffix.
 
-    `.splat` and `.spz` quantise colour, opacity and scale to 8 bits or so.
+    `.splat` and `.spz` quantise colour, opacity and scale to 8 bits or so, and have no
+    further columns: only a `.ply` keeps `extra`.
 
     Raises:
         ValueError: another suffix.
@@ -122,7 +199,10 @@ def export_splats(path: PathLike, splats: SplatLike) -> None:
     """
     if Path(path).suffix not in SUFFIXES:
         raise ValueError(f"{path} must end in one of {', '.join(SUFFIXES)}")
-    _write(path, _open3d_cloud(path, splats))
+    if Path(path).suffix == ".ply":
+        write_splat_ply(path, splats, extra)
+    else:
+        _write(path, _open3d_cloud(path, splats))
 
 
 def read_splats(path: PathLike) -> Splats:
@@ -196,6 +276,10 @@ def _write(path: PathLike, cloud: Any) -> None:
     with replacing(path) as temporary:
         if not open3d().t.io.write_point_cloud(str(temporary), cloud):
             raise RunFolderError(f"cannot write {path}: free space there, or allow writing")
+
+
+def _is_integer(column: NDArray | None) -> bool:
+    return column is not None and np.issubdtype(column.dtype, np.integer)
 
 
 def _array(values: Any) -> NDArray[np.float32]:

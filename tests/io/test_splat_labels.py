@@ -1,0 +1,117 @@
+"""Labels beside the splats: they survive a file, and other files have none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.errors import FormatError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io.splats import SplatLabels, export_splats, read_splats, write_splat_ply
+
+N = 40
+
+
+@pytest.fixture
+def cloud() -> GaussianCloud:
+    g = torch.Generator().manual_seed(0)
+    return GaussianCloud.from_values(
+        means=torch.randn(N, 3, generator=g),
+        radii_m=torch.full((N,), 0.02),
+        opacities=torch.full((N,), 0.9),
+        colours=torch.rand(N, 3, generator=g),
+    )
+
+
+@pytest.fixture
+def labels() -> SplatLabels:
+    generator = np.random.default_rng(0)
+    return SplatLabels(
+        label=generator.integers(0, 550, N).astype(np.int32),
+        levels=generator.integers(-1, 700, (N, 12)).astype(np.int32),
+        confidence=generator.uniform(0, 1, N).astype(np.float32),
+    )
+
+
+def test_labels_survive_a_file_bit_by_bit(tmp_path, cloud, labels):
+    # Twelve levels, so that the order of l2 and l10 matters.
+    write_splat_ply(tmp_path / "map.ply", cloud, labels.columns())
+    read = read_splats(tmp_path / "map.ply").labels
+    assert read is not None
+    for name in ("label", "levels", "confidence"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(labels, name))
+        assert getattr(read, name).dtype == getattr(labels, name).dtype
+
+
+def test_the_columns_of_viewers_are_the_same_with_labels(tmp_path, cloud, labels):
+    write_splat_ply(tmp_path / "with.ply", cloud, labels.columns())
+    write_splat_ply(tmp_path / "without.ply", cloud)
+    headers = [
+        (tmp_path / name).read_bytes().partition(b"end_header")[0].decode().splitlines()
+        for name in ("with.ply", "without.ply")
+    ]
+    # Viewers go by name, and know the scalar types of PLY 1.0.
+    with_labels, without = (
+        {tuple(line.split()[1:]) for line in header if line.startswith("property")}
+        for header in headers
+    )
+    assert without < with_labels
+    assert all(kind == "float" for kind, _ in without)
+    own = {("int", "label"), *(("int", f"label_l{i}") for i in range(12)), ("float", "confidence")}
+    assert with_labels - without == own
+    one, other = (read_splats(tmp_path / name) for name in ("with.ply", "without.ply"))
+    np.testing.assert_array_equal(one.means, other.means)
+    np.testing.assert_array_equal(one.log_radii, other.log_radii)
+
+
+def test_only_ply_files_can_keep_labels(tmp_path, cloud, labels):
+    for suffix in (".ply", ".splat", ".spz"):
+        export_splats(tmp_path / f"map{suffix}", cloud, labels.columns())
+    assert read_splats(tmp_path / "map.ply").labels is not None
+    assert read_splats(tmp_path / "map.splat").labels is None
+    assert read_splats(tmp_path / "map.spz").labels is None
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {},
+        {"label": np.arange(N)},
+        {"label": np.arange(N), "confidence": np.ones(N)},
+        {"label": np.linspace(0, 1, N), "label_l0": np.arange(N), "confidence": np.ones(N)},
+    ],
+)
+def test_files_of_other_tools_read_as_without_labels(tmp_path, cloud, columns):
+    write_splat_ply(tmp_path / "other.ply", cloud, columns)
+    read = read_splats(tmp_path / "other.ply")
+    assert len(read) == N
+    assert read.labels is None
+
+
+def test_a_missing_level_is_an_error(tmp_path, cloud, labels):
+    columns = labels.columns()
+    del columns["label_l3"]
+    write_splat_ply(tmp_path / "map.ply", cloud, columns)
+    with pytest.raises(FormatError, match="label_l3"):
+        _ = read_splats(tmp_path / "map.ply").labels
+
+
+def test_selecting_keeps_rows_together(labels):
+    index = np.array([3, 1, 1])
+    kept = labels.select(index)
+    np.testing.assert_array_equal(kept.levels, labels.levels[index])
+    np.testing.assert_array_equal(kept.label, labels.label[index])
+    np.testing.assert_array_equal(kept.confidence, labels.confidence[index])
+    assert len(labels.select(labels.label > 300)) == (labels.label > 300).sum()
+
+
+@pytest.mark.parametrize(
+    ("label", "levels", "confidence"),
+    [((3,), (2, 4), (3,)), ((3,), (3, 0), (3,)), ((3,), (3,), (3,)), ((3,), (3, 4), (2,))],
+)
+def test_disagreeing_shapes_are_refused(label, levels, confidence):
+    with pytest.raises(ValueError, match="must"):
+        SplatLabels(
+            np.zeros(label, np.int32), np.zeros(levels, np.int32), np.zeros(confidence, np.float32)
+        )
