@@ -1,7 +1,7 @@
 """What a run leaves on disk: outputs, and checkpoints from which it continues.
 
     config.yaml  trajectory.txt  map.ply  frames.json  renders/  metrics.json  report.html
-    loops.jsonl  log.txt  checkpoint/{0,1}
+    taxonomy.yaml  semantics/  loops.jsonl  log.txt  checkpoint/{0,1}
 
 Checkpoints come in two generations: the older one is replaced, so a whole one exists at any
 moment. They fall on frame boundaries and change no state.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
@@ -27,8 +28,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
-from toolkit.io.splats import read_splats, write_splat_ply
+from toolkit.io.splats import SplatLabels, read_splats, write_splat_ply
 from toolkit.io.trajectories import read_tum, write_tum
+from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +61,8 @@ class RunFolder:
         self.map = path / "map.ply"
         self.frames = path / "frames.json"
         self.renders = path / "renders"
+        self.taxonomy = path / "taxonomy.yaml"
+        self.semantics = path / "semantics"
         self.metrics = path / "metrics.json"
         self.report = path / "report.html"
         self.loops = path / "loops.jsonl"
@@ -174,13 +178,50 @@ class RunFolder:
             found.append((path, int(serial)))
         return sorted(found, key=lambda item: -item[1])
 
-    def write_map(self, gaussians: GaussianCloud) -> None:
-        """`map.ply`, a standard 3DGS file."""
-        write_splat_ply(self.map, gaussians)
+    def check_taxonomy(self, taxonomy: Taxonomy | None) -> None:
+        """Write the run's tree, or refuse to go on with another.
+
+        Raises:
+            SettingsError: the run was begun with another tree.
+            FormatError: the file is damaged.
+        """
+        if taxonomy is None:
+            return
+        if not self.taxonomy.exists():
+            taxonomy.save(self.taxonomy)
+        elif Taxonomy.load(self.taxonomy) != taxonomy:
+            raise SettingsError(
+                f"{self.taxonomy} is not the tree of these settings and labels; the run was "
+                "begun with another one: give that file as --semantics.taxonomy, or start anew"
+            )
+
+    def write_map(self, gaussians: GaussianCloud, labels: SplatLabels | None = None) -> None:
+        """`map.ply`, a standard 3DGS file, with labels where the map has semantics."""
+        write_splat_ply(self.map, gaussians, labels.columns() if labels else None)
 
     def read_map(self) -> GaussianCloud:
-        """The Gaussians of `map.ply`."""
-        return read_cloud(self.map)
+        """The Gaussians of `map.ply`, with their features where the run left any."""
+        cloud = read_cloud(self.map)
+        if not self.semantics.is_dir():
+            return cloud
+        features = read_array_tree(self.semantics).arrays["features"].astype(np.float32)
+        if len(features) != len(cloud):
+            raise FormatError(f"{self.semantics} does not belong to {self.map}; run again")
+        return replace(cloud, features=torch.from_numpy(features))
+
+    def write_semantics(self, features: Tensor, network: dict[str, NDArray]) -> None:
+        """`semantics/`: the map's features, in half precision, and what reads them."""
+        arrays = {"features": features.numpy().astype(np.float16)}
+        arrays |= {f"network/{name}": array for name, array in network.items()}
+        write_array_tree(self.semantics, arrays, {"version": __version__})
+
+    def read_network(self) -> dict[str, NDArray]:
+        """The arrays of the network decoder, empty where there is none."""
+        if not self.semantics.is_dir():
+            return {}
+        arrays = read_array_tree(self.semantics).arrays
+        head = "network/"
+        return {n[len(head) :]: a for n, a in arrays.items() if n.startswith(head)}
 
     def write_trajectory(self, trajectory: Trajectory) -> None:
         """`trajectory.txt` in TUM format."""

@@ -13,6 +13,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import Tracker
 
@@ -116,6 +117,11 @@ class Slam:
         gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
         self._tracked.append(_TrackedFrame(frame.index, frame.timestamp_s, last, gain, bias))
         self._T_keyframe_camera.append(se3.inverse(T_map_keyframe) @ T_map_camera)
+
+    @property
+    def taxonomy(self) -> Taxonomy | None:
+        """The classes that the map knows, None for a map without semantics."""
+        return None if self._labeller is None else self._labeller.taxonomy
 
     @property
     def tracked_indices(self) -> list[int]:

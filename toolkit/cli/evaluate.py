@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.finished_run import FinishedRun, measured, open_finished_run
+from toolkit.cli.finished_run import FinishedRun, measured, open_finished_run, reading_of
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
 
@@ -65,9 +65,11 @@ def main(argv: Sequence[str]) -> int:
         raise SettingsError(f"--max-views must be at least 1, got {options.max_views}")
     run = open_finished_run(options.run)
     path = options.dataset.path or run.dataset_path
-    figures = measured(
-        run.gaussians, run.tracked, run.open_dataset(path), run.settings, path, options.max_views
-    )
+    dataset = run.open_dataset(path)
+    reading = reading_of(run.semantics, run.taxonomy, dataset)
+    place = run.settings.dataset.model_copy(update={"path": path})
+    settings = run.settings.model_copy(update={"dataset": place})
+    figures = measured(run.gaussians, run.tracked, dataset, settings, reading, options.max_views)
     metrics = _earlier_metrics(run) | figures | _counts(run)
     write_metrics(run.folder.metrics, metrics)
     for key in _SHOWN:

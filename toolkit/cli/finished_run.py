@@ -16,8 +16,13 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, RunFolderError
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
+from toolkit.evaluation.semantic_views import SemanticReading
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.mapping.factory import build_semantic_mapping
+from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.run_folder import RunFolder
+from toolkit.semantics.factory import build_code
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.files import load
 from toolkit.settings.run import RunSettings
 
@@ -33,6 +38,8 @@ class FinishedRun:
         tracked: every frame with a pose, in order.
         lost: indices of the frames without one.
         keyframes: indices of the keyframes.
+        semantics: how its features are read; without channels where it has none.
+        taxonomy: the tree of its labels, or None.
     """
 
     folder: RunFolder
@@ -41,6 +48,8 @@ class FinishedRun:
     tracked: list[TrackedFrame]
     lost: list[int]
     keyframes: list[int]
+    semantics: SemanticMapping
+    taxonomy: Taxonomy | None
 
     @property
     def dataset_path(self) -> Path | None:
@@ -76,10 +85,17 @@ def open_finished_run(path: Path) -> FinishedRun:
                 "give its semsplat run command again, with --resume"
             )
     content = _read_frames(folder.frames)
+    settings = load(folder.config)
+    taxonomy = Taxonomy.load(folder.taxonomy) if folder.taxonomy.is_file() else None
+    code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
+    semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
+    semantics.restore(folder.read_network())
     try:
         return FinishedRun(
             folder=folder,
-            settings=load(folder.config),
+            settings=settings,
+            semantics=semantics,
+            taxonomy=taxonomy,
             gaussians=folder.read_map(),
             tracked=_tracked(content["frames"], folder.read_trajectory().T_world_camera),
             lost=[int(i) for i in content["lost"]],
@@ -89,28 +105,38 @@ def open_finished_run(path: Path) -> FinishedRun:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
 
 
+def reading_of(
+    semantics: SemanticMapping, taxonomy: Taxonomy | None, dataset: Dataset
+) -> SemanticReading | None:
+    """How a map is scored against the data set's labels; None where there is nothing to score."""
+    names = dataset.label_names
+    if taxonomy is None or not names:
+        return None
+    return SemanticReading(semantics, taxonomy, names)
+
+
 def measured(
     gaussians: GaussianCloud,
     tracked: Sequence[TrackedFrame],
     dataset: Dataset,
     settings: RunSettings,
-    dataset_path: Path | None = None,
+    reading: SemanticReading | None = None,
     max_views: int = MeasureOptions.max_views,
 ) -> Metrics:
     """A run's figures, measured as its settings ask for.
 
     Args:
         gaussians, tracked, dataset: as `measure_run` takes them.
-        settings: what the run was made with.
-        dataset_path: where the data set lies now; by default where the settings say.
+        settings: what the run was made with, with the place of its data set.
+        reading: of the map's semantics, or None.
         max_views: most views scored of each group.
 
     Raises:
         DatasetError: a frame cannot be read, or truth and estimate share no time.
     """
-    path = dataset_path or settings.dataset.path
+    path = settings.dataset.path
     unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
-    options = MeasureOptions(settings.backend, alignment_of(settings), max_views)
+    options = MeasureOptions(settings.backend, alignment_of(settings), max_views, reading)
     return measure_run(gaussians, tracked, dataset, unseen, options)
 
 

@@ -21,8 +21,9 @@ from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
-from toolkit.mapping.factory import build_mapper
+from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.run_folder import RunFolder
+from toolkit.semantics.factory import build_code, build_labeller
 from toolkit.settings.files import dump, load
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
@@ -64,6 +65,7 @@ def main(argv: Sequence[str]) -> int:
     _log_to(folder.log)
     watch = StageRecorder()
     slam = build_slam(settings, dataset, watch)
+    folder.check_taxonomy(slam.taxonomy)
     _process(slam, dataset, folder, settings, watch)
     write_results(slam, dataset, folder, settings, watch)
     return 0
@@ -71,16 +73,23 @@ def main(argv: Sequence[str]) -> int:
 
 def build_slam(settings: RunSettings, dataset: Dataset, watch: StageRecorder) -> Slam:
     """The system that the settings describe."""
+    labeller = build_labeller(settings.semantics, dataset.label_names)
+    code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
     mapper = build_mapper(
-        settings.mapping, np.random.default_rng(settings.seed), settings.backend, watch
+        settings.mapping,
+        np.random.default_rng(settings.seed),
+        settings.backend,
+        watch,
+        build_semantic_mapping(settings.semantics, code, settings.seed),
     )
     if settings.poses == "slam":
-        return Slam(build_tracker(settings.tracking, settings.backend, watch), mapper, watch)
+        tracker = build_tracker(settings.tracking, settings.backend, watch)
+        return Slam(tracker, mapper, watch, labeller)
     if dataset.ground_truth is None:
         raise DatasetError(
             f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"
         )
-    return Slam(GivenPoses(dataset.ground_truth), mapper, watch)
+    return Slam(GivenPoses(dataset.ground_truth), mapper, watch, labeller)
 
 
 def _parse(argv: list[str]) -> RunProgram:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
 from toolkit import __version__
-from toolkit.cli.finished_run import alignment_of, measured
+from toolkit.cli.finished_run import alignment_of, measured, reading_of
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.memory import peak_memory_mb
@@ -21,8 +22,10 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.io.images import write_rgb
 from toolkit.io.pictures import view_strip
+from toolkit.io.splats import SplatLabels
 from toolkit.rendering import backend, draw_surface
 from toolkit.run_folder import RunFolder
+from toolkit.semantics.decoding import Decoding
 from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
@@ -46,7 +49,14 @@ def write_results(
 ) -> None:
     """Trajectory, map, renders, figures and report of a finished run."""
     trajectory = slam.trajectory
-    gaussians = slam.mapper.gaussians
+    gaussians, semantics = slam.mapper.gaussians, slam.mapper.semantics
+    labels = None
+    if slam.taxonomy is not None:
+        folder.write_semantics(gaussians.features, semantics.state())
+        # What is measured is what the file holds, which is rounded.
+        features = gaussians.features.half().float()
+        gaussians = replace(gaussians, features=features)
+        labels = _labels(semantics.decode_gaussians(features), settings.semantics.least_confidence)
     tracked = [
         TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
         for index, time, T, (gain, bias) in zip(
@@ -58,16 +68,22 @@ def write_results(
         )
     ]
     folder.write_trajectory(trajectory)
-    folder.write_map(gaussians)
+    folder.write_map(gaussians, labels)
     folder.write_json(folder.frames, _frames(slam, tracked))
     # Before evaluation, which has memory needs of its own.
     costs = _costs(slam, dataset, watch)
     _log.info("measuring the run")
-    metrics = cost_metrics(costs) | measured(gaussians, tracked, dataset, settings)
+    reading = reading_of(semantics, slam.taxonomy, dataset)
+    metrics = cost_metrics(costs) | measured(gaussians, tracked, dataset, settings, reading)
     write_metrics(folder.metrics, metrics)
     views = _render_views(gaussians, tracked, dataset, folder, settings.backend)
     write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
     _log.info("wrote %s, with report.html in it", folder.path)
+
+
+def _labels(decoding: Decoding, least_confidence: float) -> SplatLabels:
+    levels = decoding.backed_off(least_confidence)
+    return SplatLabels(decoding.class_ids, levels, decoding.confidence)
 
 
 def _frames(slam: Slam, tracked: list[TrackedFrame]) -> dict[str, Any]:

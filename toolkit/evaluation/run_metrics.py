@@ -27,6 +27,7 @@ from toolkit.evaluation.metrics import (
     trajectory_metrics,
     view_quality,
 )
+from toolkit.evaluation.semantic_views import SemanticReading, SemanticScores
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
@@ -80,11 +81,13 @@ class MeasureOptions:
         alignment: "se3" where the map has a frame of its own; "none" where it was built
             from given poses, whose world it shares.
         max_views: most views scored of each group (mapped, held out, unseen), evenly spaced.
+        semantics: how the map's features are read, None for a map without any.
     """
 
     backend_name: str = "auto"
     alignment: Literal["none", "se3"] = "se3"
     max_views: int = 100
+    semantics: SemanticReading | None = None
 
 
 def measure_run(
@@ -121,23 +124,27 @@ def measure_run(
     mapped = [frame for frame in tracked if not frame.held_out]
     held_out = [frame for frame in tracked if frame.held_out]
 
+    scores = [
+        SemanticScores(options.semantics, suffix) for suffix in ("", "_unseen", "_unseen_refined")
+    ]
     mapped_quality = [
-        _quality(gaussians, view, options.backend_name)
+        _quality(gaussians, view, options.backend_name, scores[0])
         for view in _tracked_views(mapped, dataset, options.max_views)
     ]
     unseen_quality, refined_quality = [], []
     T_map_world = _map_from_world(estimate, truth, options.alignment)
     tracker = DenseTracker(backend_name=options.backend_name)
     for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
-        unseen_quality.append(_quality(gaussians, view, options.backend_name))
+        unseen_quality.append(_quality(gaussians, view, options.backend_name, scores[1]))
         refined = _refined(view, gaussians, tracker)
-        refined_quality.append(_quality(gaussians, refined, options.backend_name))
+        refined_quality.append(_quality(gaussians, refined, options.backend_name, scores[2]))
 
     return {
         **trajectory_metrics(estimate, truth, options.alignment),
         **image_metrics(mapped_quality),
         **image_metrics(unseen_quality, "_unseen"),
         **image_metrics(refined_quality, "_unseen_refined"),
+        **{name: value for score in scores for name, value in score.metrics().items()},
         **IMAGE_CONVENTIONS,
         **_view_conventions(options),
     }
@@ -227,10 +234,13 @@ def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> Vie
     return replace(view, T_map_camera=result.T_map_camera, gain=result.gain, bias=result.bias)
 
 
-def _quality(gaussians: GaussianCloud, view: View, backend_name: str) -> ViewQuality:
+def _quality(
+    gaussians: GaussianCloud, view: View, backend_name: str, scores: SemanticScores
+) -> ViewQuality:
     T_camera_map = se3.inverse(view.T_map_camera)
-    options = DrawOptions(_LEAST_SILHOUETTE)
+    options = DrawOptions(_LEAST_SILHOUETTE, features=scores.wanted)
     drawn = draw_surface(backend(backend_name), gaussians, view.frame.camera, T_camera_map, options)
+    scores.add(view.frame, drawn)
     # Back to the camera's own exposure, so that the observed image stays as it is.
     colour = (drawn.output.colour.numpy() - view.bias) / view.gain
     return view_quality(

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.io.pictures import LegendEntry, Panel, Picture, colour_picture, legend_below, strip
-from toolkit.semantics.taxonomy import VOID_NAME, Taxonomy
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_parsing import VOID_NAME
 
 VOID_COLOUR = (0, 0, 0)
 _VOID = -1  # as a node index

@@ -12,13 +12,12 @@ from toolkit.frame import Frame
 
 
 class Segmenter(Protocol):
-    """Labels every pixel of a frame, in a vocabulary of its own.
+    """Labels every pixel of a frame, in a vocabulary of its own."""
 
-    Attributes:
-        class_names: its classes by id; ids count from 1, and 0 is void.
-    """
-
-    class_names: Mapping[int, str]
+    @property
+    def class_names(self) -> Mapping[int, str]:
+        """Its classes by id; ids count from 1, and 0 is void."""
+        ...
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
