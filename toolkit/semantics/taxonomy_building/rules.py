@@ -8,20 +8,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from toolkit.semantics.taxonomy_building.grouper import Grouping, Question
 from toolkit.semantics.taxonomy_building.partition import Branch, partition
-from toolkit.semantics.taxonomy_building.vocabulary import Entry, Vocabulary, built_in
+from toolkit.semantics.taxonomy_building.vocabulary import SHAPES, Entry, Vocabulary, built_in
 
 # Where one size ends and the next begins may move in these ranges (metres) to balance the
 # groups, and no further: nothing above 0.4 m is ever small, no bed ever medium.
 _SIZES = ("small", "medium", "large", "very large")
 _LIMITS_M = ((0.25, 0.4), (0.7, 0.9), (1.7, 2.2))
 
-# Shapes that may share a group, from general to special; neighbours are the most alike.
-_SHAPE_TREE: Mapping[str, Sequence[str]] = {
-    "thin": ("flat", "long", "tall"),
-    "solid": ("boxy", "legged"),
-    "rounded": ("round", "hollow"),
-    "loose": ("soft", "irregular"),
-}
+# To join kitchen and clothes, or flat and soft, costs so much more than chairs and sofas.
+_STRANGERS = 1.3
 
 
 class RuleGrouper:
@@ -49,13 +44,16 @@ class RuleGrouper:
 
     def _functions_of(self, entries: Mapping[str, Entry]) -> Branch:
         order = sorted(entries, key=lambda item: self._functions[entries[item].function])
-        return _nested("all", order, lambda item: entries[item].function)
+        return _nested("", order, lambda item: entries[item].function)
 
 
 def _nested(
     name: str, items: Sequence[str], path: Callable[[str], tuple[str, ...]], depth: int = 0
 ) -> Branch:
-    """The tree of items by path, in the order given; a chain keeps its last name alone."""
+    """The tree of items by path, in the order given; a chain keeps its last name alone.
+
+    What differs at the top of the paths is far apart.
+    """
     parts: dict[str, list[str]] = {}
     for item in items:
         if depth < len(path(item)):
@@ -63,25 +61,27 @@ def _nested(
     if not parts:
         return Branch(name, tuple(items))
     children = [_nested(part, members, path, depth + 1) for part, members in parts.items()]
-    return children[0] if len(children) == 1 else Branch(name, tuple(items), tuple(children))
+    return (
+        children[0]
+        if len(children) == 1
+        else Branch(name, tuple(items), tuple(children), 1.0 if depth else _STRANGERS)
+    )
 
 
 def _by_size(entries: Mapping[str, Entry], most: int) -> Grouping:
     """Groups from small to large, with the limits that balance them best."""
     sizes_m = sorted(entry.size_m for entry in entries.values())
-    # The middle limit always counts; the smallest and the largest are split where wanted.
-    chosen = {2: [(1,)], 3: [(0, 1), (1, 2)]}.get(most, [(0, 1, 2)])
-    best: tuple[float, ...] = ()
-    best_cost = float("inf")
-    for limits in chosen:
-        for values in itertools.product(*(_steps(sizes_m, *_LIMITS_M[i]) for i in limits)):
-            counts = Counter(sum(size > value for value in values) for size in sizes_m)
-            cost = sum(count**2 for count in counts.values()) + 0.0
-            if cost < best_cost:
-                best_cost, best, names = cost, values, _size_names(limits)
+    names = _SIZES if most > 2 else ("small", "large")
+    ranges = _LIMITS_M[: most - 1] if most > 2 else _LIMITS_M[1:2]
+
+    def imbalance(limits_m: Sequence[float]) -> int:
+        counts = Counter(sum(size > limit for limit in limits_m) for size in sizes_m)
+        return sum(count**2 for count in counts.values())
+
+    limits_m = min(itertools.product(*(_steps(sizes_m, *r) for r in ranges)), key=imbalance)
     groups: dict[str, list[str]] = {name: [] for name in names}
     for item in sorted(entries):
-        groups[names[sum(entries[item].size_m > value for value in best)]].append(item)
+        groups[names[sum(entries[item].size_m > limit for limit in limits_m)]].append(item)
     return {name: tuple(items) for name, items in groups.items() if items}
 
 
@@ -90,28 +90,18 @@ def _steps(sizes_m: Sequence[float], low: float, high: float) -> list[float]:
     return [low, *sorted({size for size in sizes_m if low < size <= high})]
 
 
-def _size_names(limits: Sequence[int]) -> list[str]:
-    names = list(_SIZES)
-    if 2 not in limits:
-        names[2:] = ["large"]
-    if 0 not in limits:
-        names[:2] = ["small"]
-    return names
-
-
 def _shapes(entries: Mapping[str, Entry]) -> Branch:
-    """The tree of shapes, and of sizes where one shape has many items."""
+    """The tree of shapes, and of sizes where one shape has several."""
     paths: dict[str, tuple[str, ...]] = {}
-    for family, shapes in _SHAPE_TREE.items():
-        for shape in shapes:
-            alike = [item for item in sorted(entries) if entries[item].shape == shape]
-            alike.sort(key=lambda item: entries[item].size_m)
-            for item, sizes in zip(alike, _comparatives(alike, entries), strict=True):
-                paths[item] = (family, shape, *(f"{size} {shape}" for size in sizes))
-    return _nested("all", list(paths), lambda item: paths[item])
+    for shape in SHAPES:
+        alike = [item for item in sorted(entries) if entries[item].shape == shape]
+        alike.sort(key=lambda item: entries[item].size_m)
+        for item, sizes in zip(alike, _comparatives(alike, entries), strict=True):
+            paths[item] = (shape, *(f"{size} {shape}" for size in sizes))
+    return _nested("shapes", list(paths), lambda item: paths[item])
 
 
-def _comparatives(items: Sequence[str], entries: Mapping[str, Entry]) -> list[tuple[str, ...]]:
+def _comparatives(items: Sequence[str], entries: Mapping[str, Entry]) -> Sequence[tuple[str, ...]]:
     """("smaller",) or ("larger",) for items sorted by size; () where all are alike."""
     sizes = [entries[item].size_m for item in items]
     cuts = [n for n in range(1, len(sizes)) if sizes[n] > sizes[n - 1]]

@@ -12,7 +12,8 @@ from typing import Any
 
 import yaml
 
-SHAPES = ("flat", "boxy", "legged", "tall", "long", "round", "hollow", "soft", "irregular")
+# Neighbours are the most alike.
+SHAPES = ("flat", "long", "tall", "boxy", "legged", "round", "hollow", "soft", "irregular")
 
 
 @dataclass(frozen=True)
@@ -34,21 +35,23 @@ class Entry:
 
 UNKNOWN = Entry("", ("other",), 0.5, "irregular")
 
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
 # Words of quantity: "stack of books" is books, where "bottle of water" is a bottle.
-_QUANTITIES = frozenset(
-    "set pair stack pile bunch group roll sheet piece deck row heap pack bundle lot".split()
-)
-_PREPOSITIONS = frozenset("for with without on in at from and by to under over near w or".split())
+_QUANTITIES = _set("set pair stack pile bunch group roll sheet piece deck row heap pack bundle lot")
+_PREPOSITIONS = _set("for with without on in at from and by to under over near w or")
 # Parts and helpers belong to what they are for: a soap holder to the soap.
-_HELPERS = frozenset(
-    """base case cover dispenser equipment frame handle holder kit leg lid machine object part rod stuff
-    supply thing top accessory product protector liner topper lever item
-    """.split()
+_HELPERS = _set(
+    """accessory base button case cover dispenser equipment frame handle holder item kit leg lever
+    lid liner machine object part product protector rod stuff supply thing top topper"""
 )
-_TOYS = frozenset("toy stuffed plush lego inflatable doll miniature".split())
+_TOYS = _set("toy stuffed plush lego inflatable doll miniature")
 _SCALES = {
-    **dict.fromkeys("small mini tiny little compact portable pocket".split(), 0.6),
-    **dict.fromkeys("large big giant huge oversized industrial".split(), 1.5),
+    **dict.fromkeys(_set("small mini tiny little compact portable pocket"), 0.6),
+    **dict.fromkeys(_set("large big giant huge oversized industrial"), 1.5),
 }
 # Rooms and the like, which are no objects but say what an unknown object is used for.
 _PLACES = {
