@@ -82,6 +82,7 @@ _IRREGULAR = {
     "women": "woman",
     "leaves": "leaf",
 }
+_BRACKETS = re.compile(r"\(([^)]*)\)")
 _SHORTEST_ENDING = 4  # letters of a word that may end a compound: "shelf" in "bookshelf"
 _SHORTEST_GUESS = 6  # letters of a word that may be a misspelling of another
 
@@ -109,7 +110,7 @@ class Vocabulary:
 
         Case, hyphens, plurals and numbers do not matter. In turn: the longest known ending
         ("tall office chair"), a compound's ending ("bookshelf"), a misspelling, any word of
-        the name at all.
+        the name, any word in brackets ("quiche (food)").
         """
         words = _words(name)
         found = self._exact(words)
@@ -120,7 +121,13 @@ class Vocabulary:
             found = self._exact(words[start:])
             if found:
                 return self._qualified(found, words[:start])
-        return self._compound(words) or self._misspelt(words) or self._mentioned(words) or UNKNOWN
+        return (
+            self._compound(words)
+            or self._misspelt(words)
+            or self._mentioned(words)
+            or self._mentioned(_words(" ".join(_BRACKETS.findall(name))))
+            or UNKNOWN
+        )
 
     def _exact(self, words: Sequence[str]) -> Entry | None:
         if not words:
@@ -191,7 +198,7 @@ def _entries(tree: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Entry]
 def _words(name: str) -> list[str]:
     """Lower-case words; numbers, brackets and what is in them left out."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    spaced = re.sub(r"\([^)]*\)", " ", spaced).replace("'", "")
+    spaced = _BRACKETS.sub(" ", spaced).replace("'", "")
     words = re.findall(r"[^\W_]+", spaced.casefold())
     return [word for word in words if not word.isdigit()]
 
