@@ -176,7 +176,7 @@ def test_broken_trees_are_refused(tree, message):
     [
         ("tree: {a: [x, y], a: [z]}", "'a' is given twice"),
         ("tree: [", "neither YAML nor JSON"),
-        ("name: x", "needs a mapping 'tree'"),
+        ("name: x", "needs 'tree', a mapping or a list"),
         ("tree: {a: [x, y]}\ncolour: 1", "unknown key colour"),
         ("tree: {a: [x, y]}\nclasses: [x, z]", "lacks the class"),
         ("tree: {a: [x, y]}\nlevels: [one]", "2 levels but 1"),

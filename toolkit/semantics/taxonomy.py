@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.io.atomic import replacing
+from toolkit.semantics.taxonomy_parsing import VOID_NAME as VOID_NAME
 from toolkit.semantics.taxonomy_parsing import (
     Tree,
     check_classes,
@@ -27,6 +28,7 @@ from toolkit.semantics.taxonomy_parsing import (
     leaf_paths,
     numbered_paths,
     read_values,
+    shortened,
 )
 
 VOID = 0  # the class id of what has no label; classes count from 1
@@ -247,7 +249,7 @@ class Taxonomy:
             "name": self.name,
             "levels": list(self.levels),
             "classes": list(self.classes),
-            "tree": self.tree(),
+            "tree": shortened(self.tree()),
         }
 
     def save(self, path: str | Path) -> None:
@@ -260,7 +262,9 @@ class Taxonomy:
         if Path(path).suffix == ".json":
             text = json.dumps(values, indent=1, ensure_ascii=False) + "\n"
         else:
-            text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=100)
+            text = yaml.safe_dump(
+                values, sort_keys=False, allow_unicode=True, width=100, default_flow_style=None
+            )
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
@@ -271,8 +275,8 @@ class Taxonomy:
         Raises:
             FormatError: a key is missing, unknown or of the wrong type, or the tree is wrong.
         """
-        if not isinstance(values, Mapping) or not isinstance(values.get("tree"), Mapping):
-            raise FormatError(f"{source}: a taxonomy needs a mapping 'tree'")
+        if not isinstance(values, Mapping) or not isinstance(values.get("tree"), Mapping | list):
+            raise FormatError(f"{source}: a taxonomy needs 'tree', a mapping or a list")
         unknown = set(values) - {"name", "levels", "classes", "tree"}
         if unknown:
             raise FormatError(f"{source}: unknown key {', '.join(sorted(map(str, unknown)))}")

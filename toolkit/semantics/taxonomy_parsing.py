@@ -80,6 +80,13 @@ def check_levels(levels: Sequence[str], depth: int) -> None:
         raise FormatError(f"level name(s) given twice: {', '.join(repeated)}")
 
 
+def shortened(tree: Tree) -> dict[str, Any] | list[str]:
+    """The same tree, with a list of names where a group holds nothing but classes."""
+    if tree and not any(tree.values()):
+        return list(tree)
+    return {name: shortened(children) if children else {} for name, children in tree.items()}
+
+
 def is_names(values: object) -> bool:
     """Whether it is a list of texts."""
     return isinstance(values, list) and all(isinstance(v, str) for v in values)

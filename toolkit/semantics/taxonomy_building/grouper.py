@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from toolkit.errors import ToolkitError
+
 Aspect = Literal["size", "function", "geometry"]
 
 # Group name to its items, in the answer's own order.
@@ -34,6 +36,10 @@ class Question:
     clusters: tuple[tuple[str, ...], ...] = ()
 
 
+class UselessAnswerError(ToolkitError):
+    """An answer came and is none: a refusal, broken JSON, cut off. To ask again may help."""
+
+
 class Grouper(Protocol):
     """Answers questions, perhaps wrongly: the critic checks every answer."""
 
@@ -44,6 +50,7 @@ class Grouper(Protocol):
             complaint: what was wrong with the last answer to the same question.
 
         Raises:
-            ToolkitError: no answer can be had (no network, refusal, nonsense).
+            UselessAnswerError: the answer is no grouping; the critic asks again.
+            ToolkitError: no answer can be had (no network, no key); asking again is no use.
         """
         ...
