@@ -53,7 +53,7 @@ def room() -> LabelledMap:
 
 
 def reader(labelled_map: LabelledMap, options: ObjectOptions = OPTIONS) -> SceneReader:
-    return SceneReader(labelled_map, labelled_map.ground(), options, np.zeros(3))
+    return SceneReader(labelled_map, options, np.zeros(3))
 
 
 def node_index(name: str) -> int:
@@ -186,7 +186,7 @@ def test_without_a_floor_boxes_are_free_and_areas_unknown():
 
 def test_an_answer_tells_counts_areas_and_distances(room):
     viewpoint_m = se3.transform_points(T_MAP_ROOM, np.array([[2.1, 1.4, 1.75]]))[0]
-    values = SceneReader(room, room.ground(), OPTIONS, viewpoint_m).answer("tables")
+    values = SceneReader(room, OPTIONS, viewpoint_m).answer("tables")
     assert values["path"] == ["large items", "furnishings", "tables"]
     assert values["gaussians"] == len(room_parts()["table"])
     assert values["confidence"] == pytest.approx(0.9, abs=1e-4)
@@ -249,6 +249,12 @@ def test_labels_of_another_tree_are_refused(label, levels, message):
     )
     with pytest.raises(FormatError, match=message):
         check_labels(labels, TAXONOMY)
+
+
+@pytest.mark.parametrize("confidence", [-0.1, 1.5, np.nan])
+def test_confidences_that_are_none_are_refused(confidence):
+    with pytest.raises(FormatError, match="outside 0 to 1"):
+        check_labels(labels_of(np.ones(3, int), confidence), TAXONOMY)
 
 
 def test_as_many_labels_as_gaussians():

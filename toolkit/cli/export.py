@@ -13,16 +13,13 @@ import tyro
 from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.cli.labelled_run import open_labelled_run
-from toolkit.cli.surface_views import MeshOptions, surface_mesh
+from toolkit.cli.shapes import MeshOptions, part_mesh, surface_mesh, write_solid_points
 from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh, write_points
+from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
 from toolkit.io.splats import SUFFIXES, SplatLabels, export_splats, read_splats
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
-
-# Gaussians thinner than this are haze, not surface.
-_LEAST_OPACITY = 0.5
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,8 @@ def main(argv: Sequence[str]) -> int:
     elif kind == "points":
         what = f"{write_solid_points(options.to, part.gaussians)} points"
     else:
-        mesh = surface_mesh(part.run, part.gaussians, mesh_options)
+        fuse = part_mesh if options.keep or options.drop else surface_mesh
+        mesh = fuse(part.run, part.gaussians, mesh_options)
         write_mesh(options.to, mesh)
         what = str(mesh)
     print(f"wrote {what} to {options.to}")
@@ -111,17 +109,6 @@ def _kind(options: ExportOptions) -> str:
             "(.mesh.ply or --mesh for a mesh, .pcd or --points for points)"
         )
     return kind
-
-
-def write_solid_points(path: Path, gaussians: GaussianCloud) -> int:
-    """Write the centres of the Gaussians that are no haze as a point cloud.
-
-    Returns:
-        how many they are.
-    """
-    solid = gaussians.select(gaussians.opacities >= _LEAST_OPACITY)
-    write_points(path, solid.means.numpy(), solid.colours.numpy())
-    return len(solid)
 
 
 def _part(options: ExportOptions) -> _Part:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +14,15 @@ import torch
 import tyro
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.export import write_solid_points
 from toolkit.cli.labelled_run import LabelledRun, open_labelled_run
-from toolkit.cli.surface_views import MeshOptions, surface_mesh
+from toolkit.cli.shapes import MeshOptions, check_output, part_mesh, write_solid_points
 from toolkit.errors import SettingsError
 from toolkit.io.atomic import write_bytes
-from toolkit.io.meshes import write_mesh
+from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
 from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
+
+_log = logging.getLogger(__name__)
 
 _HEADINGS = ("", "what", "Gaussians", "sure", "size m", "position m", "away m", "floor m2")
 
@@ -50,8 +52,9 @@ class QueryProgram:
     """Gaussians of a class that are nearer to each other, in metres, are one object."""
     least_gaussians: int = 50
     """Pieces with fewer are noise."""
-    floor: tuple[str, ...] = FLOOR_NAMES
-    """Classes of the floor, which tell what is up; those the taxonomy lacks do not matter."""
+    floor: tuple[str, ...] = ()
+    """Classes of the floor, which tell what is up; without any those named floor, ground, rug
+    and carpet, as far as the taxonomy has them."""
     distance_from: Literal["first", "last"] = "first"
     """Camera of the run that distances are measured from."""
     voxel_m: float = 0.01
@@ -81,16 +84,17 @@ def main(argv: Sequence[str]) -> int:
     print("\n".join(_printed(program, reader)))
 
     gaussians = labelled.run.gaussians.select(torch.from_numpy(chosen))
+    # Not printed: what is printed may be JSON that another program reads.
     if program.cloud:
         points = write_solid_points(program.cloud, gaussians)
-        print(f"wrote {points} points to {program.cloud}")
+        _log.info("wrote %d points to %s", points, program.cloud)
     if program.mesh:
-        mesh = surface_mesh(labelled.run, gaussians, mesh_options)
+        mesh = part_mesh(labelled.run, gaussians, mesh_options)
         write_mesh(program.mesh, mesh)
-        print(f"wrote {mesh} to {program.mesh}")
+        _log.info("wrote %s to %s", mesh, program.mesh)
     if program.summary:
         write_bytes(program.summary, (_json(reader.summary()) + "\n").encode())
-        print(f"wrote the scene to {program.summary}")
+        _log.info("wrote the scene to %s", program.summary)
     return 0
 
 
@@ -99,6 +103,13 @@ def _check_values(program: QueryProgram) -> None:
         raise SettingsError("give names or --list, not both")
     if not program.nodes and (program.cloud or program.mesh):
         raise SettingsError("--cloud and --mesh need the names of what to write")
+    for option, path, suffixes in (
+        ("--cloud", program.cloud, POINT_SUFFIXES),
+        ("--mesh", program.mesh, MESH_SUFFIXES),
+        ("--summary", program.summary, (".json",)),
+    ):
+        if path is not None:
+            check_output(option, path, suffixes)
     if not 0.0 <= program.least_confidence <= 1.0:
         raise SettingsError(f"--least-confidence must be in [0, 1], got {program.least_confidence}")
     for name in ("link_m", "least_gaussians"):
@@ -108,12 +119,14 @@ def _check_values(program: QueryProgram) -> None:
 
 
 def _reader(program: QueryProgram, labelled: LabelledRun) -> SceneReader:
+    for name in program.floor:
+        labelled.map.taxonomy.find(name)  # a name that was given must exist
     poses = [frame.T_map_camera for frame in labelled.run.tracked] or [np.eye(4)]
     return SceneReader(
         labelled.map,
-        labelled.map.ground(program.floor),
         ObjectOptions(program.link_m, program.least_gaussians, program.least_confidence),
         poses[0 if program.distance_from == "first" else -1][:3, 3],
+        program.floor or FLOOR_NAMES,
     )
 
 

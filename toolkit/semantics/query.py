@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.splats import SplatLabels
-from toolkit.semantics.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
+from toolkit.semantics.boxes import Ground, OrientedBox, oriented_box
 from toolkit.semantics.taxonomy import VOID, VOID_NAME, Node, Taxonomy
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Names that classes of the floor have, and of what lies on it; and of the room's shell.
+# Names that classes of the floor have, and of what lies on it.
 FLOOR_NAMES = ("floor", "ground", "rug", "carpet")
 CEILING_NAMES = ("ceiling",)
-SHELL_NAMES = (*FLOOR_NAMES, "wall", *CEILING_NAMES)
 
 # Without a floor, the lowest Gaussians but for so many strays lie on it.
 _LOWEST_PERCENT = 0.5
@@ -56,14 +55,12 @@ class SceneObject:
         index: [n] which Gaussians.
         confidence: their mean, in [0, 1].
         box: around their centres.
-        floor_area_m2: what it covers seen from above; None without a ground.
     """
 
     node: Node
     index: NDArray[np.intp]
     confidence: float
     box: OrientedBox
-    floor_area_m2: float | None
 
     def __len__(self) -> int:
         """Number of Gaussians."""
@@ -174,7 +171,9 @@ class LabelledMap:
         for kind in np.unique(kinds[kinds >= 0]):
             index = np.flatnonzero(kinds == kind)
             for piece in self.pieces(index, options):
-                found.append(self._object(self.taxonomy.nodes[kind], piece, ground))
+                confidence = float(self.labels.confidence[piece].mean())
+                box = oriented_box(self.means_m[piece], ground)
+                found.append(SceneObject(self.taxonomy.nodes[kind], piece, confidence, box))
         return sorted(found, key=lambda o: (-len(o), o.index[0]))
 
     def pieces(self, index: NDArray[np.intp], options: ObjectOptions) -> list[NDArray[np.intp]]:
@@ -195,22 +194,13 @@ class LabelledMap:
         within = np.array([n.path[:depth] == above.path for n in self.taxonomy.nodes])
         return np.where(within[finest], finest, self.taxonomy.nodes.index(above))
 
-    def _object(self, node: Node, index: NDArray[np.intp], ground: Ground | None) -> SceneObject:
-        points_m = self.means_m[index]
-        return SceneObject(
-            node=node,
-            index=index,
-            confidence=float(self.labels.confidence[index].mean()),
-            box=oriented_box(points_m, ground),
-            floor_area_m2=None if ground is None else floor_area_m2(points_m, ground),
-        )
-
 
 def check_labels(labels: SplatLabels, taxonomy: Taxonomy) -> None:
     """Check that labels can be of a tree.
 
     Raises:
-        FormatError: they refer to levels, classes or nodes that the tree does not have.
+        FormatError: they refer to levels, classes or nodes that the tree does not have, or
+            their confidence is none.
     """
     name, levels = taxonomy.name, labels.levels
     if levels.shape[1] != taxonomy.depth:
@@ -220,6 +210,8 @@ def check_labels(labels: SplatLabels, taxonomy: Taxonomy) -> None:
         )
     if len(labels) == 0:
         return
+    if not ((labels.confidence >= 0.0) & (labels.confidence <= 1.0)).all():
+        raise FormatError("the labels have confidences outside 0 to 1; write the map again")
     if labels.label.min() < VOID or labels.label.max() > len(taxonomy):
         wrong = labels.label.max() if labels.label.max() > len(taxonomy) else labels.label.min()
         raise FormatError(

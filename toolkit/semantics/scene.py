@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,14 +12,15 @@ from numpy.typing import NDArray
 
 from toolkit.semantics.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
 from toolkit.semantics.query import (
+    CEILING_NAMES,
     FLOOR_NAMES,
-    SHELL_NAMES,
     LabelledMap,
     ObjectOptions,
     SceneObject,
 )
 from toolkit.semantics.taxonomy import VOID
 
+_WALL_NAMES = ("wall",)
 # Fractions of a millimetre are no news.
 _DECIMALS = 4
 
@@ -29,15 +31,20 @@ class SceneReader:
 
     Attributes:
         map: the labelled Gaussians.
-        ground: what boxes stand on; without it they are free, and areas of floor are null.
         options: what counts as one object.
         viewpoint_m: [3], where distances are measured from.
+        floor: classes and groups of the floor; those that the tree lacks do not matter.
     """
 
     map: LabelledMap
-    ground: Ground | None
     options: ObjectOptions
     viewpoint_m: NDArray[np.float64]
+    floor: Sequence[str] = FLOOR_NAMES
+
+    @functools.cached_property
+    def ground(self) -> Ground | None:
+        """What boxes stand on; without it they are free, and areas of floor are null."""
+        return self.map.ground(self.floor)
 
     def answer(self, name: str) -> dict[str, Any]:
         """What the map knows about a class or group.
@@ -120,13 +127,13 @@ class SceneReader:
 
     def _room(self) -> dict[str, Any] | None:
         """The box around floor, walls and ceiling, and the floor that was seen."""
-        shell = self._whole(SHELL_NAMES)
+        shell = self._whole([*self.floor, *_WALL_NAMES, *CEILING_NAMES])
         if len(shell) == 0:
             return None
         box = oriented_box(self.map.means_m[shell], self.ground)
         return {
             "box": _box_values(box),
-            "floor_area_m2": self._area([self._whole(FLOOR_NAMES)]),
+            "floor_area_m2": self._area([self._whole(self.floor)]),
         }
 
     def _whole(self, names: Sequence[str]) -> NDArray[np.intp]:
