@@ -68,6 +68,19 @@ def test_empty_views_are_skipped_and_nothing_but_empty_views_is_an_error():
         fuse_views([empty], voxel_m=0.05)
 
 
+@pytest.mark.parametrize("size", [(60, 80), (62, 83)])
+def test_a_speck_of_depth_anywhere_is_no_failure(size):
+    full = view_of_plane(np.eye(4))
+    height, width = size
+    camera = Camera(70.0, 70.0, 39.5, 29.5, width, height)
+    rgb = np.full((*size, 3), 0.5, np.float32)
+    for row, column in ((0, 0), (1, 1), (28, 40), (height - 1, width - 1), (height - 4, 0)):
+        speck = np.zeros(size, np.float32)
+        speck[row, column] = 2.0
+        view = DepthView(camera, np.eye(4), rgb, speck)
+        assert len(fuse_views([view, full], voxel_m=0.05).triangles) > 0
+
+
 def test_mesh_files_read_back(plane, tmp_path: Path):
     path = tmp_path / "mesh.ply"
     write_mesh(path, plane)

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 import tyro
-from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.finished_run import FinishedRun, open_finished_run
-from toolkit.errors import FormatError, SettingsError
-from toolkit.geometry import se3
-from toolkit.io.meshes import (
-    MESH_SUFFIXES,
-    POINT_SUFFIXES,
-    DepthView,
-    fuse_views,
-    write_mesh,
-    write_points,
-)
-from toolkit.io.splats import SUFFIXES, export_splats
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.cli.labelled_run import open_labelled_run
+from toolkit.cli.shapes import MeshOptions, part_mesh, surface_mesh, write_solid_points
+from toolkit.errors import FormatError, SettingsError, ToolkitError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
+from toolkit.io.splats import SUFFIXES, SplatLabels, export_splats, read_splats
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
-
-# Gaussians thinner than this are haze, not surface.
-_LEAST_OPACITY = 0.5
-_LEAST_SILHOUETTE = 0.9
 
 
 @dataclass(frozen=True)
@@ -51,6 +40,20 @@ class ExportOptions:
     """Farthest depth that enters the mesh, metres."""
     every: int = 3
     """Of the run's poses, the mesh uses every n-th."""
+    keep: tuple[str, ...] = ()
+    """Classes and groups of the run's taxonomy to write, and nothing else: names, or paths such
+    as "large items > furnishings"; "void" is what has no label."""
+    drop: tuple[str, ...] = ()
+    """Classes and groups to leave out."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is exported of a run."""
+
+    run: FinishedRun
+    gaussians: GaussianCloud
+    labels: SplatLabels | None
 
 
 def main(argv: Sequence[str]) -> int:
@@ -65,17 +68,19 @@ def main(argv: Sequence[str]) -> int:
     """
     options = parse_arguments(ExportOptions, argv, "export")
     kind = _kind(options)
-    _check_values(options)
-    run = open_finished_run(options.run)
+    mesh_options = MeshOptions(options.voxel_m, options.max_depth_m, options.every)
+    if not options.to.parent.is_dir():
+        raise FormatError(f"--to {options.to}: there is no folder {options.to.parent}; make it")
+    part = _part(options)
     if kind == "splats":
-        export_splats(options.to, run.gaussians)
-        what = f"{len(run.gaussians)} Gaussians"
+        columns = part.labels.columns() if part.labels else None
+        export_splats(options.to, part.gaussians, columns)
+        what = f"{len(part.gaussians)} Gaussians"
     elif kind == "points":
-        solid = run.gaussians.select(run.gaussians.opacities >= _LEAST_OPACITY)
-        write_points(options.to, solid.means.numpy(), solid.colours.numpy())
-        what = f"{len(solid)} points"
+        what = f"{write_solid_points(options.to, part.gaussians)} points"
     else:
-        mesh = fuse_views(_views(run, options.every), options.voxel_m, options.max_depth_m)
+        fuse = part_mesh if options.keep or options.drop else surface_mesh
+        mesh = fuse(part.run, part.gaussians, mesh_options)
         write_mesh(options.to, mesh)
         what = str(mesh)
     print(f"wrote {what} to {options.to}")
@@ -106,26 +111,21 @@ def _kind(options: ExportOptions) -> str:
     return kind
 
 
-def _check_values(options: ExportOptions) -> None:
-    for name in ("voxel_m", "max_depth_m", "every"):
-        value = getattr(options, name)
-        if not value > 0:
-            raise SettingsError(f"--{name.replace('_', '-')} must be positive, got {value}")
-    if not options.to.parent.is_dir():
-        raise FormatError(f"--to {options.to}: there is no folder {options.to.parent}; make it")
+def _part(options: ExportOptions) -> _Part:
+    """The Gaussians that --keep and --drop leave of a run.
 
-
-def _views(run: FinishedRun, every: int) -> Iterator[DepthView]:
-    """The map as the run's camera saw it."""
-    camera = run.open_dataset().camera
-    frames = run.tracked[::every]
-    for frame in tqdm(frames, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
-        drawn = draw_surface(
-            backend(run.settings.backend),
-            run.gaussians,
-            camera,
-            se3.inverse(frame.T_map_camera),
-            DrawOptions(_LEAST_SILHOUETTE),
-        )
-        rgb = np.clip(drawn.output.colour.numpy(), 0.0, 1.0)
-        yield DepthView(camera, frame.T_map_camera, rgb, drawn.depth_m.numpy())
+    Raises:
+        ToolkitError: they leave nothing, or the map has no labels to choose by.
+    """
+    if not options.keep and not options.drop:
+        run = open_finished_run(options.run)
+        return _Part(run, run.gaussians, read_splats(run.folder.map).labels)
+    labelled = open_labelled_run(options.run)
+    kept = np.ones(len(labelled.map), bool)
+    if options.keep:
+        kept = labelled.holding(options.keep)
+    kept &= ~labelled.map.selected(options.drop)
+    if not kept.any():
+        raise ToolkitError(f"--keep and --drop leave nothing of {options.run} to write")
+    gaussians = labelled.run.gaussians.select(torch.from_numpy(kept))
+    return _Part(labelled.run, gaussians, labelled.map.labels.select(kept))

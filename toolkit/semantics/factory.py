@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
-from toolkit.errors import SettingsError
 from toolkit.semantics.codes import (
     CodeOptions,
     ColourCode,
@@ -20,6 +18,9 @@ from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.segmenters.recorded import RecordedLabels
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import build_taxonomy
+from toolkit.semantics.taxonomy_building.rules import RulesGrouper
+from toolkit.semantics.trees import taxonomy_for, taxonomy_named
 from toolkit.settings.semantics import CodeSettings, SemanticsSettings
 
 _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
@@ -40,14 +41,15 @@ def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
     """The tree of a setting: a file, a shipped tree, or one that fits the class names.
 
     Raises:
-        FormatError: the file holds no valid tree.
-        SettingsError: there is no such file or shipped tree.
+        FormatError: neither a file with a valid tree nor a shipped one.
     """
-    if setting == "auto":
-        return Taxonomy.flat([names[i] for i in sorted(names)])
-    if Path(setting).suffix in (".yaml", ".yml", ".json"):
-        return Taxonomy.load(setting)
-    raise SettingsError(f"semantics.taxonomy: no file or shipped tree '{setting}'")
+    if setting != "auto":
+        return taxonomy_named(setting)
+    classes = [names[i] for i in sorted(names)]
+    shipped = taxonomy_for(classes)
+    if shipped is not None:
+        return shipped
+    return build_taxonomy(classes, RulesGrouper())
 
 
 def build_labeller(settings: SemanticsSettings, names: Mapping[int, str] | None) -> Labeller | None:
