@@ -209,18 +209,18 @@ class RunFolder:
             raise FormatError(f"{self.semantics} does not belong to {self.map}; run again")
         return replace(cloud, features=torch.from_numpy(features))
 
-    def write_semantics(self, features: Tensor, network: dict[str, NDArray]) -> None:
-        """`semantics/`: the map's features, in half precision, and what reads them."""
+    def write_semantics(self, features: Tensor, reader: dict[str, NDArray]) -> None:
+        """`semantics/`: the map's features, in half precision, and the state of their reader."""
         arrays = {"features": features.numpy().astype(np.float16)}
-        arrays |= {f"network/{name}": array for name, array in network.items()}
+        arrays |= {f"reader/{name}": array for name, array in reader.items()}
         write_array_tree(self.semantics, arrays, {"version": __version__})
 
-    def read_network(self) -> dict[str, NDArray]:
-        """The arrays of the network decoder, empty where there is none."""
+    def read_semantics(self) -> dict[str, NDArray]:
+        """The state of what reads the features, empty where there are none."""
         if not self.semantics.is_dir():
             return {}
         arrays = read_array_tree(self.semantics).arrays
-        head = "network/"
+        head = "reader/"
         return {n[len(head) :]: a for n, a in arrays.items() if n.startswith(head)}
 
     def write_trajectory(self, trajectory: Trajectory) -> None:

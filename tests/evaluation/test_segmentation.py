@@ -112,7 +112,7 @@ def test_means_over_views_differ_from_those_over_the_sequence():
     second = np.full((2, 2), 1), np.full((2, 2), 2)
     metrics = segmentation_metrics(evaluated([first, second]))
     # Class 1: 16 hits of 20; class 2: none of 4.
-    assert metrics["miou_percent"] == pytest.approx(100.0 * (16 / 20 + 0.0) / 2)
+    assert metrics["miou_union_percent"] == pytest.approx(100.0 * (16 / 20 + 0.0) / 2)
     assert metrics["miou_per_view_percent"] == pytest.approx(100.0 * (1.0 + 0.0) / 2)
     # Both are soft and large.
     assert metrics["miou_level_1_percent"] == 100.0
@@ -123,7 +123,7 @@ def test_a_wrong_class_hurts_the_mean_but_not_the_mean_over_visible_classes():
     truth = np.array([[1, 1, 1, 0]])
     predicted = np.array([[1, 1, 5, 5]])
     metrics = segmentation_metrics(evaluated([(truth, predicted)]))
-    assert metrics["miou_percent"] == pytest.approx(100.0 * (2 / 3 + 0.0) / 2)
+    assert metrics["miou_union_percent"] == pytest.approx(100.0 * (2 / 3 + 0.0) / 2)
     assert metrics["miou_visible_percent"] == pytest.approx(100.0 * 2 / 3)
     assert metrics["miou_subset_percent"] is None
 
@@ -151,7 +151,7 @@ def test_predicted_levels_may_disagree_and_back_off():
     unsure.add(truth, nodes)
     metrics = segmentation_metrics(unsure)
     assert metrics["miou_level_0_percent"] == 100.0
-    assert metrics["miou_level_1_percent"] == pytest.approx(100.0 * (1 + 0 + 0) / 3)
+    assert metrics["miou_level_1_percent"] == pytest.approx(100.0 * (1 + 0) / 2)
     assert metrics["miou_level_2_percent"] == pytest.approx(100.0 * (0 + 1) / 2)
 
 

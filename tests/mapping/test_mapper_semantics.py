@@ -66,22 +66,39 @@ def test_a_map_shows_what_it_was_told(room, code):
 def test_wrong_labels_are_voted_out(room):
     """One keyframe in five calls the floor a sofa, from the first on."""
     sofa, floor = (CLASS_NAMES.index(n) + 1 for n in ("sofa", "floor"))
-    mapper = mapper_with(replace(FEW, final_iterations=20))
+
+    def floor_share(mapper: Mapper) -> float:
+        answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
+        chosen = np.isin(answer.class_ids, [sofa, floor])
+        return float((answer.class_ids[chosen] == floor).mean())
+
+    mapper = mapper_with(replace(FEW, final_iterations=0))
     for number in (0, 2, 4, 6, 8):
         frame = room.frames[number]
         if number == 0:
             labels = np.where(frame.labels == floor, sofa, frame.labels).astype(np.int32)
             frame = replace(frame, labels=labels)
         mapper.add_keyframe(frame, room.T_map_camera[number])
+    assert floor_share(mapper) < 0.9
     mapper.refine()
-    answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
-    on_the_floor = np.isin(answer.class_ids, [sofa, floor])
-    assert (answer.class_ids[on_the_floor] == floor).mean() > 0.95
+    assert floor_share(mapper) > 0.95
+
+
+def test_votes_fit_a_gaussian_that_several_classes_show_through():
+    """Three quarters floor, one quarter wall: that is what its heads say."""
+    for make in (flat_code, one_hot_code, binary_code):
+        code = make(TREE)
+        words = code.codewords
+        votes = (0.75 * words[40] + 0.25 * words[93])[None] * 400.0
+        values = code.from_votes(votes, torch.tensor([400.0]))
+        first, width = int(code.heads.first[0]), int(code.heads.width[0])
+        head = values[0, first : first + width]
+        shares = head.sigmoid() if code.heads.bits else head.softmax(0)
+        expected = votes[0, first : first + width] / 400.0
+        assert torch.allclose(shares, expected, atol=2e-3)
 
 
 def test_geometry_does_not_hear_of_semantics(room):
-    plain = fed(Mapper(FEW, np.random.default_rng(3)), room, [0, 4])
-    mapper = fed(mapper_with(), room, [0, 4])
     # Cells do not span classes, so that the two maps differ in a few Gaussians at borders;
     # with the very same seeds, every value of geometry is the same.
     single = replace(FEW, seeding=replace(FEW.seeding, largest_cell=1))
@@ -94,8 +111,8 @@ def test_geometry_does_not_hear_of_semantics(room):
 
 def test_the_papers_gradients_reach_geometry(room):
     single = replace(FEW, seeding=replace(FEW.seeding, largest_cell=1))
-    free = fed(mapper_with(single, moves_geometry=True, weight=5.0), room, [0, 4])
-    still = fed(mapper_with(single, weight=5.0), room, [0, 4])
+    free = fed(mapper_with(single, moves_geometry=True, weight=5.0), room, [0])
+    still = fed(mapper_with(single, weight=5.0), room, [0])
     assert (free.gaussians.means - still.gaussians.means).abs().max() > 1e-5
 
 
@@ -121,7 +138,7 @@ def test_frames_without_labels_leave_features_alone(room):
     before = mapper.gaussians.features.clone()
     bare = replace(room.frames[1], labels=None)
     mapper.add_keyframe(bare, room.T_map_camera[1])
-    assert torch.equal(mapper.gaussians.features[: len(before)], before) or len(before) > 0
+    assert torch.equal(mapper.gaussians.features[: len(before)], before)
     answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
     assert (answer.class_ids[: len(before)] > 0).mean() > 0.99
 

@@ -89,7 +89,7 @@ def open_finished_run(path: Path) -> FinishedRun:
     taxonomy = Taxonomy.load(folder.taxonomy) if folder.taxonomy.is_file() else None
     code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
-    semantics.restore(folder.read_network())
+    semantics.restore(folder.read_semantics())
     try:
         return FinishedRun(
             folder=folder,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.cli.finished_run import alignment_of, measured, reading_of
@@ -20,12 +21,16 @@ from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_rgb
 from toolkit.io.pictures import view_strip
 from toolkit.io.splats import SplatLabels
-from toolkit.rendering import backend, draw_surface
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.run_folder import RunFolder
 from toolkit.semantics.decoding import Decoding
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
@@ -34,6 +39,7 @@ _log = logging.getLogger(__name__)
 
 _SHOWN_VIEWS = 6
 _FLOAT_BYTES = 4
+_LEGEND_ROWS = 8
 
 
 def held_out(index: int, settings: RunSettings) -> bool:
@@ -76,7 +82,8 @@ def write_results(
     reading = reading_of(semantics, slam.taxonomy, dataset)
     metrics = cost_metrics(costs) | measured(gaussians, tracked, dataset, settings, reading)
     write_metrics(folder.metrics, metrics)
-    views = _render_views(gaussians, tracked, dataset, folder, settings.backend)
+    final = _FinalMap(gaussians, semantics, slam.taxonomy, settings.backend)
+    views = _render_views(final, tracked, dataset, folder)
     write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
     _log.info("wrote %s, with report.html in it", folder.path)
 
@@ -126,28 +133,44 @@ def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
     )
 
 
+@dataclass(frozen=True)
+class _FinalMap:
+    """What is drawn, and how it is read."""
+
+    gaussians: GaussianCloud
+    semantics: SemanticMapping
+    taxonomy: Taxonomy | None
+    backend_name: str
+
+    def view(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> SurfaceView:
+        options = DrawOptions(features=self.taxonomy is not None)
+        T_camera_map = se3.inverse(T_map_camera)
+        return draw_surface(
+            backend(self.backend_name), self.gaussians, camera, T_camera_map, options
+        )
+
+
 def _render_views(
-    gaussians: GaussianCloud,
-    tracked: list[TrackedFrame],
-    dataset: Dataset,
-    folder: RunFolder,
-    backend_name: str,
+    final: _FinalMap, tracked: list[TrackedFrame], dataset: Dataset, folder: RunFolder
 ) -> list[ReportView]:
     """A few views spread over the path: strips in `renders/`, and the same for the report."""
     views = []
+    palette = None if final.taxonomy is None else Palette(final.taxonomy)
     count = min(_SHOWN_VIEWS, len(tracked))
     for place in np.linspace(0, len(tracked) - 1, count).round().astype(int):
         view = tracked[place]
         frame = dataset[view.index]
-        drawn = draw_surface(
-            backend(backend_name), gaussians, frame.camera, se3.inverse(view.T_map_camera)
-        )
+        drawn = final.view(frame.camera, view.T_map_camera)
         colour = ((drawn.output.colour - view.bias) / view.gain).clamp(0.0, 1.0).numpy()
         depth_m, silhouette = drawn.depth_m.numpy(), drawn.output.silhouette.numpy()
         name = f"frame{view.index:06d}"
         write_rgb(folder.renders / f"{name}.png", colour)
         picture = view_strip(colour, depth_m, silhouette, frame.rgb)
         write_rgb(folder.renders / f"{name}_strip.png", picture.astype(np.float32) / 255.0)
+        if palette is not None:
+            nodes = final.semantics.decode_view(drawn).nodes.T.reshape(-1, *depth_m.shape)
+            picture = palette.level_strip(colour, list(nodes), legend_rows=_LEGEND_ROWS)
+            write_rgb(folder.renders / f"{name}_levels.png", picture.astype(np.float32) / 255.0)
         title = f"frame {view.index}" + (", unseen" if view.held_out else "")
         views.append(
             ReportView(title, frame.rgb, colour, frame.depth_m, depth_m, psnr_db(colour, frame.rgb))

@@ -5,8 +5,9 @@ columns; row and column 0 are void. Intersection over union of a class is its hi
 pixels that have it in truth or prediction.
 
 Without void (the usual figures), pixels whose truth is void are left out, and a prediction
-of void elsewhere is a miss. With void, void is one more class. Classes that appear in
-neither truth nor prediction have no IoU and are left out of the mean.
+of void elsewhere is a miss. With void, void is one more class. The mean is over the classes
+that the truth has; "union" means those that truth or prediction has, where one pixel of a
+class that is not there costs as much as a whole class missed.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ Counts = NDArray[np.int64]
 _CONVENTIONS: Metrics = {
     "miou_convention": (
         "one confusion matrix over all views; pixels whose truth is void are left out, "
-        "predicted void is a miss; mean over classes that truth or prediction has; leaves of "
-        "the tree unless a level is named"
+        "predicted void is a miss; mean over the classes of the truth; leaves of the tree "
+        "unless a level is named"
     ),
+    "miou_union_convention": "the same, mean over classes that truth or prediction has",
     "miou_with_void_convention": "the same with void as a class of its own, on all pixels",
-    "miou_per_view_convention": "mean over views of each view's own mIoU, without void",
+    "miou_per_view_convention": "mean over views of each view's own union mIoU, without void",
     "miou_visible_convention": (
         "mean over views of the mean IoU over the classes in the view's truth; wrongly "
         "predicted classes are no part of the mean"
@@ -49,7 +51,8 @@ class SegmentationScore:
     """Figures of one confusion matrix, in [0, 1]; None where there is no pixel to score.
 
     Attributes:
-        miou: mean over the classes that appear.
+        miou: mean over the classes that the truth has.
+        miou_union: mean over the classes that truth or prediction has.
         accuracy: share of pixels predicted right.
         fwiou: IoU weighted by the classes' share of the truth.
         classes: how many the mean is over.
@@ -57,6 +60,7 @@ class SegmentationScore:
     """
 
     miou: float | None
+    miou_union: float | None
     accuracy: float | None
     fwiou: float | None
     classes: int
@@ -119,14 +123,16 @@ def score(counts: Counts, with_void: bool = False) -> SegmentationScore:
     pixels = int(scored.sum())
     iou = class_iou(counts, with_void)
     appears = np.isfinite(iou)
+    true = appears & (scored.sum(axis=1) > 0)
     if pixels == 0:
-        return SegmentationScore(None, None, None, 0, 0)
+        return SegmentationScore(None, None, None, None, 0, 0)
     shares = scored.sum(axis=1) / pixels
     return SegmentationScore(
-        miou=float(iou[appears].mean()),
+        miou=float(iou[true].mean()),
+        miou_union=float(iou[appears].mean()),
         accuracy=float(np.diagonal(scored).sum() / pixels),
-        fwiou=float((shares[appears] * iou[appears]).sum()),
-        classes=int(appears.sum()),
+        fwiou=float((shares[true] * iou[true]).sum()),
+        classes=int(true.sum()),
         pixels=pixels,
     )
 
@@ -183,7 +189,7 @@ class Segmentation:
             among = _over_truth(confusion(truth, subset, len(self.taxonomy)))
         for total, counted in zip(self._counts, counts, strict=True):
             total += counted
-        mious = tuple(score(counted).miou for counted in counts)
+        mious = tuple(score(counted).miou_union for counted in counts)
         self.views.append(ViewScore(mious, _over_truth(counts[-1]), among))
         return self.views[-1]
 
@@ -230,6 +236,7 @@ def segmentation_metrics(result: Segmentation, suffix: str = "") -> Metrics:
     per_view = [view.miou[-1] for view in result.views]
     figures: dict[str, float | None] = {
         "miou": leaf.miou,
+        "miou_union": leaf.miou_union,
         "accuracy": leaf.accuracy,
         "fwiou": leaf.fwiou,
         "miou_with_void": with_void.miou,

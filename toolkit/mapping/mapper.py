@@ -129,6 +129,7 @@ class Mapper:
             frame = replace(frame, labels=None)
         keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
         self.keyframes.append(keyframe)
+        self.semantics.observe(frame.labels)
         with self._recorder.timed("seeding"):
             seeded = self._seed(frame, keyframe)
         first = len(self.keyframes) == 1
@@ -143,12 +144,33 @@ class Mapper:
 
     def refine(self) -> None:
         """Optimise over all keyframes, each equally often, in random order."""
+        self._agree()
         rounds, count = self.options.final_iterations, len(self.keyframes)
         focus = TileFocus(self.options.tile_share)
         for done in range(rounds):
             for number, i in enumerate(self._generator.permutation(count)):
                 self._step(self.keyframes[i], (done * count + number, rounds * count), focus)
         self._prune()
+
+    def _agree(self) -> None:
+        """Set features to what all keyframes together say.
+
+        Steps on one keyframe after another would take many rounds to vote a wrong label out.
+        """
+        labelled = [keyframe for keyframe in self.keyframes if keyframe.class_ids is not None]
+        if not labelled:
+            return
+        features = self.gaussians.features
+        votes, total = torch.zeros_like(features), features.new_zeros(len(features))
+        for keyframe in labelled:
+            labels = keyframe.labels
+            assert labels is not None
+            ids, part, share = self.semantics.votes(self.view(keyframe, features=True), labels)
+            votes[ids] += part
+            total[ids] += share
+        told = total > 0
+        features[told] = self.semantics.from_votes(votes[told], total[told])
+        self.optimiser.forget("features")
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
@@ -177,10 +199,11 @@ class Mapper:
         ]
         self._generator.bit_generator.state = values["generator"]
 
-    def view(self, keyframe: Keyframe) -> SurfaceView:
-        """The map as a keyframe sees it."""
+    def view(self, keyframe: Keyframe, features: bool = False) -> SurfaceView:
+        """The map as a keyframe sees it, with its feature channels where asked for."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        return draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map)
+        options = DrawOptions(features=features)
+        return draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map, options)
 
     def _pick(self, window: list[Keyframe]) -> Keyframe:
         if len(window) == 1 or self._generator.random() < self.options.newest_share:

@@ -32,11 +32,49 @@ class SemanticMapping:
         self._loss = loss
         self._by_network = reader == "network" and loss is not None and loss.network is not None
         self.channels = 0 if loss is None else loss.code.channels
+        classes = 0 if loss is None else len(loss.code.taxonomy)
+        self._told = torch.zeros(classes, dtype=torch.bool)
 
     @property
     def start_values(self) -> Tensor:
         """Features of a new Gaussian by its pixel's class id, [C + 1, S]."""
         return torch.zeros(1, 0) if self._loss is None else self._loss.code.start_values
+
+    def observe(self, labels: NDArray[np.integer] | None) -> None:
+        """Remember which classes the map was told of: it can hold no others.
+
+        Without that, two classes blended at a border could spell a third one.
+
+        Args:
+            labels: [H, W] class ids, 0 void, of a new keyframe.
+        """
+        if labels is not None and self._loss is not None:
+            ids = np.unique(labels)
+            self._told[torch.from_numpy(ids[ids > 0].astype(np.int64)) - 1] = True
+
+    def votes(self, view: SurfaceView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What the labelled pixels of a view say of the Gaussians it shows.
+
+        Each pixel gives a Gaussian its codeword, as far as the Gaussian shows in it: that is
+        the derivative of the composited features, with the codewords in the gradient's place.
+
+        Returns:
+            Gaussians [V], their votes [V, S] and the sums of their shares [V].
+        """
+        assert self._loss is not None
+        height, width = labels.shape
+        by_images = torch.zeros(BASE_CHANNELS + self.channels, height, width)
+        by_images[0] = labels > 0
+        words = self._loss.code.codewords.index_select(0, labels.view(-1).long())
+        by_images[BASE_CHANNELS:] = words.T.view(-1, height, width)
+        found = view.drawn.backward(by_images, detached=True)
+        assert found.colours is not None
+        return found.ids, found.features, found.colours[:, 0]
+
+    def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
+        """Features [N, S] out of added-up votes."""
+        assert self._loss is not None
+        return self._loss.code.from_votes(votes, total)
 
     def gradient(
         self,
@@ -81,15 +119,28 @@ class SemanticMapping:
         network = self._loss.network
         by_network = self._by_network and network is not None
         logits = network.logits if by_network and network else self._loss.code.logits
-        return decode(values, logits, self._loss.code.taxonomy, seen)
+
+        def among_told(values: Tensor) -> Tensor:
+            return logits(values).masked_fill(~self._told[:, None], -torch.inf)
+
+        chosen = among_told if self._told.any() else logits
+        return decode(values, chosen, self._loss.code.taxonomy, seen)
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes."""
-        if self._loss is None or self._loss.network is None:
+        if self._loss is None:
             return {}
-        return self._loss.network.state()
+        arrays = {"told": self._told.numpy().copy()}
+        if self._loss.network is not None:
+            arrays |= {f"network/{k}": a for k, a in self._loss.network.state().items()}
+        return arrays
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
-        if self._loss is not None and self._loss.network is not None:
-            self._loss.network.restore({k: np.array(a) for k, a in arrays.items()})
+        if self._loss is None or not arrays:
+            return
+        self._told = torch.from_numpy(np.array(arrays["told"]))
+        if self._loss.network is not None:
+            head = "network/"
+            mine = {k[len(head) :]: a for k, a in arrays.items() if k.startswith(head)}
+            self._loss.network.restore(mine)

@@ -66,6 +66,11 @@ class SparseAdam:
             for name, moment in moments.items():
                 moments[name] = moment.index_select(0, index)
 
+    def forget(self, name: str) -> None:
+        """Drop the moments of a parameter that was set anew."""
+        self._first[name].zero_()
+        self._second[name].zero_()
+
     def step(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
         """Move the Gaussians `ids` [V] of a cloud in place against compact gradients [V, ...].
 

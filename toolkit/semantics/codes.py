@@ -20,6 +20,8 @@ from torch import Tensor
 
 from toolkit.semantics.taxonomy import Taxonomy
 
+_PRIOR = 0.1  # pixels that vote for every answer alike
+
 CodeName = Literal["flat", "one-hot", "binary", "colour"]
 
 
@@ -41,6 +43,20 @@ class SemanticCode(Protocol):
     @property
     def start_values(self) -> Tensor:
         """Values [C + 1, S] of a Gaussian seeded from a pixel, by class id; void is row 0."""
+        ...
+
+    @property
+    def codewords(self) -> Tensor:
+        """What a pixel of each class votes for, [C + 1, S] by class id; void is 0."""
+        ...
+
+    def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
+        """Values [N, S] that fit the pixels which a Gaussian shows.
+
+        Args:
+            votes: [N, S] sum of the pixels' codewords, each times the Gaussian's share in it.
+            total: [N] sum of these shares, 0 where there was no label.
+        """
         ...
 
     def logits(self, values: Tensor) -> Tensor:
@@ -122,6 +138,25 @@ class HeadedCode:
     def start_values(self) -> Tensor:
         """See SemanticCode."""
         return self._start
+
+    @property
+    def codewords(self) -> Tensor:
+        """See SemanticCode."""
+        return torch.cat([self._ones.new_zeros(1, self.channels), self._ones])
+
+    def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
+        """See SemanticCode: logarithms of each answer's share of the votes.
+
+        For one Gaussian alone they minimise the loss (H-10, H-11). A little of a pixel is
+        added to every answer, or one vote would be certainty.
+        """
+        heads = self.heads
+        assert heads is not None
+        if heads.bits:
+            against = (total[:, None] - votes).clamp(min=0.0)
+            return ((votes + _PRIOR) / (against + _PRIOR)).log()
+        width = torch.from_numpy(np.repeat(heads.width, heads.width)).to(votes)
+        return ((votes * width + _PRIOR) / (total[:, None] + _PRIOR)).log()
 
     def logits(self, values: Tensor) -> Tensor:
         """See SemanticCode: the heads' normalisers are the same for all classes."""
@@ -219,6 +254,15 @@ class ColourCode:
     def start_values(self) -> Tensor:
         """See SemanticCode."""
         return torch.cat([self._palette.new_zeros(1, 3), self._palette])
+
+    @property
+    def codewords(self) -> Tensor:
+        """See SemanticCode."""
+        return self.start_values
+
+    def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
+        """See SemanticCode: the mean colour."""
+        return votes / total[:, None].clamp(min=1e-6)
 
     def logits(self, values: Tensor) -> Tensor:
         """See SemanticCode: a Gaussian around each colour of the palette."""

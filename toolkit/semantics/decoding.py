@@ -83,7 +83,9 @@ def _decode_part(
     best = probability.max(dim=0)
     out.class_ids[part] = best.indices.numpy() + 1
     out.confidence[part] = best.values.numpy()
-    out.entropy[part] = (-(probability * logs).sum(0) / np.log(len(logs))).numpy()
+    # A class that is ruled out has no logarithm, and no part in the entropy.
+    surprise = torch.where(probability > 0, -probability * logs, torch.zeros_like(logs))
+    out.entropy[part] = (surprise.sum(0) / np.log(len(logs))).numpy()
     for level, (nodes, place) in enumerate(members):
         summed = probability.new_zeros(len(nodes), probability.shape[1])
         summed.index_add_(0, place, probability)

@@ -19,7 +19,7 @@ from toolkit.semantics.palette import Palette
 from toolkit.semantics.segmenters.recorded import RecordedLabels
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import build_taxonomy
-from toolkit.semantics.taxonomy_building.rules import RulesGrouper
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.semantics.trees import taxonomy_for, taxonomy_named
 from toolkit.settings.semantics import CodeSettings, SemanticsSettings
 
@@ -49,7 +49,7 @@ def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
     shipped = taxonomy_for(classes)
     if shipped is not None:
         return shipped
-    return build_taxonomy(classes, RulesGrouper())
+    return build_taxonomy(classes, RuleGrouper())
 
 
 def build_labeller(settings: SemanticsSettings, names: Mapping[int, str] | None) -> Labeller | None:
