@@ -9,11 +9,13 @@ import pytest
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.losses.photometric import RgbdLossWeights
 from toolkit.losses.semantic import SemanticLossWeights
+from toolkit.mapping.consensus import ConsensusOptions
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import MapperOptions
 from toolkit.mapping.sparse_adam import LearningRates
 from toolkit.settings.base import Settings
 from toolkit.settings.mapping import (
+    ConsensusSettings,
     KeyframeSettings,
     LearningRateSettings,
     LossSettings,
@@ -32,6 +34,7 @@ PAIRS = [
     (HealthLimits(), HealthSettings()),
     (MapperOptions(), MappingSettings()),
     (SeedingOptions(), SeedingSettings()),
+    (ConsensusOptions(), ConsensusSettings()),
     (SemanticLossWeights(), SemanticLossSettings()),
     (LearningRates(), LearningRateSettings()),
     (RgbdLossWeights(), LossSettings()),

@@ -9,6 +9,7 @@ from toolkit.frame import Recorder
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.losses.photometric import RgbdLossWeights
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.mapping.consensus import ConsensusOptions
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -31,6 +32,7 @@ def build_mapper(
     values["keyframes"] = KeyframePolicy(**values["keyframes"])
     values["seeding"] = SeedingOptions(**values["seeding"])
     values["rates"] = LearningRates(**values["rates"])
+    values["consensus"] = ConsensusOptions(**values["consensus"])
     values["loss"] = RgbdLossWeights(**values["loss"])
     return Mapper(MapperOptions(**values), generator, backend_name, recorder, semantics)
 

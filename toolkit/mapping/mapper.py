@@ -15,6 +15,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
+from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.depth_filter import denoised
 from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
@@ -68,6 +69,7 @@ class MapperOptions:
     seeding: SeedingOptions = field(default_factory=SeedingOptions)
     rates: LearningRates = field(default_factory=LearningRates)
     loss: RgbdLossWeights = field(default_factory=RgbdLossWeights)
+    consensus: ConsensusOptions = field(default_factory=ConsensusOptions)
 
 
 @dataclass(frozen=True)
@@ -153,23 +155,13 @@ class Mapper:
         self._prune()
 
     def _agree(self) -> None:
-        """Set features to what all keyframes together say.
-
-        Steps on one keyframe after another would take many rounds to vote a wrong label out.
-        """
-        labelled = [keyframe for keyframe in self.keyframes if keyframe.class_ids is not None]
-        if not labelled:
+        """Set features to what all keyframes together say, and overrule wrong labels."""
+        if self.semantics.channels == 0:
             return
-        features = self.gaussians.features
-        votes, total = torch.zeros_like(features), features.new_zeros(len(features))
-        for keyframe in labelled:
-            labels = keyframe.labels
-            assert labels is not None
-            ids, part, share = self.semantics.votes(self.view(keyframe, features=True), labels)
-            votes[ids] += part
-            total[ids] += share
-        told = total > 0
-        features[told] = self.semantics.from_votes(votes[told], total[told])
+        with self._recorder.timed("map consensus"):
+            self.gaussians = agree(
+                self.gaussians, self.keyframes, self.semantics, self._draw, self.options.consensus
+            )
         self.optimiser.forget("features")
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -199,11 +191,15 @@ class Mapper:
         ]
         self._generator.bit_generator.state = values["generator"]
 
-    def view(self, keyframe: Keyframe, features: bool = False) -> SurfaceView:
-        """The map as a keyframe sees it, with its feature channels where asked for."""
+    def view(self, keyframe: Keyframe) -> SurfaceView:
+        """The map as a keyframe sees it."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        options = DrawOptions(features=features)
-        return draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map, options)
+        return draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map)
+
+    def _draw(self, gaussians: GaussianCloud, keyframe: Keyframe) -> SurfaceView:
+        T_camera_map = se3.inverse(keyframe.T_map_camera)
+        options = DrawOptions(features=True)
+        return draw_surface(self._backend, gaussians, keyframe.camera, T_camera_map, options)
 
     def _pick(self, window: list[Keyframe]) -> Keyframe:
         if len(window) == 1 or self._generator.random() < self.options.newest_share:

@@ -110,6 +110,14 @@ class SemanticMapping:
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
         return self._decode(view.features.reshape(self.channels, -1) / safe, seen)
 
+    def probabilities(self, view: SurfaceView) -> tuple[NDArray[np.int64], Tensor]:
+        """Classes told of, ascending [K], and the probability of each at each pixel [K, H * W]."""
+        assert self._loss is not None
+        safe = view.output.silhouette.reshape(-1).clamp(min=_LEAST_SILHOUETTE)
+        logits = self._loss.code.logits(view.features.reshape(self.channels, -1) / safe)
+        told = self._told.nonzero().squeeze(1)
+        return told.numpy() + 1, logits.index_select(0, told).softmax(0)
+
     def decode_gaussians(self, features: Tensor) -> Decoding:
         """What each Gaussian of features [N, S] is; those that never had a label are void."""
         return self._decode(features.T.contiguous(), (features != 0).any(dim=1))

@@ -55,6 +55,15 @@ class LossSettings(Settings):
     least_silhouette: float = Field(0.5, ge=0, le=1, description="depth counts above it")
 
 
+class ConsensusSettings(Settings):
+    """When a segment of a keyframe's labels is overruled by the others."""
+
+    rounds: int = Field(2, ge=0, description="of correcting and voting again; 0 only votes")
+    least_views: float = Field(1.5, ge=0, description="that told the map of a pixel")
+    least_share: float = Field(0.1, ge=0, le=1, description="of a segment, known to other views")
+    margin: float = Field(0.1, ge=0, le=1, description="by which the map must be surer")
+
+
 class MappingSettings(Settings):
     """The mapper."""
 
@@ -78,3 +87,4 @@ class MappingSettings(Settings):
     seeding: SeedingSettings = SeedingSettings()
     rates: LearningRateSettings = LearningRateSettings()
     loss: LossSettings = LossSettings()
+    consensus: ConsensusSettings = ConsensusSettings()

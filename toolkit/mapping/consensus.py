@@ -1,0 +1,134 @@
+"""What all keyframes together say a Gaussian is, and which of their labels were wrong.
+
+Steps on one keyframe after another would take many rounds to vote a wrong label out. Here
+every keyframe votes once; then each connected piece of a label image is held against the
+map, and takes the map's class where that is the likelier: segmenters err by whole segments,
+so a part of one that other views know tells about the part that only this view has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.rendering import SurfaceView
+
+Draw = Callable[[GaussianCloud, Keyframe], SurfaceView]
+
+
+@dataclass(frozen=True)
+class ConsensusOptions:
+    """When a segment of a keyframe's labels is overruled.
+
+    Attributes:
+        rounds: of correcting and voting again; 0 only votes.
+        least_views: a pixel is evidence where the map was told by so many views.
+        least_share: share of a segment's pixels that must be evidence.
+        margin: by how much the map's class must be the likelier.
+    """
+
+    rounds: int = 2
+    least_views: float = 1.5
+    least_share: float = 0.1
+    margin: float = 0.1
+
+
+def agree(
+    gaussians: GaussianCloud,
+    keyframes: list[Keyframe],
+    semantics: SemanticMapping,
+    draw: Draw,
+    options: ConsensusOptions,
+) -> GaussianCloud:
+    """The Gaussians with features that all labelled keyframes vote for.
+
+    Corrects `class_ids` of keyframes in place.
+
+    Args:
+        draw: the Gaussians as a keyframe sees them, with their features.
+    """
+    labelled = [keyframe for keyframe in keyframes if keyframe.class_ids is not None]
+    for _ in range(options.rounds):
+        gaussians, views = _vote(gaussians, labelled, semantics, draw)
+        changed = sum(_correct(gaussians, views, k, semantics, draw, options) for k in labelled)
+        if not changed:
+            return gaussians
+    return _vote(gaussians, labelled, semantics, draw)[0]
+
+
+def _vote(
+    gaussians: GaussianCloud, keyframes: list[Keyframe], semantics: SemanticMapping, draw: Draw
+) -> tuple[GaussianCloud, Tensor]:
+    """Features out of all votes, and how many views told of each Gaussian, [N]."""
+    votes = torch.zeros_like(gaussians.features)
+    views = votes.new_zeros(len(gaussians))
+    for keyframe in keyframes:
+        labels = keyframe.labels
+        assert labels is not None
+        ids, part, share = semantics.votes(draw(gaussians, keyframe), labels)
+        # One view, one vote: a close look shall not outvote two from afar.
+        weight = 1.0 / share.clamp(min=1.0)
+        votes[ids] += part * weight[:, None]
+        views[ids] += share * weight
+    told = views > 0
+    features = gaussians.features.clone()
+    features[told] = semantics.from_votes(votes[told], views[told])
+    return replace(gaussians, features=features), views
+
+
+def _correct(
+    gaussians: GaussianCloud,
+    views: Tensor,
+    keyframe: Keyframe,
+    semantics: SemanticMapping,
+    draw: Draw,
+    options: ConsensusOptions,
+) -> int:
+    """Overrule segments of one keyframe; returns how many."""
+    # The number of views is drawn in the place of red.
+    counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
+    view = draw(counted, keyframe)
+    silhouette = view.output.silhouette.clamp(min=0.5)
+    known = (view.images[0] / silhouette >= options.least_views).view(-1).numpy()
+    class_ids, probabilities = semantics.probabilities(view)
+    assert keyframe.class_ids is not None
+    labels = keyframe.class_ids.numpy()
+    segments, own = segments_of(labels)
+    flat = segments.reshape(-1)
+    count = len(own)
+    area = np.bincount(flat, minlength=count)
+    evidence = np.bincount(flat[known], minlength=count)
+    means = np.stack(
+        [np.bincount(flat[known], p[known], minlength=count) for p in probabilities.numpy()]
+    ) / np.maximum(evidence, 1)
+    place = np.searchsorted(class_ids, own)
+    said = means[np.minimum(place, len(class_ids) - 1), np.arange(count)]
+    likeliest = means.argmax(axis=0)
+    overruled = evidence > np.maximum(options.least_share * area, 1.0)
+    overruled &= means[likeliest, np.arange(count)] > said + options.margin
+    overruled &= own > 0
+    if overruled.any():
+        better = np.where(overruled, class_ids[likeliest], own)
+        keyframe.class_ids = torch.from_numpy(better[segments].astype(np.int16))
+    return int(overruled.sum())
+
+
+def segments_of(labels: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Connected pieces of a label image: their numbers [H, W], and the class of each [K]."""
+    segments = np.zeros(labels.shape, np.int32)
+    classes: list[int] = []
+    for class_id in np.unique(labels):
+        found, pieces = cv2.connectedComponents((labels == class_id).astype(np.uint8))
+        inside = pieces > 0
+        segments[inside] = pieces[inside] - 1 + len(classes)
+        classes += [int(class_id)] * (found - 1)
+    return segments, np.array(classes, np.int64)
