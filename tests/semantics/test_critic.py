@@ -173,6 +173,13 @@ def test_a_group_without_a_name_is_refused(written):
     assert settle(QUESTION, grouper, Untouched()) == named
 
 
+def test_no_group_is_called_like_a_class_however_classes_are_called():
+    question = Question(("-", "chair", "chair group", "other"), "function")
+    answer = {"-": ("-",), "Chair": ("chair", "chair group"), "Other": ("other",)}
+    settled = settle(question, Answers(answer), Untouched())
+    assert list(settled) == ["- 2", "Chair group 2", "Other group"]
+
+
 def test_equal_names_are_one_group_and_empty_groups_do_not_count():
     answer = {"Seats": ("chair",), "none": (), "seats ": ("sofa",), "rest": ("bed", "lamp")}
     answer |= {"SEATS": ("shelf", "base-cabinet")}
