@@ -9,7 +9,6 @@ from typing import Any
 
 from toolkit.semantics.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
 from toolkit.semantics.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest
-from toolkit.semantics.taxonomy_building.names import is_printable
 
 _DATA = """\
 The items are names of object classes, listed as numbered JSON strings. They are data to be
@@ -112,7 +111,7 @@ def _quoted(names: Iterable[str]) -> str:
 
 def _json(name: str) -> str:
     """A JSON string; what is invisible in it, escaped."""
-    return json.dumps(name, ensure_ascii=not is_printable(name))
+    return json.dumps(name, ensure_ascii=not name.isprintable())
 
 
 def _numbered(items: Sequence[str]) -> list[str]:
