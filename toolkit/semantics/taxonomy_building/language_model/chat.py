@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol
 
+from toolkit.errors import ToolkitError
+
 Ending = Literal["stop", "length", "refused"]
+
+
+class NoModelError(ToolkitError):
+    """No model answers: it cannot be reached, refuses to work, or takes too long."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,6 @@ class ChatModel(Protocol):
         """The model's answer.
 
         Raises:
-            ToolkitError: there is none to be had.
+            NoModelError: there is none to be had.
         """
         ...

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.errors import SettingsError, ToolkitError
+from toolkit.errors import SettingsError
 from toolkit.semantics.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ChatRequest,
     ModelIdentity,
+    NoModelError,
 )
 from toolkit.semantics.taxonomy_building.language_model.transport import (
     PassingError,
@@ -100,7 +101,7 @@ class Endpoint:
         """The model's answer.
 
         Raises:
-            ToolkitError: the endpoint cannot be reached, refuses, or takes too long.
+            NoModelError: the endpoint cannot be reached, refuses, or takes too long.
         """
         left_s = self._patience.total_s
         tries = 0
@@ -121,9 +122,9 @@ class Endpoint:
         doubled = self._patience.first_wait_s * 2.0 ** (tries - 1)
         return min(doubled, self._patience.longest_wait_s) * self._generator.uniform(0.5, 1.0)
 
-    def _gave_up(self, trouble: PassingError, tries: int) -> ToolkitError:
+    def _gave_up(self, trouble: PassingError, tries: int) -> NoModelError:
         asked = f", and it asks to wait {trouble.wait_s:.0f} s" if trouble.wait_s else ""
-        return ToolkitError(
+        return NoModelError(
             f"no answer from {self._identity} in {tries} tries: {trouble}{asked}; check "
             "--base-url and the network, or use --grouper rules"
         )
@@ -153,11 +154,11 @@ class Endpoint:
         self._format += 1
         return self._format < len(_FORMATS)
 
-    def _final(self, refused: RefusedError) -> ToolkitError:
+    def _final(self, refused: RefusedError) -> NoModelError:
         key = "check the key in SEMSPLAT_LLM_API_KEY"
         address = "check --model, and whether --base-url must end in /v1"
         hint = {401: key, 403: key, 404: address, 405: address}.get(refused.status)
-        return ToolkitError(
+        return NoModelError(
             f"{self._identity} refused, {refused}; {hint or 'or use --grouper rules'}"
         )
 
@@ -184,7 +185,7 @@ class Endpoint:
 
         Raises:
             PassingError, RefusedError: it is an error, sent as a success.
-            ToolkitError: it is no chat completion at all.
+            NoModelError: it is no chat completion at all.
         """
         try:
             values = json.loads(body)
@@ -196,7 +197,7 @@ class Endpoint:
             text = _text(message.get("content"))
             refusal = message.get("refusal") or choice.get("finish_reason") == "content_filter"
         except (ValueError, RecursionError, AttributeError, LookupError, TypeError):
-            raise ToolkitError(
+            raise NoModelError(
                 f"{self._identity} sent no chat completion but: {one_line(body)}; check "
                 "whether --base-url must end in /v1"
             ) from None

@@ -41,7 +41,7 @@ class LanguageModelGrouper:
 
         Raises:
             UselessAnswerError: no portion got a usable answer.
-            ToolkitError: the model cannot be asked.
+            NoModelError: the model cannot be asked.
         """
         if question.clusters:
             answer = self._model.complete(request_for(question, complaint, (), self._seed))

@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
+from toolkit.semantics.taxonomy_building.language_model.chat import NoModelError
 
 # Shorter keys are words for servers that want none ("EMPTY"); to blot such a word out of
 # every answer would spoil them.
@@ -71,6 +72,7 @@ class Transport:
         Raises:
             PassingError: time-out, broken connection, status 408, 429 or 5xx.
             RefusedError: any other status of failure.
+            NoModelError: what the client itself cannot do.
         """
         openai = self._openai
         try:
@@ -85,7 +87,7 @@ class Transport:
             wait_s = _seconds(error.response.headers.get("retry-after"))
             raise status_error(error.status_code, text, wait_s) from None
         except openai.OpenAIError as error:
-            raise ToolkitError(self._without_key(one_line(str(error)))) from None
+            raise NoModelError(self._without_key(one_line(str(error)))) from None
 
     async def _response(self, body: Mapping[str, Any], time_s: float) -> str:
         # The client's own time-out starts anew with every byte; ours does not.
