@@ -23,6 +23,7 @@ JOBS = {
     "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
     "check-data": ("check_data", "read a data set and say what is wrong with it"),
     "make-room": ("make_room", "make a synthetic room with known truth"),
+    "build-taxonomy": ("build_taxonomy", "sort class names into a tree of groups"),
     "doctor": ("doctor", "say what this machine has, and how to mend what it lacks"),
 }
 

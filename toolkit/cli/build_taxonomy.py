@@ -1,0 +1,172 @@
+"""`semsplat build-taxonomy`: sort class names into a tree, by rules or a language model."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from tqdm import tqdm
+
+from toolkit.cli.arguments import parse_arguments
+from toolkit.datasets.pairing import read_class_names
+from toolkit.datasets.registry import describe
+from toolkit.errors import DatasetError, DependencyError, SettingsError
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.semantics.taxonomy_building.grouper import Grouper, Grouping, Question
+from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel, NoModelError
+from toolkit.semantics.taxonomy_building.language_model.endpoint import endpoint_from_environment
+from toolkit.semantics.taxonomy_building.language_model.exchanges import (
+    CachedModel,
+    RecordingModel,
+    ReplayedModel,
+)
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.settings.run import DatasetKind
+
+logger = logging.getLogger(__name__)
+
+_OF_A_MODEL = ("base_url", "model", "cache", "record", "replay", "fall_back")
+_SUFFIXES = (".yaml", ".yml", ".json")
+
+
+@dataclass(frozen=True)
+class DatasetChoice:
+    """A data set, for its classes and its labelled frames."""
+
+    kind: DatasetKind = "folder"
+    """Its layout (docs/datasets.md)."""
+    path: Path | None = None
+    """Its folder."""
+
+
+@dataclass(frozen=True)
+class BuildTaxonomyOptions:
+    """Build the tree of groups that the semantic codes follow (docs/taxonomies.md)."""
+
+    classes: Path | None = None
+    """Names: a data set's classes.json, or a text file of one name a line ('#' comments)."""
+    dataset: DatasetChoice = DatasetChoice()
+    out: Path | None = None
+    """File to write, .yaml or .json."""
+    review: bool = False
+    """Print the tree, for a human eye."""
+    grouper: Literal["rules", "language-model"] = "rules"
+    """Who sorts: built-in rules, offline; or a model behind an OpenAI-compatible endpoint."""
+    base_url: str | None = None
+    """The endpoint, or else SEMSPLAT_LLM_BASE_URL; its key is SEMSPLAT_LLM_API_KEY."""
+    model: str | None = None
+    """The model's name there, or else SEMSPLAT_LLM_MODEL."""
+    cache: Path | None = None
+    """Folder of answers: nothing is asked twice."""
+    record: Path | None = None
+    """File to write all questions and answers to, for --replay."""
+    replay: Path | None = None
+    """File to take all answers from, without network."""
+    fall_back: bool = False
+    """Build by the rules where no model answers, instead of ending."""
+    shapes: tuple[Literal["scans"]] | tuple[Literal["table", "meshes"], Path] | None = None
+    """Sort the last level by shapes: 'scans' measures --dataset's labelled frames, 'table FILE'
+    and 'meshes DIR' give them; without it names alone decide."""
+    seed: int = 0
+    """Of clustering and of the model."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Build a tree, write it, print it.
+
+    Returns:
+        0.
+
+    Raises:
+        ToolkitError: options contradict each other, the names make no tree, the shapes or
+            the model cannot be had, or the file cannot be written.
+    """
+    options = parse_arguments(BuildTaxonomyOptions, argv, "build-taxonomy")
+    _check(options)
+    taxonomy = _built(_class_names(options), options)
+    if options.out:
+        taxonomy.save(options.out)
+        print(f"wrote {options.out}")
+    print(f"{taxonomy}; {_channels(taxonomy)}")
+    if options.review:
+        for line in review_lines(taxonomy):
+            print(line)
+    return 0
+
+
+def review_lines(taxonomy: Taxonomy) -> Iterator[str]:
+    """The tree as indented text: each group with its number of classes, then those."""
+    children: dict[tuple[str, ...], list[str]] = {}
+    for node in taxonomy.nodes:
+        if node.leaf:
+            children.setdefault(node.path[:-1], []).append(node.name)
+    if () in children:
+        yield ", ".join(children[()])
+    for node in taxonomy.nodes:
+        if not node.leaf:
+            classes = children.get(node.path, [])
+            listed = f": {', '.join(classes)}" if classes else ""
+            yield f"{'  ' * node.level}{node.name} ({len(node.class_ids)}){listed}"
+
+
+def _check(options: BuildTaxonomyOptions) -> None:
+    if options.out is None and not options.review:
+        raise SettingsError("give --out FILE.yaml to write the tree, or --review to see it")
+    if options.out and options.out.suffix not in _SUFFIXES:
+        raise SettingsError(f"--out {options.out} must end in {', '.join(_SUFFIXES)}")
+    if (options.classes is None) == (options.dataset.path is None):
+        if options.shapes != ("scans",) or options.classes is None:
+            raise SettingsError("give --classes FILE or --dataset.path FOLDER, one of them")
+    given = [name for name in _OF_A_MODEL if getattr(options, name)]
+    if options.grouper == "rules" and given:
+        raise SettingsError(f"{_option(given[0])} is of use with --grouper language-model alone")
+    others = [name for name in given if name not in ("replay", "record")]
+    if options.replay and others:
+        raise SettingsError(f"--replay answers from its file; leave {_option(others[0])} out")
+    if options.shapes == ("scans",) and options.dataset.path is None:
+        raise SettingsError("--shapes scans measures labelled frames: give --dataset.path")
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _class_names(options: BuildTaxonomyOptions) -> list[str]:
+    """Names in the order of their ids, or of their lines."""
+    if options.classes is None:
+        assert options.dataset.path is not None
+        recording = describe(options.dataset.kind, options.dataset.path)
+        names = recording.label_names
+        if not names:
+            raise DatasetError(
+                f"{options.dataset.path} has no labels/classes.json; give --classes FILE"
+            )
+    elif options.classes.suffix == ".json":
+        names = read_class_names(options.classes)
+    else:
+        try:
+            lines = options.classes.read_text(encoding="utf-8-sig").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise DatasetError(f"cannot read {options.classes}: {error}") from error
+        return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+    return [names[number] for number in sorted(names)]
+
+
+def _built(classes: Sequence[str], options: BuildTaxonomyOptions) -> Taxonomy:
+    name = options.out.stem if options.out else "taxonomy"
+    ...
+
+
+def _channels(taxonomy: Taxonomy) -> str:
+    one_hot = sum(taxonomy.level_widths)
+    binary = sum(math.ceil(math.log2(width)) for width in taxonomy.level_widths)
+    return f"{one_hot} channels one-hot, {binary} binary"
