@@ -90,6 +90,35 @@ def test_an_ambiguous_name_asks_for_a_path():
     with pytest.raises(FormatError, match="longer path"):
         taxonomy.find("flat")
     assert taxonomy.find("b > flat").class_ids == (3, 4)
+    assert [str(n) for n in taxonomy.find_all("Flat")] == ["a > flat", "b > flat"]
+    assert taxonomy.find_all("round") == ()
+
+
+def test_a_class_goes_before_groups_of_its_name():
+    taxonomy = Taxonomy({"lamp": ["lamp", "torch"], "rest": ["cup"]})
+    assert taxonomy.find("lamp").class_ids == (1,)
+    assert taxonomy.find("lamp > lamp").leaf
+
+
+def test_case_hyphens_and_spaces_do_not_make_another_name():
+    taxonomy = Taxonomy({"a": ["tv-stand", "table_lamp"]})
+    assert taxonomy.find("TV  stand").name == "tv-stand"
+    assert taxonomy.relabelling({1: "Table lamp", 2: "tv_stand"}).tolist() == [0, 2, 1]
+    with pytest.raises(FormatError, match="tv stand twice"):
+        Taxonomy({"a": ["tv-stand", "TV stand"]})
+
+
+@pytest.mark.parametrize("class_id", [-1, 0, 8])
+def test_no_id_but_a_class_s_own_is_answered(taxonomy, class_id):
+    for ask in (taxonomy.path, taxonomy.leaf, lambda i: taxonomy.common_ancestor(1, i)):
+        with pytest.raises(FormatError, match=f"class id {class_id} is not in .* 1 to 7"):
+            ask(class_id)
+
+
+@pytest.mark.parametrize("wrong", [-1, 8])
+def test_an_image_with_foreign_ids_is_refused(taxonomy, wrong):
+    with pytest.raises(FormatError, match=f"class id {wrong} is not in"):
+        taxonomy.level_ids(np.array([[0, 1], [wrong, 7]]), 1)
 
 
 @pytest.mark.parametrize("suffix", [".json", ".yaml"])
@@ -115,6 +144,8 @@ def test_relabelling_goes_by_name(taxonomy):
 def test_relabelling_refuses_classes_outside_the_tree(taxonomy):
     with pytest.raises(FormatError, match=r"labels/classes.json: .* no class person"):
         taxonomy.relabelling({1: "bed", 2: "person"}, "labels/classes.json")
+    with pytest.raises(FormatError, match=r"classes.json: class ids count from 1, got 0"):
+        taxonomy.relabelling({0: "bed", 2: "cup"}, "labels/classes.json")
 
 
 @pytest.mark.parametrize(
@@ -129,6 +160,10 @@ def test_relabelling_refuses_classes_outside_the_tree(taxonomy):
         ({"a": ["x", "void"]}, "absence"),
         ({"a": "x"}, "mapping or a list"),
         ({"a > b": ["x", "y"]}, "separates"),
+        ({"a": {"x": None, "y": 0}}, "empty group 'y'"),
+        ({"a": ["x ", "y"]}, "space around"),
+        ({"a": ["x\ny", "z"]}, "line breaks"),
+        ({"a": ["x-y"], "b": ["x y"]}, "'x y' appears twice"),
     ],
 )
 def test_broken_trees_are_refused(tree, message):
@@ -141,10 +176,15 @@ def test_broken_trees_are_refused(tree, message):
     [
         ("tree: {a: [x, y], a: [z]}", "'a' is given twice"),
         ("tree: [", "neither YAML nor JSON"),
-        ("name: x", "needs a mapping 'tree'"),
+        ("name: x", "needs 'tree', a mapping or a list"),
         ("tree: {a: [x, y]}\ncolour: 1", "unknown key colour"),
         ("tree: {a: [x, y]}\nclasses: [x, z]", "lacks the class"),
         ("tree: {a: [x, y]}\nlevels: [one]", "2 levels but 1"),
+        ("tree: {a: [x, y]}\nlevels: [one, one]", "level name.* twice: one"),
+        ("tree: {a: {yes: [x, y]}}", "True, which is no name"),
+        ("tree: {? [a, b] : [x, y]}", "cannot be a name"),
+        ("tree: &a {b: *a}", "neither YAML nor JSON"),
+        pytest.param("tree: " + "{a: " * 3000, "nested far too deeply", id="deep"),
     ],
 )
 def test_broken_files_name_themselves(tmp_path, text, message):

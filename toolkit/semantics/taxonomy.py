@@ -6,7 +6,7 @@ import difflib
 import functools
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,21 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.io.atomic import replacing
+from toolkit.semantics.taxonomy_parsing import VOID_NAME as VOID_NAME
+from toolkit.semantics.taxonomy_parsing import (
+    Tree,
+    check_classes,
+    check_leaves,
+    check_levels,
+    folded,
+    is_names,
+    leaf_paths,
+    numbered_paths,
+    read_values,
+    shortened,
+)
 
 VOID = 0  # the class id of what has no label; classes count from 1
-VOID_NAME = "void"
-
-# From name to subtree; a list of names, or an empty mapping, ends a branch.
-Tree = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -57,7 +66,8 @@ class Taxonomy:
 
     Args:
         tree: nested mappings from name to subtree; a list of names ends a branch.
-        levels: a name for each level, top first; as many as the deepest class has.
+        levels: a name for each level, top first, no two alike; as many as the deepest
+            class has.
         classes: class names in the order of their ids 1..C; the tree's own order if None.
         name: what the tree is called.
 
@@ -69,7 +79,8 @@ class Taxonomy:
 
     Raises:
         FormatError: no or one class, names that are not text, repeated class names, repeated
-            siblings, empty groups, or levels and classes that do not match the tree.
+            siblings, empty groups, or levels and classes that do not match the tree. Names
+            that differ in case, hyphens or spaces alone are the same name.
     """
 
     def __init__(
@@ -80,21 +91,17 @@ class Taxonomy:
         name: str = "taxonomy",
     ) -> None:
         self.name = name
-        leaves = list(_leaf_paths(tree, ()))
-        names = [path[-1] for path in leaves]
-        _check_names(names, leaves)
-        self.classes: tuple[str, ...] = tuple(names if classes is None else classes)
-        _check_same(self.classes, names)
+        leaves = leaf_paths(tree)
+        check_leaves(leaves)
+        by_name = {path[-1]: path for path in leaves}
+        self.classes: tuple[str, ...] = tuple(by_name if classes is None else classes)
+        check_classes(self.classes, leaves)
         depth = max(len(path) for path in leaves)
         default = [f"level {i}" for i in range(depth)]
         self.levels: tuple[str, ...] = tuple(default if levels is None else levels)
-        if len(self.levels) != depth:
-            raise FormatError(
-                f"taxonomy '{name}' has {depth} levels but {len(self.levels)} level names"
-            )
-        by_name = {path[-1]: path for path in leaves}
+        check_levels(self.levels, depth)
         self._leaf_paths = tuple(by_name[c] for c in self.classes)
-        self._local_ids = dict(_numbered(tree, ()))
+        self._local_ids = dict(numbered_paths(tree))
         self._nodes = self._make_nodes()
         self.local_ids, self.node_ids = self._make_tables()
 
@@ -137,47 +144,60 @@ class Taxonomy:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def path(self, class_id: int) -> tuple[str, ...]:
-        """Names from the root's child to the class."""
-        return self._leaf_paths[class_id - 1]
+        """Names from the root's child to the class; void and unknown ids are a FormatError."""
+        return self._leaf_paths[self._row(class_id)]
 
     def leaf(self, class_id: int) -> Node:
         """The node of a class."""
-        return self._nodes[int(self.node_ids[class_id - 1, -1])]
+        return self.ancestor(class_id, self.depth - 1)
 
     def ancestor(self, class_id: int, level: int) -> Node:
         """The node above a class at a level; the class itself where it ends earlier."""
-        return self._nodes[int(self.node_ids[class_id - 1, level])]
+        return self._nodes[int(self.node_ids[self._row(class_id), level])]
 
     def common_ancestor(self, first: int, second: int) -> Node | None:
         """The lowest node above two classes, or None where only the root is."""
-        shared = np.nonzero(self.node_ids[first - 1] == self.node_ids[second - 1])[0]
-        return self._nodes[int(self.node_ids[first - 1, shared[-1]])] if len(shared) else None
+        ours, theirs = self.node_ids[self._row(first)], self.node_ids[self._row(second)]
+        shared = np.flatnonzero(ours == theirs)
+        return self._nodes[int(ours[shared[-1]])] if len(shared) else None
+
+    def find_all(self, query: str) -> tuple[Node, ...]:
+        """All nodes of a name, or of a path "a > b > c" that may start anywhere.
+
+        The same group may stand in several branches, as seats do under every size. Upper
+        case, hyphens and surrounding space do not matter. Empty where there is none.
+        """
+        wanted = tuple(folded(part) for part in query.split(">"))
+        length = len(wanted)
+        return tuple(n for n in self._nodes if tuple(folded(p) for p in n.path[-length:]) == wanted)
 
     def find(self, query: str) -> Node:
-        """A node by name, or by a path "a > b > c" that may start anywhere.
-
-        Upper case and surrounding space do not matter.
+        """The one node that `find_all` finds; a class before groups of the same name.
 
         Raises:
             FormatError: there is none, or several; the message lists what was meant perhaps.
         """
-        wanted = tuple(part.strip().casefold() for part in query.split(">"))
-        found = [n for n in self._nodes if _folded(n.path)[-len(wanted) :] == wanted]
-        if len(found) == 1:
-            return found[0]
+        found = self.find_all(query)
+        leaves = [n for n in found if n.leaf]
+        if len(found) == 1 or len(leaves) == 1:
+            return (leaves or found)[0]
         if found:
-            leaves = [n for n in found if n.leaf]
-            if len(leaves) == 1:
-                return leaves[0]
             several = "; ".join(str(n) for n in found[:5])
             raise FormatError(f"'{query}' names {len(found)} nodes: {several}; give a longer path")
-        names = {n.name.casefold(): n.name for n in self._nodes}
-        close = difflib.get_close_matches(wanted[-1], names, n=3)
+        names = {folded(n.name): n.name for n in self._nodes}
+        close = difflib.get_close_matches(folded(query.rpartition(">")[2]), names, n=3)
         hint = f"; did you mean {' or '.join(names[c] for c in close)}?" if close else ""
         raise FormatError(f"no class or group '{query}' in taxonomy '{self.name}'{hint}")
 
     def level_ids(self, class_ids: NDArray[np.integer], level: int) -> NDArray[np.int32]:
-        """Node indices of class ids at a level, -1 for void; any shape."""
+        """Node indices of class ids at a level, -1 for void; any shape.
+
+        Raises:
+            FormatError: an id that is neither void nor a class.
+        """
+        wrong = class_ids[(class_ids < VOID) | (class_ids > len(self))]
+        if wrong.size:
+            raise FormatError(self._no_such_class(int(wrong[0])))
         table = np.concatenate([[-1], self.node_ids[:, level]]).astype(np.int32)
         return table[class_ids]
 
@@ -188,15 +208,19 @@ class Taxonomy:
     def relabelling(self, names: Mapping[int, str], source: str = "labels") -> NDArray[np.int32]:
         """Table from a data set's class ids to this tree's, by name; gaps are -1.
 
+        Case, hyphens and spaces do not matter; plurals do.
+
         Args:
-            names: the data set's class names by id, without its void.
+            names: the data set's class names by id, from 1, without its void.
             source: what to call them in an error, a file perhaps.
 
         Raises:
-            FormatError: a class that this tree does not have.
+            FormatError: a class that this tree does not have, or an id below 1.
         """
-        ids = {n.casefold(): i for i, n in enumerate(self.classes, start=1)}
-        unknown = [n for n in names.values() if n.casefold() not in ids]
+        if min(names, default=1) <= VOID:
+            raise FormatError(f"{source}: class ids count from 1, got {min(names)}")
+        ids = {folded(n): i for i, n in enumerate(self.classes, start=1)}
+        unknown = [n for n in names.values() if folded(n) not in ids]
         if unknown:
             raise FormatError(
                 f"{source}: taxonomy '{self.name}' has no class {', '.join(unknown[:5])}"
@@ -206,7 +230,7 @@ class Taxonomy:
         table = np.full(max(names, default=0) + 1, -1, np.int32)
         table[VOID] = VOID
         for number, label in names.items():
-            table[number] = ids[label.casefold()]
+            table[number] = ids[folded(label)]
         return table
 
     def tree(self) -> dict[str, Any]:
@@ -225,7 +249,7 @@ class Taxonomy:
             "name": self.name,
             "levels": list(self.levels),
             "classes": list(self.classes),
-            "tree": self.tree(),
+            "tree": shortened(self.tree()),
         }
 
     def save(self, path: str | Path) -> None:
@@ -238,7 +262,9 @@ class Taxonomy:
         if Path(path).suffix == ".json":
             text = json.dumps(values, indent=1, ensure_ascii=False) + "\n"
         else:
-            text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=100)
+            text = yaml.safe_dump(
+                values, sort_keys=False, allow_unicode=True, width=100, default_flow_style=None
+            )
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
@@ -249,14 +275,14 @@ class Taxonomy:
         Raises:
             FormatError: a key is missing, unknown or of the wrong type, or the tree is wrong.
         """
-        if not isinstance(values, Mapping) or not isinstance(values.get("tree"), Mapping):
-            raise FormatError(f"{source}: a taxonomy needs a mapping 'tree'")
+        if not isinstance(values, Mapping) or not isinstance(values.get("tree"), Mapping | list):
+            raise FormatError(f"{source}: a taxonomy needs 'tree', a mapping or a list")
         unknown = set(values) - {"name", "levels", "classes", "tree"}
         if unknown:
             raise FormatError(f"{source}: unknown key {', '.join(sorted(map(str, unknown)))}")
         for key in ("levels", "classes"):
             listed = values.get(key)
-            if listed is not None and not _is_names(listed):
+            if listed is not None and not is_names(listed):
                 raise FormatError(f"{source}: '{key}' must be a list of names")
         try:
             return cls(
@@ -271,7 +297,8 @@ class Taxonomy:
     @classmethod
     def flat(cls, classes: Sequence[str], name: str = "flat") -> Taxonomy:
         """A tree of one level: every class its own group."""
-        return cls({c: {} for c in _unique(classes)}, ["class"], classes, name)
+        check_classes(classes, [(c,) for c in classes])
+        return cls(dict.fromkeys(classes), ["class"], classes, name)
 
     @classmethod
     def load(cls, path: str | Path) -> Taxonomy:
@@ -280,16 +307,18 @@ class Taxonomy:
         Raises:
             FormatError: the file is missing, is neither, or holds no valid tree.
         """
-        path = Path(path)
-        try:
-            # JSON is YAML; the loader that keeps duplicate keys apart finds both.
-            values = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
-        except (OSError, UnicodeDecodeError) as error:
-            raise FormatError(f"{path}: cannot be read ({error})") from error
-        except yaml.YAMLError as error:
-            reason = str(error).replace("\n", " ")
-            raise FormatError(f"{path}: is neither YAML nor JSON ({reason})") from error
-        return cls.from_json(values, str(path))
+        return cls.from_json(read_values(Path(path)), str(path))
+
+    def _row(self, class_id: int) -> int:
+        if not VOID < class_id <= len(self):
+            raise FormatError(self._no_such_class(class_id))
+        return class_id - 1
+
+    def _no_such_class(self, class_id: int) -> str:
+        return (
+            f"class id {class_id} is not in taxonomy '{self.name}', whose ids are 1 to "
+            f"{len(self)}; use the taxonomy that the labels were made with"
+        )
 
     def _make_nodes(self) -> tuple[Node, ...]:
         below: dict[tuple[str, ...], list[int]] = {}
@@ -315,98 +344,3 @@ class Taxonomy:
         local_ids.setflags(write=False)
         node_ids.setflags(write=False)
         return local_ids, node_ids
-
-
-def _leaf_paths(tree: Any, above: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    for name, children in _children(tree, above):
-        path = (*above, name)
-        if children:
-            yield from _leaf_paths(children, path)
-        else:
-            yield path
-
-
-def _numbered(tree: Any, above: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], int]]:
-    """All nodes, parents first, each with its number among its siblings."""
-    for number, (name, children) in enumerate(_children(tree, above)):
-        yield (*above, name), number
-        if children:
-            yield from _numbered(children, (*above, name))
-
-
-def _children(tree: Any, above: tuple[str, ...]) -> list[tuple[str, Any]]:
-    where = " > ".join(above) or "the root"
-    if isinstance(tree, Mapping):
-        pairs = list(tree.items())
-    elif isinstance(tree, Sequence) and not isinstance(tree, str):
-        pairs = [(name, None) for name in tree]
-    else:
-        raise FormatError(f"{where} must hold a mapping or a list of names, not {tree!r}")
-    for name, children in pairs:
-        if not isinstance(name, str) or not name.strip():
-            raise FormatError(f"{where} holds {name!r}, which is no name; put it in quotes")
-        if ">" in name:
-            raise FormatError(f"{where} holds {name!r}: '>' separates the parts of a path")
-        if isinstance(children, list) and not children:
-            raise FormatError(f"{where} holds an empty group '{name}'")
-    names = [name.casefold() for name, _ in pairs]
-    repeated = {n for n in names if names.count(n) > 1}
-    if repeated:
-        raise FormatError(f"{where} holds {', '.join(sorted(repeated))} twice")
-    return pairs
-
-
-def _check_names(names: list[str], leaves: list[tuple[str, ...]]) -> None:
-    if len(names) < 2:
-        raise FormatError(f"a taxonomy needs two classes or more, this one has {len(names)}")
-    seen: dict[str, tuple[str, ...]] = {}
-    for name, path in zip(names, leaves, strict=True):
-        folded = name.casefold()
-        if folded == VOID_NAME:
-            raise FormatError(f"'{name}' is no class: it is the absence of one")
-        if folded in seen:
-            raise FormatError(
-                f"class '{name}' appears twice: {' > '.join(seen[folded])} and {' > '.join(path)}"
-            )
-        seen[folded] = path
-
-
-def _check_same(classes: Sequence[str], leaves: Sequence[str]) -> None:
-    _unique(classes)
-    missing = sorted(set(classes) - set(leaves))
-    extra = sorted(set(leaves) - set(classes))
-    if missing:
-        raise FormatError(f"the tree lacks the class(es) {', '.join(missing[:5])}")
-    if extra:
-        raise FormatError(f"the tree holds {', '.join(extra[:5])}, not in its list of classes")
-
-
-def _unique(classes: Sequence[str]) -> Sequence[str]:
-    repeated = sorted({c for c in classes if list(classes).count(c) > 1})
-    if repeated:
-        raise FormatError(f"class name(s) given twice: {', '.join(repeated[:5])}")
-    return classes
-
-
-def _is_names(values: object) -> bool:
-    return isinstance(values, list) and all(isinstance(v, str) for v in values)
-
-
-def _folded(path: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(part.casefold() for part in path)
-
-
-class _UniqueKeys(yaml.SafeLoader):
-    """YAML whose mappings may not repeat a key: silently, the last one would win."""
-
-
-def _construct_mapping(loader: _UniqueKeys, node: yaml.MappingNode) -> dict:
-    pairs = [(loader.construct_object(k, True), v) for k, v in node.value]
-    keys = [str(k) for k, _ in pairs]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise yaml.constructor.ConstructorError(None, None, f"'{key}' is given twice")
-    return {k: loader.construct_object(v, True) for k, v in pairs}
-
-
-_UniqueKeys.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)

@@ -1,0 +1,235 @@
+"""What the built-in rules know of an object by its name, seen before or not."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import Any
+
+import yaml
+
+# Neighbours are the most alike.
+SHAPES = ("flat", "long", "tall", "boxy", "legged", "round", "hollow", "soft", "irregular")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is known of a kind of object.
+
+    Attributes:
+        word: the known word or phrase, singular.
+        function: names of groups from the most general to the most special.
+        size_m: typical length of its longest side in metres.
+        shape: one of SHAPES.
+    """
+
+    word: str
+    function: tuple[str, ...]
+    size_m: float
+    shape: str
+
+
+UNKNOWN = Entry("", ("other",), 0.5, "irregular")
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+# Words of quantity: "stack of books" is books, where "bottle of water" is a bottle.
+_QUANTITIES = _set("set pair stack pile bunch group roll sheet piece deck row heap pack bundle lot")
+_PREPOSITIONS = _set("for with without on in at from and by to under over near w or")
+# Parts and helpers belong to what they are for: a soap holder to the soap.
+_HELPERS = _set(
+    """accessory base button case cover dispenser equipment frame handle holder item kit leg lever
+    lid liner machine object part product protector rod stuff supply thing top topper"""
+)
+_TOYS = _set("toy stuffed plush lego inflatable doll miniature")
+_SCALES = {
+    **dict.fromkeys(_set("small mini tiny little compact portable pocket"), 0.6),
+    **dict.fromkeys(_set("large big giant huge oversized industrial"), 1.5),
+}
+# Rooms and the like, which are no objects but say what an unknown object is used for.
+_PLACES = {
+    "kitchen": "spatula",
+    "cooking": "spatula",
+    "bathroom": "soap",
+    "toilet": "soap",
+    "laundry": "detergent",
+    "cleaning": "detergent",
+    "garden": "garden tool",
+    "office": "stapler",
+    "baby": "toy",
+    "sport": "ball",
+    "gym": "ball",
+    "music": "musical instrument",
+    "electric": "device",
+    "electronic": "device",
+    "wireless": "device",
+    "pet": "pet bed",
+}
+_IRREGULAR = {
+    "children": "child",
+    "dice": "die",
+    "feet": "foot",
+    "geese": "goose",
+    "men": "man",
+    "mice": "mouse",
+    "women": "woman",
+    "leaves": "leaf",
+}
+_BRACKETS = re.compile(r"\(([^)]*)\)")
+_SHORTEST_ENDING = 4  # letters of a word that may end a compound: "shelf" in "bookshelf"
+_SHORTEST_GUESS = 6  # letters of a word that may be a misspelling of another
+
+
+class Vocabulary:
+    """Known objects and the search among them.
+
+    Args:
+        tree: functions, nested; a leaf maps "metres shape" to words with commas between.
+    """
+
+    def __init__(self, tree: Mapping[str, Any]) -> None:
+        self._entries = {_squeezed(e.word): e for e in _entries(tree, ())}
+        # In the order of the file, in which related functions are neighbours.
+        self.functions = tuple(dict.fromkeys(e.function for e in self._entries.values()))
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __iter__(self) -> Iterator[Entry]:
+        return iter(self._entries.values())
+
+    def look_up(self, name: str) -> Entry:
+        """What an object is by its name; UNKNOWN where nothing in the name says it.
+
+        Case, hyphens, plurals and numbers do not matter. In turn: the longest known ending
+        ("tall office chair"), a compound's ending ("bookshelf"), a misspelling, any word of
+        the name, any word in brackets ("quiche (food)").
+        """
+        words = _words(name)
+        found = self._exact(words)
+        if found:
+            return found
+        words = _head(words)
+        for start in range(len(words)):
+            found = self._exact(words[start:])
+            if found:
+                return self._qualified(found, words[:start])
+        return (
+            self._compound(words)
+            or self._misspelt(words)
+            or self._mentioned(words)
+            or self._mentioned(_words(" ".join(_BRACKETS.findall(name))))
+            or UNKNOWN
+        )
+
+    def _exact(self, words: Sequence[str]) -> Entry | None:
+        if not words:
+            return None
+        front = "".join(words[:-1])
+        for last in _singulars(words[-1]):
+            if front + last in self._entries:
+                return self._entries[front + last]
+        return None
+
+    def _qualified(self, entry: Entry, before: Sequence[str]) -> Entry:
+        """The entry of the last words, changed by the words before them."""
+        for word in before:
+            entry = replace(entry, size_m=entry.size_m * _SCALES.get(word, 1.0))
+        if not _TOYS.isdisjoint(before):
+            toy = self._entries["toy"]
+            return replace(entry, function=toy.function, size_m=min(entry.size_m, toy.size_m))
+        if entry.word in _HELPERS:
+            owner = self._mentioned(before)
+            if owner:
+                return replace(entry, function=owner.function)
+        return entry
+
+    def _compound(self, words: Sequence[str]) -> Entry | None:
+        if not words:
+            return None
+        for last in _singulars(words[-1]):
+            for start in range(3, len(last) - _SHORTEST_ENDING + 1):
+                if last[start:] in self._entries:
+                    return self._qualified(self._entries[last[start:]], words[:-1])
+        return None
+
+    def _misspelt(self, words: Sequence[str]) -> Entry | None:
+        if not words or len(words[-1]) < _SHORTEST_GUESS:
+            return None
+        close = difflib.get_close_matches(words[-1], self._entries, n=1, cutoff=0.88)
+        return self._qualified(self._entries[close[0]], words[:-1]) if close else None
+
+    def _mentioned(self, words: Sequence[str]) -> Entry | None:
+        """What the last known word speaks of, of unknown shape and hardly large."""
+        for end in range(len(words), 0, -1):
+            for start in range(end):
+                place = _PLACES.get(words[start]) if start == end - 1 else None
+                found = self._exact(words[start:end]) or (self._exact([place]) if place else None)
+                if found:
+                    size_m = min(found.size_m, UNKNOWN.size_m)
+                    return replace(found, size_m=size_m, shape=UNKNOWN.shape)
+        return None
+
+
+@functools.cache
+def built_in() -> Vocabulary:
+    """The vocabulary that comes with the package."""
+    text = resources.files(__package__).joinpath("vocabulary.yaml").read_text("utf-8")
+    return Vocabulary(yaml.safe_load(text))
+
+
+def _entries(tree: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Entry]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _entries(value, (*above, key))
+        else:
+            size_m, shape = key.split()
+            for word in value.split(","):
+                yield Entry(word.strip(), above, float(size_m), shape)
+
+
+def _words(name: str) -> list[str]:
+    """Lower-case words; numbers, brackets and what is in them left out."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    spaced = _BRACKETS.sub(" ", spaced).replace("'", "")
+    words = re.findall(r"[^\W_]+", spaced.casefold())
+    return [word for word in words if not word.isdigit()]
+
+
+def _head(words: list[str]) -> list[str]:
+    """The words that end in what the thing is: before "for" or "with", around "of"."""
+    if "of" in words[1:-1]:
+        of = words.index("of", 1)
+        counted = _QUANTITIES.intersection(_singulars(words[of - 1]))
+        return _head(words[of + 1 :] if counted else words[:of])
+    for number, word in enumerate(words):
+        if number and word in _PREPOSITIONS:
+            return words[:number]
+    return words
+
+
+def _singulars(word: str) -> list[str]:
+    """The word and what it may be the plural of, the likeliest first."""
+    found = [word]
+    if word in _IRREGULAR:
+        found.append(_IRREGULAR[word])
+    if word.endswith("ies"):
+        found.append(word[:-3] + "y")
+    if word.endswith("ves"):
+        found += [word[:-3] + "f", word[:-3] + "fe"]
+    if word.endswith("s") and not word.endswith("ss"):
+        found.append(word[:-1])
+    if word.endswith("es"):
+        found.append(word[:-2])
+    return found
+
+
+def _squeezed(phrase: str) -> str:
+    return phrase.replace(" ", "")

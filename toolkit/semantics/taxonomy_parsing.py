@@ -1,0 +1,162 @@
+"""What a taxonomy's file and nested form must be, and the walk through them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from toolkit.errors import FormatError
+
+VOID_NAME = "void"
+
+# From name to subtree; a list of names, or an empty mapping, ends a branch.
+Tree = Mapping[str, Any]
+
+
+def folded(name: str) -> str:
+    """A name as names are compared: "TV-Stand " and "tv_stand" are "tv stand"."""
+    return " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
+
+
+def leaf_paths(tree: Tree) -> list[tuple[str, ...]]:
+    """The path to every leaf, in the tree's order.
+
+    Raises:
+        FormatError: names that are not text, repeated siblings, empty groups.
+    """
+    paths = [path for path, _ in numbered_paths(tree)]
+    inner = {path[:-1] for path in paths}
+    return [path for path in paths if path not in inner]
+
+
+def numbered_paths(tree: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], int]]:
+    """All nodes' paths, parents first, each with its number among its siblings."""
+    for number, (name, children) in enumerate(_children(tree, above)):
+        yield (*above, name), number
+        if children:
+            yield from numbered_paths(children, (*above, name))
+
+
+def check_leaves(leaves: Sequence[tuple[str, ...]]) -> None:
+    """Refuse fewer than two classes, a class called void, and a class in two places."""
+    if len(leaves) < 2:
+        raise FormatError(f"a taxonomy needs two classes or more, this one has {len(leaves)}")
+    seen: dict[str, tuple[str, ...]] = {}
+    for path in leaves:
+        name = folded(path[-1])
+        if name == VOID_NAME:
+            raise FormatError(f"'{path[-1]}' is no class: it is the absence of one")
+        if name in seen:
+            raise FormatError(
+                f"class '{path[-1]}' appears twice: {' > '.join(seen[name])} and {' > '.join(path)}"
+            )
+        seen[name] = path
+
+
+def check_classes(classes: Sequence[str], leaves: Sequence[tuple[str, ...]]) -> None:
+    """Refuse a list of classes that is not exactly the tree's leaves."""
+    repeated = _repeated(classes)
+    if repeated:
+        raise FormatError(f"class name(s) given twice: {', '.join(repeated[:5])}")
+    names = {path[-1] for path in leaves}
+    missing = sorted(set(classes) - names)
+    extra = sorted(names - set(classes))
+    if missing:
+        raise FormatError(f"the tree lacks the class(es) {', '.join(missing[:5])}")
+    if extra:
+        raise FormatError(f"the tree holds {', '.join(extra[:5])}, not in its list of classes")
+
+
+def check_levels(levels: Sequence[str], depth: int) -> None:
+    """Refuse level names that are not one for each level, each different."""
+    if len(levels) != depth:
+        raise FormatError(f"{depth} levels but {len(levels)} level names")
+    repeated = _repeated(levels)
+    if repeated:
+        raise FormatError(f"level name(s) given twice: {', '.join(repeated)}")
+
+
+def shortened(tree: Tree) -> dict[str, Any] | list[str]:
+    """The same tree, with a list of names where a group holds nothing but classes."""
+    if tree and not any(tree.values()):
+        return list(tree)
+    return {name: shortened(children) if children else {} for name, children in tree.items()}
+
+
+def is_names(values: object) -> bool:
+    """Whether it is a list of texts."""
+    return isinstance(values, list) and all(isinstance(v, str) for v in values)
+
+
+def read_values(path: Path) -> Any:
+    """What a YAML or JSON file holds.
+
+    Raises:
+        FormatError: the file is missing, is neither, or repeats a key.
+    """
+    try:
+        # JSON is YAML; the loader that keeps duplicate keys apart finds both.
+        return yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(f"{path}: cannot be read ({error})") from error
+    except yaml.YAMLError as error:
+        reason = str(error).replace("\n", " ")
+        raise FormatError(f"{path}: is neither YAML nor JSON ({reason})") from error
+    except RecursionError:
+        raise FormatError(f"{path}: is nested far too deeply for a taxonomy") from None
+
+
+def _children(tree: Any, above: tuple[str, ...]) -> list[tuple[str, Any]]:
+    where = " > ".join(above) or "the root"
+    if isinstance(tree, Mapping):
+        pairs = list(tree.items())
+    elif isinstance(tree, Sequence) and not isinstance(tree, str):
+        pairs = [(name, None) for name in tree]
+    else:
+        raise FormatError(f"{where} must hold a mapping or a list of names, not {tree!r}")
+    for name, children in pairs:
+        _check_name(name, where)
+        if not children and children is not None and not isinstance(children, Mapping):
+            raise FormatError(f"{where} holds an empty group '{name}'; leave a class's value out")
+    repeated = _repeated([name for name, _ in pairs])
+    if repeated:
+        raise FormatError(f"{where} holds {', '.join(repeated)} twice")
+    return pairs
+
+
+def _check_name(name: object, where: str) -> None:
+    if not isinstance(name, str) or not name.strip():
+        raise FormatError(f"{where} holds {name!r}, which is no name; put it in quotes")
+    if ">" in name:
+        raise FormatError(f"{where} holds {name!r}: '>' separates the parts of a path")
+    if name != name.strip() or not name.isprintable():
+        raise FormatError(f"{where} holds {name!r}: take away the space around it and line breaks")
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    """Names that occur more than once, however they are written, sorted."""
+    counts = Counter(folded(name) for name in names)
+    return sorted(name for name, count in counts.items() if count > 1)
+
+
+class _UniqueKeys(yaml.SafeLoader):
+    """YAML whose mappings may not repeat a key: silently, the last one would win."""
+
+
+def _construct_mapping(loader: _UniqueKeys, node: yaml.MappingNode) -> dict:
+    values: dict[Any, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, True)
+        if not isinstance(key, str | int | float):  # true, false and numbers are refused later
+            raise yaml.constructor.ConstructorError(None, None, f"{key!r} cannot be a name")
+        if key in values:
+            raise yaml.constructor.ConstructorError(None, None, f"'{key}' is given twice")
+        values[key] = loader.construct_object(value_node, True)
+    return values
+
+
+_UniqueKeys.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
