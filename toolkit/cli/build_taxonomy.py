@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,8 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.pairing import read_class_names
-from toolkit.datasets.registry import describe
+from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, SettingsError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
@@ -29,12 +30,23 @@ from toolkit.semantics.taxonomy_building.language_model.exchanges import (
     ReplayedModel,
 )
 from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.measured_shapes import (
+    LabelledScan,
+    MeshShapes,
+    ScanShapes,
+    labelled_scan,
+)
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.semantics.taxonomy_building.shapes import ShapeProvider, read_shape_table
+from toolkit.semantics.taxonomy_text import tree_text
 from toolkit.settings.run import DatasetKind
 
 logger = logging.getLogger(__name__)
 
 _OF_A_MODEL = ("base_url", "model", "cache", "record", "replay", "fall_back")
+_UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+# Frames of a scan that are measured; more hardly change a class's shape.
+_MOST_FRAMES = 100
 _SUFFIXES = (".yaml", ".yml", ".json")
 
 
@@ -76,6 +88,8 @@ class BuildTaxonomyOptions:
     shapes: tuple[Literal["scans"]] | tuple[Literal["table", "meshes"], Path] | None = None
     """Sort the last level by shapes: 'scans' measures --dataset's labelled frames, 'table FILE'
     and 'meshes DIR' give them; without it names alone decide."""
+    mesh_up: Literal["y", "z"] = "z"
+    """The axis of the meshes that points up."""
     seed: int = 0
     """Of clustering and of the model."""
 
@@ -98,24 +112,8 @@ def main(argv: Sequence[str]) -> int:
         print(f"wrote {options.out}")
     print(f"{taxonomy}; {_channels(taxonomy)}")
     if options.review:
-        for line in review_lines(taxonomy):
-            print(line)
+        print(tree_text(taxonomy), end="")
     return 0
-
-
-def review_lines(taxonomy: Taxonomy) -> Iterator[str]:
-    """The tree as indented text: each group with its number of classes, then those."""
-    children: dict[tuple[str, ...], list[str]] = {}
-    for node in taxonomy.nodes:
-        if node.leaf:
-            children.setdefault(node.path[:-1], []).append(node.name)
-    if () in children:
-        yield ", ".join(children[()])
-    for node in taxonomy.nodes:
-        if not node.leaf:
-            classes = children.get(node.path, [])
-            listed = f": {', '.join(classes)}" if classes else ""
-            yield f"{'  ' * node.level}{node.name} ({len(node.class_ids)}){listed}"
 
 
 def _check(options: BuildTaxonomyOptions) -> None:
@@ -123,9 +121,9 @@ def _check(options: BuildTaxonomyOptions) -> None:
         raise SettingsError("give --out FILE.yaml to write the tree, or --review to see it")
     if options.out and options.out.suffix not in _SUFFIXES:
         raise SettingsError(f"--out {options.out} must end in {', '.join(_SUFFIXES)}")
-    if (options.classes is None) == (options.dataset.path is None):
-        if options.shapes != ("scans",) or options.classes is None:
-            raise SettingsError("give --classes FILE or --dataset.path FOLDER, one of them")
+    sources = (options.classes is not None) + (options.dataset.path is not None)
+    if sources == 0 or (sources == 2 and options.shapes != ("scans",)):
+        raise SettingsError("give --classes FILE or --dataset.path FOLDER, one of them")
     given = [name for name in _OF_A_MODEL if getattr(options, name)]
     if options.grouper == "rules" and given:
         raise SettingsError(f"{_option(given[0])} is of use with --grouper language-model alone")
@@ -163,7 +161,75 @@ def _class_names(options: BuildTaxonomyOptions) -> list[str]:
 
 def _built(classes: Sequence[str], options: BuildTaxonomyOptions) -> Taxonomy:
     name = options.out.stem if options.out else "taxonomy"
-    ...
+    shapes = _shapes(options)
+
+    def built(grouper: Grouper) -> Taxonomy:
+        return build_taxonomy(classes, grouper, shapes, BuildOptions(name=name), options.seed)
+
+    if options.grouper == "rules":
+        return built(RuleGrouper())
+    try:
+        with tqdm(unit="question", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+            return built(_Counted(LanguageModelGrouper(_model(options), options.seed), bar))
+    except (NoModelError, DependencyError) as error:
+        if not options.fall_back:
+            raise
+        logger.warning("%s; the rules build the whole tree instead", error)
+        return built(RuleGrouper())
+
+
+def _shapes(options: BuildTaxonomyOptions) -> ShapeProvider | None:
+    match options.shapes:
+        case ("table", path):
+            return read_shape_table(path)
+        case ("meshes", path):
+            return MeshShapes(path, _UP[options.mesh_up])
+        case ("scans",):
+            return ScanShapes([_scan(options.dataset)])
+    return None
+
+
+def _scan(choice: DatasetChoice) -> LabelledScan:
+    """What the labelled frames of a data set saw, from its true poses."""
+    assert choice.path is not None
+    dataset = open_dataset(choice.kind, choice.path)
+    if dataset.ground_truth is None or not dataset.label_names:
+        raise DatasetError(f"{choice.path}: --shapes scans needs labels and true poses")
+    step = -(-len(dataset) // _MOST_FRAMES)
+    frames = tqdm(
+        prefetched(dataset, range(0, len(dataset), step)),
+        total=-(-len(dataset) // step),
+        unit="frame",
+        file=sys.stderr,
+        disable=not sys.stderr.isatty(),
+    )
+    posed = ((frame, dataset.ground_truth.at(frame.timestamp_s)) for frame in frames)
+    views = ((frame, T) for frame, T in posed if T is not None)
+    return labelled_scan(views, dataset.label_names)
+
+
+def _model(options: BuildTaxonomyOptions) -> ChatModel:
+    model: ChatModel
+    if options.replay:
+        model = ReplayedModel(options.replay)
+    else:
+        generator = np.random.default_rng(options.seed)
+        model = endpoint_from_environment(options.base_url, options.model, generator, os.environ)
+    if options.cache:
+        model = CachedModel(model, options.cache)
+    return RecordingModel(model, options.record) if options.record else model
+
+
+class _Counted:
+    """A grouper whose questions a progress bar counts; how many there will be nobody knows."""
+
+    def __init__(self, grouper: Grouper, bar: tqdm) -> None:
+        self._grouper = grouper
+        self._bar = bar
+
+    def group(self, question: Question, complaint: str = "") -> Grouping:
+        self._bar.update()
+        return self._grouper.group(question, complaint)
 
 
 def _channels(taxonomy: Taxonomy) -> str:
