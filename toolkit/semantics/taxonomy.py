@@ -110,7 +110,7 @@ class Taxonomy:
         return len(self.classes)
 
     def __str__(self) -> str:
-        widths = ", ".join(f"{n} {w}" for n, w in zip(self.levels, self.level_widths, strict=True))
+        widths = ", ".join(f"{n}: {w}" for n, w in zip(self.levels, self.level_widths, strict=True))
         return f"{self.name}: {len(self)} classes, {self.depth} levels ({widths})"
 
     def __eq__(self, other: object) -> bool:

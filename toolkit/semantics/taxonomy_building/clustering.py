@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.cluster import KMeans
-from sklearn.metrics import silhouette_score
 
 Array = NDArray[np.float64]
 
@@ -47,6 +45,10 @@ def clusters_of(
     Returns:
         Clusters by their first name, names sorted; one of all where the shapes do not differ.
     """
+    # Seconds to import, and of no use without shapes.
+    from sklearn.cluster import KMeans
+    from sklearn.metrics import silhouette_score
+
     names = sorted(embeddings)
     table = np.stack([embeddings[name] for name in names])
     distinct = len(np.unique(table, axis=0))

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from toolkit.semantics.taxonomy_building.grouper import Grouping, Question
+from toolkit.semantics.taxonomy_building.names import distinct
 from toolkit.semantics.taxonomy_building.partition import Branch, partition
 from toolkit.semantics.taxonomy_building.vocabulary import SHAPES, Entry, Vocabulary, built_in
 
@@ -40,7 +41,10 @@ class RuleGrouper:
         if question.aspect == "size":
             return _by_size(entries, question.most_groups)
         root = self._functions_of(entries) if question.aspect == "function" else _shapes(entries)
-        return {b.name: b.items for b in partition(root, question.most_groups)}
+        groups: dict[str, tuple[str, ...]] = {}
+        for branch in partition(root, question.most_groups):
+            groups[distinct(branch.name or "other", groups)] = branch.items
+        return groups
 
     def _functions_of(self, entries: Mapping[str, Entry]) -> Branch:
         order = sorted(entries, key=lambda item: self._functions[entries[item].function])
@@ -116,7 +120,7 @@ def _named_clusters(clusters: Sequence[Sequence[str]], entries: Mapping[str, Ent
     named: dict[str, tuple[str, ...]] = {}
     for cluster in clusters:
         shapes = [shape for shape, _ in _ranked(entries[item].shape for item in cluster)]
-        names = [*shapes[:1], " and ".join(shapes[:2]), *shapes[1:], "other shape"]
+        names = [*shapes[:1], " and ".join(shapes[:2]), *shapes[1:], f"other {shapes[0]}"]
         free = [name for name in names if name not in named]
         numbered = (f"{names[0]} {n}" for n in itertools.count(2))
         name = free[0] if free else next(n for n in numbered if n not in named)

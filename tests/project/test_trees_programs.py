@@ -1,0 +1,33 @@
+"""The programs that make, measure and draw class trees, as processes."""
+
+from __future__ import annotations
+
+DRAW = """
+import sys
+from toolkit.semantics.taxonomy_drawing import draw_taxonomy
+from toolkit.semantics.trees import shipped_taxonomy
+draw_taxonomy(shipped_taxonomy("geometric"), sys.argv[1])
+print("matplotlib.pyplot" in sys.modules)
+"""
+
+
+def test_the_shipped_trees_are_made_again_byte_for_byte(run_python, checkout, tmp_path):
+    result = run_python("data_tools/make_trees.py", "--out", str(tmp_path), PYTHONHASHSEED="7")
+    assert result.returncode == 0, result.stderr
+    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    shipped = (checkout / "toolkit/semantics/trees").glob("*.yaml")
+    assert made == {path.name: path.read_bytes() for path in shipped}
+
+
+def test_the_benchmark_prints_every_list_and_its_checks(run_python):
+    result = run_python("benchmarks/taxonomies.py")
+    assert result.returncode == 0, result.stderr
+    rows = [line.split(" | ") for line in result.stdout.splitlines() if line.startswith("| ")]
+    kinds = {(row[0].removeprefix("| "), row[2]) for row in rows[1:]}
+    assert {("replica", "rules"), ("objects_550", "random"), ("nyu40", "alphabetical")} <= kinds
+    assert "every class once" in result.stdout
+
+
+def test_drawing_leaves_pyplot_alone(run_python, tmp_path):
+    result = run_python("-c", DRAW, str(tmp_path / "tree.png"))
+    assert result.stdout == "False\n", result.stderr

@@ -1,0 +1,104 @@
+"""What the offline rules know of names, above all of names they never saw."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from toolkit.semantics.taxonomy_building.vocabulary import SHAPES, UNKNOWN, built_in
+
+
+@pytest.fixture(scope="module")
+def vocabulary():
+    return built_in()
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("chair", "chair"),
+        ("Kitchen Cabinets", "kitchen cabinet"),
+        ("tv-stand", "tv stand"),
+        ("TVStand", "tv stand"),
+        ("night stand", "nightstand"),
+        ("bath_tub", "bathtub"),
+        ("chair 2", "chair"),
+        ("lamp_03", "lamp"),
+        ("knives", "knife"),
+        ("shelves", "shelf"),
+        ("mice", "mouse"),
+        ("boxes", "box"),
+        ("an extremely comfortable office chair", "office chair"),
+        ("old oak bookrack", "rack"),
+        ("otherfurniture", "furniture"),
+        ("refridgerator", "refrigerator"),
+        ("set of clothing", "set of clothing"),
+        ("stack of books", "book"),
+        ("bottle of water", "bottle"),
+        ("jacket hanging on door", "jacket"),
+        ("monitor (computer equipment)", "monitor"),
+        ("Ölgemälde painting", "painting"),
+    ],
+)
+def test_a_name_is_known_by_its_ending(vocabulary, name, word):
+    assert vocabulary.look_up(name).word.replace(" ", "") == word.replace(" ", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "function"),
+    [
+        ("toy dinosaur", "toys and games"),
+        ("toy fire engine", "toys and games"),
+        ("soap holder", "hygiene"),
+        ("sofa cover", "bedding"),
+        ("wine bottle holder", "tableware"),
+        ("kitchen whatsit", "cookware"),
+        ("quiche (food)", "food and drink"),
+    ],
+)
+def test_parts_toys_and_strangers_belong_to_what_the_name_speaks_of(vocabulary, name, function):
+    assert vocabulary.look_up(name).function[-1] == function
+
+
+@pytest.mark.parametrize("name", ["", "xyzzy", "42", "(", "of", "---", "字", "the of for"])
+def test_the_unknown_is_medium_and_other(vocabulary, name):
+    assert vocabulary.look_up(name) == UNKNOWN
+    assert UNKNOWN.function == ("other",)
+
+
+def test_adjectives_change_the_size(vocabulary):
+    plain, small, large = (
+        vocabulary.look_up(n).size_m for n in ("chest", "tiny chest", "huge chest")
+    )
+    assert small < plain < large
+
+
+def test_the_file_is_sound(vocabulary):
+    entries = list(vocabulary)
+    assert len(entries) > 2000
+    assert {e.shape for e in entries} == set(SHAPES)
+    assert all(0.01 < e.size_m < 20 and e.function for e in entries)
+    repeated = [w for w, n in Counter(e.word for e in entries).items() if n > 1]
+    assert not repeated
+    for entry in entries:  # every word finds itself
+        assert vocabulary.look_up(entry.word) == entry
+
+
+def test_no_word_stands_in_two_places():
+    from importlib import resources
+
+    import yaml
+
+    words: Counter[str] = Counter()
+
+    def count(tree):
+        for value in tree.values():
+            if isinstance(value, dict):
+                count(value)
+            else:
+                words.update(w.strip().replace(" ", "") for w in value.split(","))
+
+    folder = resources.files("toolkit.semantics.taxonomy_building")
+    count(yaml.safe_load((folder / "vocabulary.yaml").read_text("utf-8")))
+    assert [w for w, n in words.items() if n > 1] == []

@@ -1,0 +1,190 @@
+"""Shapes of classes, measured in labelled scans or on meshes."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import DatasetError, FormatError
+from toolkit.frame import Frame
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.geometry.se3 import transform_points
+from toolkit.semantics.taxonomy_building.shape_statistics import instances, shape_statistics
+from toolkit.semantics.taxonomy_parsing import folded
+
+logger = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
+
+_UP: tuple[float, float, float] = (0.0, 0.0, 1.0)
+_SAMPLES = 4000  # points on a mesh
+_HALF_KEY = 1 << 20  # voxels on each side of the origin, three coordinates in one int64
+_MOST_IDS = 1 << 16  # label images have 16 bits
+
+
+@dataclass(frozen=True)
+class LabelledScan:
+    """Points with a class each.
+
+    Attributes:
+        points_m: [N, 3] float64, one frame for all, metres.
+        class_ids: [N] integers, 0 void.
+        names: class names by id.
+        up: unit vector away from the floor, or None: from the floor's own points, or z where
+            no class is called floor.
+    """
+
+    points_m: Array
+    class_ids: NDArray[np.integer]
+    names: Mapping[int, str]
+    up: Array | None = None
+
+    def upright(self) -> tuple[Array, float]:
+        """Unit vector up, and the floor's height along it; without a floor the lowest point's."""
+        floors = [number for number, name in self.names.items() if folded(name) == "floor"]
+        floor = self.points_m[np.isin(self.class_ids, floors)]
+        up = np.array(_UP) if self.up is None else np.asarray(self.up, np.float64)
+        if self.up is None and len(floor) >= 3:
+            up = np.linalg.eigh(np.cov(floor.T))[1][:, 0]
+            if (self.points_m.mean(axis=0) - floor.mean(axis=0)) @ up < 0:
+                up = -up
+        heights = floor @ up if len(floor) else self.points_m @ up
+        return up, float(np.median(heights) if len(floor) else heights.min())
+
+
+def labelled_scan(
+    views: Iterable[tuple[Frame, Array]], names: Mapping[int, str], voxel_m: float = 0.03
+) -> LabelledScan:
+    """The surface that labelled frames saw, one point a voxel with the label most votes gave.
+
+    Args:
+        views: frames with labels and their poses, camera to world [4, 4].
+        names: class names by id.
+        voxel_m: edge of a voxel in metres, > 0.
+
+    Raises:
+        DatasetError: a frame has no labels, or none of them has depth with a label.
+    """
+    keys, labels = [], []
+    for frame, T_world_camera in views:
+        if frame.labels is None:
+            raise DatasetError(f"frame {frame.index} has no labels; give a labelled sequence")
+        seen = (frame.depth_m > 0) & (frame.labels > 0)
+        points = transform_points(T_world_camera, frame.camera.unproject(frame.depth_m)[seen])
+        voxels = np.floor(points / voxel_m).astype(np.int64) + _HALF_KEY
+        keys.append((voxels[:, 0] << 42) | (voxels[:, 1] << 21) | voxels[:, 2])
+        labels.append(frame.labels[seen].astype(np.int64))
+    if not keys or not sum(map(len, keys)):
+        raise DatasetError("no pixel has both depth and a label; check the labels of the sequence")
+    voxels, place = np.unique(np.concatenate(keys), return_inverse=True)
+    votes, counts = np.unique(place * _MOST_IDS + np.concatenate(labels), return_counts=True)
+    winner = np.zeros(len(voxels), np.int64)
+    order = np.argsort(counts, kind="stable")  # the most frequent writes last
+    winner[votes[order] // _MOST_IDS] = votes[order] % _MOST_IDS
+    mask = (1 << 21) - 1
+    grid = np.stack([voxels >> 42, (voxels >> 21) & mask, voxels & mask], axis=1) - _HALF_KEY
+    return LabelledScan((grid + 0.5) * voxel_m, winner, names)
+
+
+class ScanShapes:
+    """Mean statistics of the objects of each class in labelled scans.
+
+    Args:
+        scans: one or more.
+        gap_m: objects of a class are apart by at least so much; DBSCAN's radius.
+    """
+
+    def __init__(self, scans: Sequence[LabelledScan], gap_m: float = 0.1) -> None:
+        self._scans = scans
+        self._gap_m = gap_m
+
+    def embeddings(self, classes: Sequence[str]) -> dict[str, Array]:
+        """STATISTICS, averaged over objects, of the classes that the scans show.
+
+        Raises:
+            DependencyError: Open3D is missing.
+        """
+        measured: dict[str, list[Array]] = {}
+        for scan in self._scans:
+            up, floor_m = scan.upright()
+            for number in np.unique(scan.class_ids):
+                name = folded(scan.names.get(int(number), ""))
+                points = scan.points_m[scan.class_ids == number]
+                for piece in instances(points, self._gap_m):
+                    measured.setdefault(name, []).append(shape_statistics(piece, up, floor_m))
+        known = {c: np.mean(measured[folded(c)], axis=0) for c in classes if folded(c) in measured}
+        logger.info("shapes of %d of %d classes measured", len(known), len(classes))
+        return known
+
+
+class MeshShapes:
+    """Mean statistics of meshes, files in a folder called after their class.
+
+    `chair.ply`, `chair_2.obj` and `chair 3.stl` are three chairs. The bottom of each counts
+    as the floor.
+
+    Args:
+        folder: of .ply, .obj, .stl, .off, .glb or .gltf files.
+        up: the meshes' own upward direction; many collections have y, (0, 1, 0).
+    """
+
+    def __init__(self, folder: str | Path, up: Sequence[float] = _UP) -> None:
+        self._folder = Path(folder)
+        self._up = np.asarray(up, np.float64) / np.linalg.norm(up)
+
+    def embeddings(self, classes: Sequence[str]) -> dict[str, Array]:
+        """STATISTICS, averaged over meshes, of the classes that have a mesh.
+
+        Raises:
+            FormatError: there is no mesh for any class, or a file holds none.
+            DependencyError: Open3D is missing.
+        """
+        wanted = {folded(c): c for c in classes}
+        measured: dict[str, list[Array]] = {}
+        for path in sorted(self._folder.glob("*")):
+            name = wanted.get(folded(path.stem)) or wanted.get(_without_number(path.stem))
+            if path.suffix.lower() in MESH_SUFFIXES and name:
+                points = _surface_points(path)
+                floor_m = float((points @ self._up).min())
+                statistics = shape_statistics(points, self._up, floor_m)
+                measured.setdefault(name, []).append(statistics)
+        if not measured:
+            raise FormatError(
+                f"{self._folder}: no mesh is called after a class; give files like 'chair.ply'"
+            )
+        return {name: np.mean(rows, axis=0) for name, rows in measured.items()}
+
+
+def _without_number(stem: str) -> str:
+    return folded(re.sub(r"[\s_-]*\d+$", "", stem))
+
+
+def _surface_points(path: Path) -> Array:
+    """Points [_SAMPLES, 3] spread evenly over a mesh, the same each time."""
+    # The older reader leaves polygons of more than three corners out of .obj files.
+    try:
+        mesh = open3d().t.io.read_triangle_mesh(str(path))
+        vertices, triangles = mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy()
+    except (IndexError, KeyError, RuntimeError) as error:  # all of them where there is none
+        raise FormatError(f"{path}: holds no triangle mesh that Open3D can read") from error
+    corners = vertices.astype(np.float64)[triangles]
+    if len(corners) == 0 or not np.isfinite(corners).all():
+        raise FormatError(f"{path}: holds no triangles, or corners that are no numbers")
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    areas = np.linalg.norm(np.cross(a, b), axis=1)
+    if not areas.sum() > 0:
+        raise FormatError(f"{path}: all triangles have no area")
+    generator = np.random.default_rng(0)
+    chosen = generator.choice(len(corners), _SAMPLES, p=areas / areas.sum())
+    u, v = generator.random((2, _SAMPLES, 1))
+    folds = u + v > 1  # the other half of the parallelogram, back into the triangle
+    u, v = np.where(folds, 1 - u, u), np.where(folds, 1 - v, v)
+    return corners[chosen, 0] + u * a[chosen] + v * b[chosen]
