@@ -18,7 +18,7 @@ from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.pairing import read_class_names
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import describe, open_dataset
-from toolkit.errors import DatasetError, DependencyError, SettingsError
+from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.grouper import Grouper, Grouping, Question
@@ -38,6 +38,8 @@ from toolkit.semantics.taxonomy_building.measured_shapes import (
 )
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.semantics.taxonomy_building.shapes import ShapeProvider, read_shape_table
+from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURES
+from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.taxonomy_text import tree_text
 from toolkit.settings.run import DatasetKind
 
@@ -69,6 +71,8 @@ class BuildTaxonomyOptions:
     dataset: DatasetChoice = DatasetChoice()
     out: Path | None = None
     """File to write, .yaml or .json."""
+    picture: Path | None = None
+    """Picture of the tree to write, .png, .svg or .pdf."""
     review: bool = False
     """Print the tree, for a human eye."""
     grouper: Literal["rules", "language-model"] = "rules"
@@ -107,20 +111,27 @@ def main(argv: Sequence[str]) -> int:
     options = parse_arguments(BuildTaxonomyOptions, argv, "build-taxonomy")
     _check(options)
     taxonomy = _built(_class_names(options), options)
+    if options.review:
+        print(tree_text(taxonomy))
+    print(f"{taxonomy}; {_channels(taxonomy)}")
     if options.out:
         taxonomy.save(options.out)
         print(f"wrote {options.out}")
-    print(f"{taxonomy}; {_channels(taxonomy)}")
-    if options.review:
-        print(tree_text(taxonomy), end="")
+    if options.picture:
+        draw_taxonomy(taxonomy, options.picture)
+        print(f"wrote {options.picture}")
     return 0
 
 
 def _check(options: BuildTaxonomyOptions) -> None:
-    if options.out is None and not options.review:
+    if not (options.out or options.review or options.picture):
         raise SettingsError("give --out FILE.yaml to write the tree, or --review to see it")
-    if options.out and options.out.suffix not in _SUFFIXES:
-        raise SettingsError(f"--out {options.out} must end in {', '.join(_SUFFIXES)}")
+    for name, suffixes in (("out", _SUFFIXES), ("picture", PICTURES)):
+        path = getattr(options, name)
+        if path and path.suffix not in suffixes:
+            raise SettingsError(f"--{name} {path} must end in {', '.join(suffixes)}")
+        if path and not path.parent.is_dir():
+            raise SettingsError(f"--{name} {path}: there is no folder {path.parent}; make it")
     sources = (options.classes is not None) + (options.dataset.path is not None)
     if sources == 0 or (sources == 2 and options.shapes != ("scans",)):
         raise SettingsError("give --classes FILE or --dataset.path FOLDER, one of them")
@@ -130,6 +141,8 @@ def _check(options: BuildTaxonomyOptions) -> None:
     others = [name for name in given if name not in ("replay", "record")]
     if options.replay and others:
         raise SettingsError(f"--replay answers from its file; leave {_option(others[0])} out")
+    if not 0 <= options.seed < 2**32:
+        raise SettingsError(f"--seed must lie in [0, 2^32), got {options.seed}")
     if options.shapes == ("scans",) and options.dataset.path is None:
         raise SettingsError("--shapes scans measures labelled frames: give --dataset.path")
 
@@ -140,23 +153,33 @@ def _option(name: str) -> str:
 
 def _class_names(options: BuildTaxonomyOptions) -> list[str]:
     """Names in the order of their ids, or of their lines."""
-    if options.classes is None:
-        assert options.dataset.path is not None
-        recording = describe(options.dataset.kind, options.dataset.path)
-        names = recording.label_names
-        if not names:
-            raise DatasetError(
-                f"{options.dataset.path} has no labels/classes.json; give --classes FILE"
-            )
-    elif options.classes.suffix == ".json":
-        names = read_class_names(options.classes)
+    source = options.classes or options.dataset.path
+    assert source is not None
+    if options.classes and options.classes.suffix != ".json":
+        classes = _lines(options.classes)
     else:
-        try:
-            lines = options.classes.read_text(encoding="utf-8-sig").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise DatasetError(f"cannot read {options.classes}: {error}") from error
-        return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
-    return [names[number] for number in sorted(names)]
+        if options.classes:
+            names = read_class_names(options.classes)
+        else:
+            names = describe(options.dataset.kind, source).label_names or {}
+            if not names:
+                raise DatasetError(f"{source} has no labels/classes.json; give --classes FILE")
+        classes = [names[number] for number in sorted(names)]
+    try:
+        Taxonomy.flat(classes)
+    except FormatError as error:
+        raise FormatError(f"{source}: {error}") from error
+    return classes
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise DatasetError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path} is no text in UTF-8; save it so") from error
+    return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
 
 def _built(classes: Sequence[str], options: BuildTaxonomyOptions) -> Taxonomy:

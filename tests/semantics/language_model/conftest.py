@@ -13,7 +13,6 @@ import pytest
 from toolkit.semantics.taxonomy_building.language_model.chat import ModelIdentity
 from toolkit.semantics.taxonomy_building.language_model.endpoint import Endpoint, Patience
 
-
 # Every client loads the machine's certificates, which takes ten times as long as a local
 # exchange without them.
 _TLS = ssl.create_default_context()
