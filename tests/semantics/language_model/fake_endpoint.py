@@ -126,7 +126,7 @@ def right_groups(request: dict[str, Any]) -> Groups:
 
 def as_text(groups: Groups) -> str:
     listed = [{"name": name, "items": items} for name, items in groups.items()]
-    return json.dumps({"groups": listed}, ensure_ascii=False)
+    return json.dumps({"groups": listed})
 
 
 def honest(request: dict[str, Any]) -> Response:

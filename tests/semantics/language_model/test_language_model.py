@@ -214,6 +214,16 @@ def test_full_groups_are_the_only_ones_for_later_portions(fake, connect):
     assert "no other names for groups than" in fake.requests[1]["messages"][1]["content"]
 
 
+def test_names_that_cannot_be_sent_back_do_no_harm(fake, connect):
+    fake.behaviours = [
+        changed(lambda g: dict(zip(("\ud800a", "b>"), g.values(), strict=True))),
+        honest,
+    ]
+    endpoint, _ = connect()
+    LanguageModelGrouper(endpoint, portion=10).group(Question(CLASSES, "function", most_groups=2))
+    assert '["a", "b"]' in fake.requests[1]["messages"][1]["content"]
+
+
 def test_what_is_too_long_for_the_model_is_halved(fake, connect):
     def small_model(request: dict) -> Response:
         if len(items_of(request)) > 15:

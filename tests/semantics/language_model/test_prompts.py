@@ -73,6 +73,7 @@ def test_large_clusters_are_shown_in_part():
         RIGHT_TEXT,
         f"Here you are:\n```json\n{RIGHT_TEXT}\n```\nAnything else?",
         f'<think>like {{"groups": [{{"name": "x", "items": ["y"]}}]}}?</think>{RIGHT_TEXT}',
+        '{"all": ["bed", "chair", "lamp"]}? Better: ' + RIGHT_TEXT,
         'In the form {"groups": [{"name": "...", "items": ["..."]}, ...]}: ' + RIGHT_TEXT,
         json.dumps(RIGHT),
         json.dumps({"groups": RIGHT}),

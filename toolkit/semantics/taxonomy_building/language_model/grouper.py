@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from toolkit.semantics.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
 from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel
 from toolkit.semantics.taxonomy_building.language_model.prompts import read_answer, request_for
+from toolkit.semantics.taxonomy_building.names import clean_label
 
 logger = logging.getLogger(__name__)
 
@@ -51,8 +52,9 @@ class LanguageModelGrouper:
         waiting = deque(self._portions(question.items))
         while waiting:
             portion = waiting.popleft()
-            about = _restricted(question, portion, groups)
-            answer = self._model.complete(request_for(about, complaint, list(groups), self._seed))
+            so_far = tuple(label for name in groups if (label := clean_label(name)))
+            about = _restricted(question, portion, so_far)
+            answer = self._model.complete(request_for(about, complaint, so_far, self._seed))
             if answer.ending == "length" and len(portion) >= 2 * _SMALLEST_PORTION:
                 logger.info("%d items are too many for %s", len(portion), self._model.identity)
                 waiting.extendleft((portion[1::2], portion[::2]))
@@ -75,8 +77,7 @@ class LanguageModelGrouper:
         return [tuple(items[start::count]) for start in range(min(count, len(items)))]
 
 
-def _restricted(question: Question, items: tuple[str, ...], so_far: Iterable[str]) -> Question:
+def _restricted(question: Question, items: tuple[str, ...], so_far: tuple[str, ...]) -> Question:
     """The question about some of its items, after groups of others."""
-    groups = tuple(so_far)
-    full = len(groups) >= question.most_groups and not question.groups
-    return replace(question, items=items, groups=groups if full else question.groups)
+    full = len(so_far) >= question.most_groups and not question.groups
+    return replace(question, items=items, groups=so_far if full else question.groups)

@@ -137,13 +137,13 @@ def _seconds(retry_after: str | None) -> float:
     if not retry_after:
         return 0.0
     try:
-        return max(float(retry_after), 0.0)
+        wait_s = float(retry_after)
     except ValueError:
-        pass
-    try:
-        return max(email.utils.parsedate_to_datetime(retry_after).timestamp() - time.time(), 0.0)
-    except ValueError:
-        return 0.0
+        try:
+            wait_s = email.utils.parsedate_to_datetime(retry_after).timestamp() - time.time()
+        except (ValueError, OverflowError):
+            return 0.0
+    return wait_s if wait_s > 0.0 else 0.0  # also for NaN
 
 
 def _checked_url(base_url: str) -> str:
