@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from toolkit.semantics.taxonomy_building.grouper import Question
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
-from toolkit.semantics.taxonomy_building.vocabulary import built_in
+from toolkit.semantics.taxonomy_building.vocabulary import Vocabulary, built_in
 
 WORDS = [entry.word for entry in built_in()]
 NAMES = st.one_of(st.sampled_from(WORDS), st.text("abcdefg -", min_size=1, max_size=12))
@@ -58,6 +58,16 @@ def test_shapes_and_then_sizes_tell_things_apart():
 def test_what_does_not_differ_stays_together():
     assert len(ask(["chair", "dining chair", "desk chair"], "geometry")) == 1
     assert len(ask(["xyzzy", "foo", "zap"], "function")) == 1
+
+
+def test_two_groups_of_one_name_are_kept_apart():
+    tree = {kind: {"1 flat": f"{kind}one, {kind}two"} for kind in "abcdefghi"}
+    tree["e"] = {"1 flat": ", ".join(f"e{n}" for n in "pqrstuvwxyz")}
+    vocabulary = Vocabulary(tree)
+    items = tuple(entry.word for entry in vocabulary)
+    groups = RuleGrouper(vocabulary).group(Question(items, "function", most_groups=3))
+    sizes = {name: len(members) for name, members in groups.items()}
+    assert sizes == {"other": 8, "e": 11, "other 2": 8}
 
 
 def test_clusters_get_names_of_their_own_and_stay_as_they_are():

@@ -12,10 +12,14 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from toolkit.errors import FormatError
 from toolkit.io.atomic import replacing
 from toolkit.semantics.taxonomy import Node, Taxonomy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -112,11 +116,9 @@ def _boxes(taxonomy: Taxonomy, block: Sequence[int]) -> Iterator[_Box]:
             start = row
 
 
-def _draw(axes: object, box: _Box, edges: Sequence[float], colour: Sequence[float]) -> None:
-    from matplotlib.axes import Axes
+def _draw(axes: Axes, box: _Box, edges: Sequence[float], colour: Sequence[float]) -> None:
     from matplotlib.patches import Rectangle
 
-    assert isinstance(axes, Axes)
     left, right = edges[box.columns[0]], edges[box.columns[1]]
     top, bottom = (_HEAD + row * _ROW for row in box.rows)
     axes.add_patch(

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import ToolkitError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.clustering import clusters_of, standardised, with_strays
 from toolkit.semantics.taxonomy_building.critic import settle
@@ -38,7 +37,7 @@ class BuildOptions:
         aspects: what each level is about, top first, without the classes' own; None for
             size, function (by `function_levels`), geometry.
         function_levels: None for as many as the number of classes needs.
-        most_sizes: groups at most at the top.
+        most_sizes: groups at most at the top; at least 2, as the next two.
         most_functions: groups at most in the first level of function, where people look for
             furniture, kitchen, electronics, ...
         most_groups: groups or classes at most under any other node, where meaning allows.
@@ -56,6 +55,11 @@ class BuildOptions:
     listed: int = 3
     rounds: int = 3
     name: str = "taxonomy"
+
+    def __post_init__(self) -> None:
+        for field_name in ("most_sizes", "most_functions", "most_groups"):
+            if getattr(self, field_name) < 2:
+                raise ValueError(f"{field_name} must be at least 2")
 
 
 def build_taxonomy(
@@ -86,20 +90,19 @@ def build_taxonomy(
     Taxonomy.flat(classes, options.name)
     aspects = options.aspects or _aspects(len(classes), options)
     known = standardised(shapes.embeddings(sorted(classes))) if shapes else {}
-    growing = _Growing(options, grouper, known, seed, {folded(c) for c in classes})
+    functions, names = aspects.count("function"), {folded(c) for c in classes}
+    growing = _Growing(options, functions, grouper, known, seed, names)
     tree = growing.grow(sorted(classes), aspects, ())
-    taxonomy = Taxonomy(tree, growing.level_names(tree), classes, options.name)
-    if sorted(taxonomy.classes) != sorted(classes):  # what the critic is there to prevent
-        raise ToolkitError(f"taxonomy '{options.name}' lost or repeated classes while it was built")
-    return taxonomy
+    # The check of the whole: every class exactly once, no empty group, no repeated sibling.
+    return Taxonomy(tree, growing.level_names(), classes, options.name)
 
 
 def _aspects(count: int, options: BuildOptions) -> tuple[Aspect, ...]:
     levels = options.function_levels
     if levels is None:
-        # Were every group full, two levels less would do: with size, shape and the classes'
-        # own there is one level to spare, and places enough to keep together what belongs
-        # together. Two at least: people ask for furniture, and in it for seats.
+        # So many levels would hold all classes if every group were full. Size, shape and the
+        # classes' own are three of them; one more than needed leaves room to keep together
+        # what belongs together. Two at least: people ask for furniture, and in it for seats.
         full = math.ceil(math.log(count, options.most_groups) - 1e-9)
         levels = max(2, full - 2)
     functions: list[Aspect] = ["function"] * levels
@@ -111,12 +114,14 @@ class _Growing:
     """One tree while it grows.
 
     Attributes:
+        function_levels: how many there are to be.
         shapes: standardised embeddings by class.
         class_names: folded; no group may be called like one.
         levels: for each level, how many classes stand under groups of each aspect.
     """
 
     options: BuildOptions
+    function_levels: int
     grouper: Grouper
     shapes: Mapping[str, NDArray[np.float64]]
     seed: int
@@ -142,7 +147,7 @@ class _Growing:
             tree[name] = self.grow(members, aspects[1:], (*path, name))
         return tree
 
-    def level_names(self, tree: _Groups) -> list[str]:
+    def level_names(self) -> list[str]:
         """A name for each level, by what most of its groups are about."""
         aspects = [_LEVEL_NAMES[level.most_common(1)[0][0]] for level in self.levels]
         seen: Counter[str] = Counter()
@@ -156,7 +161,7 @@ class _Growing:
         self, items: Sequence[str], aspects: Sequence[Aspect], path: tuple[str, ...]
     ) -> dict[str, tuple[str, ...]]:
         """Groups by the first aspect, those too large for the levels below divided again."""
-        most = self._most(aspects[0], path)
+        most = self._most(aspects)
         groups = self._asked(items, aspects[0], path, most)
         room = self.options.most_groups ** len(aspects)
         while len(groups) < most:
@@ -166,7 +171,7 @@ class _Growing:
             parts = self._asked(
                 groups[largest], aspects[0], (*path, largest), most - len(groups) + 1
             )
-            if len(parts) == 1 or any(name in groups for name in parts):
+            if len(parts) == 1 or {*map(folded, parts)} & {*map(folded, groups)}:
                 break
             groups = {
                 name: members
@@ -211,11 +216,12 @@ class _Growing:
         kin = tuple(self._rules.group(question).values()) if strays else ()
         return tuple(with_strays(clusters, strays, kin))
 
-    def _most(self, aspect: Aspect, path: tuple[str, ...]) -> int:
-        if aspect == "size":
+    def _most(self, aspects: Sequence[Aspect]) -> int:
+        if aspects[0] == "size":
             return self.options.most_sizes
-        first = aspect == "function" and len(path) < 2
-        return self.options.most_functions if first else self.options.most_groups
+        if aspects[0] == "function" and aspects.count("function") == self.function_levels:
+            return self.options.most_functions
+        return self.options.most_groups
 
     def _count(self, level: int, aspect: Aspect, members: int) -> None:
         while len(self.levels) <= level:

@@ -65,11 +65,9 @@ def _nested(
     if not parts:
         return Branch(name, tuple(items))
     children = [_nested(part, members, path, depth + 1) for part, members in parts.items()]
-    return (
-        children[0]
-        if len(children) == 1
-        else Branch(name, tuple(items), tuple(children), 1.0 if depth else _STRANGERS)
-    )
+    if len(children) == 1:
+        return children[0]
+    return Branch(name, tuple(items), tuple(children), 1.0 if depth else _STRANGERS)
 
 
 def _by_size(entries: Mapping[str, Entry], most: int) -> Grouping:
