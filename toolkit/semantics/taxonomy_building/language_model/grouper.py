@@ -52,7 +52,7 @@ class LanguageModelGrouper:
         waiting = deque(self._portions(question.items))
         while waiting:
             portion = waiting.popleft()
-            so_far = tuple(label for name in groups if (label := clean_label(name)))
+            so_far = tuple(dict.fromkeys(filter(None, map(clean_label, groups))))
             about = _restricted(question, portion, so_far)
             answer = self._model.complete(request_for(about, complaint, so_far, self._seed))
             if answer.ending == "length" and len(portion) >= 2 * _SMALLEST_PORTION:
