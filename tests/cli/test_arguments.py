@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from dataclasses import dataclass
 
 import pytest
@@ -29,7 +31,9 @@ def test_right_words_are_parsed():
         (["--dataset.kind", "foo"], "'foo' for argument '--dataset.kind'"),
     ],
 )
-def test_wrong_words_are_named_in_one_line(words, named):
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_wrong_words_are_named_in_one_line(monkeypatch, words, named, encoding):
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
     with pytest.raises(SettingsError) as error:
         parse_arguments(RunSettings, words, "run")
     message = str(error.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -39,13 +40,12 @@ def parse_arguments(
 
 
 def _first_fault(box: str) -> str:
-    """The message of tyro's framed error in one line."""
-    inside = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
-    message = []
-    for line in inside:
-        if not line.strip("─ "):  # the rule above the help text
-            break
-        message.append(line)
+    """The message of tyro's error in one line; its frame is of ASCII where stdout is."""
+    lines = [line.strip("│ ") for line in box.splitlines()][1:]  # below the title
+    if lines and not lines[0].strip("-"):
+        del lines[0]
+    # Up to the rule above the help text.
+    message = itertools.takewhile(lambda line: line.strip("─- "), lines)
     text = " ".join(" ".join(message).split())
     text = re.sub(r" ?For further information visit \S+", "", text)
     text = re.sub(r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r", got \1", text)

@@ -24,6 +24,7 @@ JOBS = {
     "query": ("query", "ask a labelled map what is where, how many and how large"),
     "check-data": ("check_data", "read a data set and say what is wrong with it"),
     "make-room": ("make_room", "make a synthetic room with known truth"),
+    "build-taxonomy": ("build_taxonomy", "sort class names into a tree of groups"),
     "doctor": ("doctor", "say what this machine has, and how to mend what it lacks"),
 }
 

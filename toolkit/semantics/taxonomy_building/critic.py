@@ -6,8 +6,8 @@ The rules, in the order in which they are applied to an answer:
   matches nothing was invented and is dropped;
 - an item named twice stays where it was named first;
 - a group's name loses '>' and what is invisible; equal names are one group; one that is
-  called like a class gets "group" after it; an empty name, or where names are given any
-  other name, is refused with its group;
+  called like a class gets "group" after it; a name without a letter or digit is refused with
+  its group, and so is, where names are given, any other;
 - empty groups do not count; the smallest groups beyond the number allowed are refused;
 - one group that holds everything is refused.
 

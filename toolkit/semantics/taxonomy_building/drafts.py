@@ -217,7 +217,6 @@ class _Labels:
     def __init__(self, question: Question, repairs: Repairs) -> None:
         self._given = Matcher(question.groups) if question.groups else None
         self._reserved = {fold(name) for name in (*question.items, VOID_NAME)}
-        self._taken = [*question.items, VOID_NAME]
         self._repairs = repairs
         self._used: dict[str, str] = {}
 
@@ -233,13 +232,12 @@ class _Labels:
         return label
 
     def _invented(self, label: str) -> str | None:
-        if not label:
+        key = fold(label)
+        if not key:
             return None
-        key = fold(label) or label.casefold()
         if key not in self._used:
-            used = distinct(f"{label} group" if key in self._reserved else label, self._taken)
-            self._taken.append(used)
-            self._used[key] = used
+            wanted = f"{label} group" if key in self._reserved else label
+            used = distinct(wanted, [*self._reserved, *self._used.values()])
             # What it is called here comes back in the next answer.
-            self._used.setdefault(fold(used), used)
+            self._used |= {key: used, fold(used): used}
         return self._used[key]

@@ -7,9 +7,6 @@ from collections.abc import Callable, Iterable
 
 LONGEST_LABEL = 60  # characters; a longer one is a sentence and no name
 
-# Invisible characters: control, format (the ones that turn text around), half surrogates.
-_UNPRINTABLE = ("Cc", "Cf", "Cs")
-
 
 class Matcher:
     """Finds the name that was meant among those asked about.
@@ -39,23 +36,17 @@ def fold(text: str) -> str:
     return "".join(c for c in unicodedata.normalize("NFKC", text).casefold() if c.isalnum())
 
 
-def is_printable(text: str) -> bool:
-    """Whether nothing in a text is invisible or half a character."""
-    return not any(unicodedata.category(c) in _UNPRINTABLE for c in text)
-
-
 def clean_label(text: str) -> str:
     """A group's name fit for a path: one line, no '>', nothing invisible; perhaps empty."""
     kept = (" " if c == ">" or c.isspace() else c for c in text)
-    visible = "".join(c for c in kept if unicodedata.category(c) not in _UNPRINTABLE)
-    return " ".join(visible.split())[:LONGEST_LABEL].strip()
+    return " ".join("".join(c for c in kept if c.isprintable()).split())[:LONGEST_LABEL].strip()
 
 
 def distinct(label: str, taken: Iterable[str]) -> str:
     """The label, or it with the first number that makes it differ from those taken."""
-    used = {t.casefold() for t in taken}
+    used = {fold(t) for t in taken}
     candidate, number = label, 2
-    while candidate.casefold() in used:
+    while fold(candidate) in used:
         candidate, number = f"{label} {number}", number + 1
     return candidate
 

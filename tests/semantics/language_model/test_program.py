@@ -1,0 +1,129 @@
+"""build-taxonomy with a language model, as a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fake_endpoint import KEY, fails, says
+from test_language_model import CLASSES, INJECTIONS
+from test_trees_of_a_model import moody
+
+from toolkit.cli.main import main
+from toolkit.semantics.taxonomy import Taxonomy
+
+ROOT = Path(__file__).resolve().parents[3]
+NAMES = (*CLASSES, INJECTIONS[0])
+MODEL = ("--grouper", "language-model")
+
+
+@pytest.fixture
+def build(tmp_path, fake) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs the program in a scratch folder that holds names.txt."""
+    pytest.importorskip("openai")
+    (tmp_path / "names.txt").write_text("\n".join(NAMES))
+
+    def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        inherited = {n: v for n, v in os.environ.items() if not n.startswith("SEMSPLAT_LLM")}
+        program = [sys.executable, "-m", "toolkit.cli.main", "--verbose", "build-taxonomy"]
+        return subprocess.run(
+            [*program, "--classes", "names.txt", *words],
+            cwd=tmp_path,
+            env=inherited | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"} | environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+
+    return run
+
+
+def test_a_tree_is_built_recorded_and_replayed_and_the_key_is_nowhere(build, fake, tmp_path):
+    fake.behaviours = [fails(429, f"{KEY} is too eager", Retry_After="0"), moody]
+    done = build(
+        *(*MODEL, "--out", "tree.yaml", "--cache", "cache", "--record", "record.json"),
+        SEMSPLAT_LLM_BASE_URL=fake.url,
+        SEMSPLAT_LLM_MODEL="fake-1",
+        SEMSPLAT_LLM_API_KEY=KEY,
+    )
+    assert done.returncode == 0, done.stderr
+    assert fake.headers["authorization"] == f"Bearer {KEY}"
+    tree = Taxonomy.load(tmp_path / "tree.yaml")
+    assert tree.classes == NAMES
+    assert "*** is too eager" in done.stderr
+
+    asked = len(fake.requests)
+    words = (*MODEL, "--base-url", fake.url, "--model", "fake-1", "--cache", "cache")
+    assert build(*words, "--out", "again.yaml").returncode == 0
+    offline = build(*MODEL, "--replay", "record.json", "--out", "replayed.yaml")
+    assert offline.returncode == 0, offline.stderr
+    assert len(fake.requests) == asked
+    assert Taxonomy.load(tmp_path / "again.yaml") == tree
+    assert Taxonomy.load(tmp_path / "replayed.yaml") == tree
+
+    written = [file.read_text() for file in tmp_path.rglob("*") if file.is_file()]
+    assert len(written) > 6
+    for text in (*written, done.stdout, done.stderr, offline.stderr):
+        assert KEY not in text
+
+
+def test_without_a_model_it_ends_or_falls_back_where_asked(build, fake, tmp_path):
+    fake.behaviours = [fails(401, f"Incorrect API key provided: {KEY}")]
+    words = (*MODEL, "--base-url", fake.url, "--model", "m", "--out", "tree.yaml")
+    done = build(*words, SEMSPLAT_LLM_API_KEY=KEY)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith(
+        f"semsplat: error: m at {fake.url} refused, status 401"
+    )
+    assert "check the key in SEMSPLAT_LLM_API_KEY" in done.stderr
+    assert KEY not in done.stderr + done.stdout
+    assert not (tmp_path / "tree.yaml").exists()
+    done = build(*words, "--fall-back")
+    assert done.returncode == 0
+    assert "the rules build the whole tree instead" in done.stderr
+    assert Taxonomy.load(tmp_path / "tree.yaml").classes == NAMES
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "needs --base-url or SEMSPLAT_LLM_BASE_URL"),
+        (("--base-url", "{url}"), "needs --model or SEMSPLAT_LLM_MODEL"),
+        (("--base-url", "localhost", "--model", "m"), "must be http://"),
+        (("--replay", "none.json"), "none.json: cannot be read"),
+        (("--replay", "names.txt"), "names.txt is no record of a language model"),
+        (("--replay", "none.json", "--cache", "c"), "leave --cache out"),
+        (("--base-url", "{url}", "--model", "m", "--record", "none/r"), "cannot write none/r"),
+    ],
+)
+def test_bad_options_end_in_one_line(tmp_path, monkeypatch, fake, capsys, words, message):
+    pytest.importorskip("openai")
+    monkeypatch.chdir(tmp_path)
+    for name in ("BASE_URL", "MODEL", "API_KEY"):
+        monkeypatch.delenv(f"SEMSPLAT_LLM_{name}", raising=False)
+    Path("names.txt").write_text("\n".join(NAMES))
+    given = [word.format(url=fake.url) for word in words]
+    assert main(["build-taxonomy", "--classes", "names.txt", "--review", *MODEL, *given]) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
+    assert fake.requests == []
+
+
+def test_a_replay_of_other_classes_is_told(tmp_path, monkeypatch, fake, capsys):
+    monkeypatch.chdir(tmp_path)
+    fake.behaviours = [says("{}")]
+    Path("names.txt").write_text("\n".join(NAMES))
+    words = ["build-taxonomy", "--classes", "names.txt", "--review", *MODEL]
+    source = ["--base-url", fake.url, "--model", "m", "--record", "record.json"]
+    assert main([*words, *source]) == 0
+    assert main([*words, "--replay", "record.json"]) == 0
+    Path("names.txt").write_text("\n".join(NAMES[1:]))
+    capsys.readouterr()
+    assert main([*words, "--replay", "record.json"]) == 2
+    assert "record.json has no answer" in capsys.readouterr().err

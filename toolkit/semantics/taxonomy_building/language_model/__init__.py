@@ -1,0 +1,1 @@
+"""Groups from a language model behind any OpenAI-compatible endpoint."""

@@ -1,0 +1,156 @@
+"""Answers kept: a cache on the disk, a record of a whole dialogue, and its replay."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from toolkit.errors import FormatError, SettingsError
+from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.semantics.taxonomy_building.language_model.chat import (
+    ChatAnswer,
+    ChatModel,
+    ChatRequest,
+    Ending,
+    ModelIdentity,
+)
+
+logger = logging.getLogger(__name__)
+
+_FORMAT = "semsplat language model exchanges 1"
+
+
+class CachedModel:
+    """Asks a model only what it was never asked before.
+
+    Args:
+        folder: one file an answer, named by the hash of all that decides it; made if absent.
+
+    Raises:
+        RunFolderError: the folder cannot be made.
+    """
+
+    def __init__(self, model: ChatModel, folder: Path) -> None:
+        self._model = model
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+
+    @property
+    def identity(self) -> ModelIdentity:
+        return self._model.identity
+
+    def complete(self, request: ChatRequest) -> ChatAnswer:
+        file = self._folder / f"{_key(self.identity, request)}.json"
+        if file.exists():
+            try:
+                return _answer(json.loads(file.read_text(encoding="utf-8"))["answer"])
+            except (OSError, ValueError, KeyError, TypeError):
+                logger.warning("%s is damaged; asking again", file)
+        answer = self._model.complete(request)
+        write_bytes(file, _as_json(_exchange(request, answer) | _who(self.identity)))
+        return answer
+
+
+class RecordingModel:
+    """Writes every exchange with a model to a file, from which `ReplayedModel` answers."""
+
+    def __init__(self, model: ChatModel, path: Path) -> None:
+        self._model = model
+        self._path = path
+        self._exchanges: list[dict[str, Any]] = []
+        self._write()  # a place that cannot be written is told before anything is asked
+
+    @property
+    def identity(self) -> ModelIdentity:
+        return self._model.identity
+
+    def complete(self, request: ChatRequest) -> ChatAnswer:
+        answer = self._model.complete(request)
+        self._exchanges.append(_exchange(request, answer))
+        self._write()
+        return answer
+
+    def _write(self) -> None:
+        header = {"format": _FORMAT} | _who(self.identity)
+        write_bytes(self._path, _as_json(header | {"exchanges": self._exchanges}))
+
+
+class ReplayedModel:
+    """Answers as the model did that was recorded; needs neither network nor key.
+
+    Raises:
+        FormatError: the file is missing or no such record.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            if record["format"] != _FORMAT:
+                raise ValueError(f"its format is {record['format']!r}, not {_FORMAT!r}")
+            self._identity = ModelIdentity(record["base_url"], record["model"])
+            self._answers = {
+                _hash(each["request"]): _answer(each["answer"]) for each in record["exchanges"]
+            }
+        except OSError as error:
+            raise FormatError(f"{path}: cannot be read ({error.strerror})") from error
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise FormatError(
+                f"{path} is no record of a language model ({error}); make one with --record"
+            ) from error
+
+    @property
+    def identity(self) -> ModelIdentity:
+        return self._identity
+
+    def complete(self, request: ChatRequest) -> ChatAnswer:
+        """The recorded answer.
+
+        Raises:
+            SettingsError: this was never asked.
+        """
+        answer = self._answers.get(_hash(request.to_json()))
+        if answer is None:
+            raise SettingsError(
+                f"{self._path} has no answer to one of the {self._identity.model} questions: it "
+                "was recorded with other classes, options, seed or version; record it again"
+            )
+        return answer
+
+
+def _key(identity: ModelIdentity, request: ChatRequest) -> str:
+    return _hash(_who(identity) | {"request": request.to_json()})
+
+
+def _hash(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _who(identity: ModelIdentity) -> dict[str, Any]:
+    return {"base_url": identity.base_url, "model": identity.model}
+
+
+def _exchange(request: ChatRequest, answer: ChatAnswer) -> dict[str, Any]:
+    return {
+        "request": request.to_json(),
+        "answer": {"text": answer.text, "ending": answer.ending},
+    }
+
+
+def _answer(values: Mapping[str, Any]) -> ChatAnswer:
+    text, ending = values["text"], values["ending"]
+    if not isinstance(text, str) or ending not in get_args(Ending):
+        raise ValueError("an answer has no text or ending")
+    return ChatAnswer(text, ending)
+
+
+def _as_json(values: Mapping[str, Any]) -> bytes:
+    # ASCII: an answer may hold half characters, which no file can.
+    return (json.dumps(values, indent=1) + "\n").encode("ascii")
