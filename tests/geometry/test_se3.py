@@ -145,17 +145,6 @@ def test_hat_is_the_cross_product(seed: int) -> None:
 
 
 @PATIENT
-@given(seed=seeds, fraction=st.floats(0.0, 1.0))
-def test_interpolation_runs_at_constant_speed(seed: int, fraction: float) -> None:
-    A, B = random_motion(seed), random_motion(seed + 1, scale=0.5)
-    between = se3.interpolate(A, B, fraction)
-    step = se3.log(se3.inverse(A) @ between)
-    whole = se3.log(se3.inverse(A) @ B)
-    np.testing.assert_allclose(step, fraction * whole, atol=1e-9)
-    np.testing.assert_allclose(se3.interpolate(A, B, 1.0), B, atol=1e-9)
-
-
-@PATIENT
 @given(seed=seeds)
 def test_orthonormalise_mends_what_drifted(seed: int) -> None:
     T = random_motion(seed)

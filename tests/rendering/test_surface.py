@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from splat_scenes import Scene, random_scene
 from torch import Tensor
 
 from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import DrawOptions, backend, draw_surface, surface
 from toolkit.rendering.native import NativeBackend
@@ -20,6 +25,10 @@ CAMERA = Camera(fx=150.0, fy=150.0, cx=79.5, cy=59.5, width=160, height=120)
 
 def fallback(images: Tensor, scene: Scene, least_silhouette: float) -> Tensor:
     return surface._surface_depth_torch(images, scene.camera, scene.T_camera_map, least_silhouette)
+
+
+def moved(points: Tensor, T: NDArray[np.float64]) -> Tensor:
+    return torch.from_numpy(se3.transform_points(T, points.numpy())).to(torch.float32)
 
 
 def images_of(scene: Scene) -> Tensor:
@@ -80,6 +89,29 @@ def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None
     error = (view.depth_m.numpy() - depth)[at_two_metres].mean()
     assert abs(mean_error) > 1e-3
     assert abs(error) < 3e-4
+
+
+@pytest.mark.parametrize("centres", [[(0.1, -0.2)], [(-0.3, 0.0), (0.4, 0.1)]])
+@pytest.mark.parametrize("way", ["kernel", "torch"])
+def test_few_wide_gaussians_are_drawn_where_they_are(
+    native: NativeBackend, monkeypatch: pytest.MonkeyPatch, way: str, centres: list
+) -> None:
+    """Their mean centre hardly moves over the pixels: its rounding is no normal."""
+    monkeypatch.setattr(surface, "kernels", lambda: native._module if way == "kernel" else None)
+    count = len(centres)
+    cloud = GaussianCloud.from_values(
+        torch.tensor([[x, y, 2.0] for x, y in centres]),
+        torch.full((count,), 0.3),
+        torch.full((count,), 0.99),
+        torch.full((count, 3), 0.5),
+    )
+    # Another origin, so that the centres are not exact in the camera's frame.
+    T_camera_map = se3.exp(np.array([1.3, -0.7, 0.9, 0.4, 0.3, -0.6]))
+    cloud = replace(cloud, means=moved(cloud.means, se3.inverse(T_camera_map)))
+    view = draw_surface(native, cloud, CAMERA, T_camera_map)
+    solid = view.output.silhouette >= 0.5
+    assert int(solid.sum()) > 300
+    assert float((view.depth_m[solid] - 2.0).abs().max()) < 1e-4
 
 
 def test_thin_pixels_have_no_surface() -> None:

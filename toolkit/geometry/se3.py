@@ -118,11 +118,6 @@ def rotation_angle_rad(R: Array) -> Array:
     return np.asarray(np.arctan2(sine, cosine))
 
 
-def interpolate(T_a: Array, T_b: Array, fraction: float) -> Array:
-    """Motion on the geodesic from T_a (fraction 0) to T_b (fraction 1)."""
-    return T_a @ exp(fraction * log(inverse(T_a) @ T_b))
-
-
 def orthonormalise(T: Array) -> Array:
     """The rigid motion nearest to T [4, 4]: products of many drift slowly."""
     U, _, Vt = np.linalg.svd(T[:3, :3])

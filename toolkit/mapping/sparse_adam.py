@@ -131,7 +131,3 @@ class SparseAdam:
         for kind, moments in (("first", self._first), ("second", self._second)):
             for name in moments:
                 moments[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
-
-    def moments(self, name: str) -> tuple[Tensor, Tensor]:
-        """First and second moments of one parameter, [N, ...] each."""
-        return self._first[name], self._second[name]

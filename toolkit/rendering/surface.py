@@ -24,6 +24,9 @@ from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
 
 _EDGE = 0.05  # depth differences beyond this share are an edge
 _MOST_CORRECTION = 0.02  # share of the depth
+# A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
+# mean centre hardly moves from pixel to pixel, span no plane.
+_LEAST_NORMAL = 0.01
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,9 @@ def _surface_depth_torch(
     smooth = (centre[..., 2] > 0) & (around.amin(0) > 0)
     smooth &= around.amax(0) - around.amin(0) <= _EDGE * centre[..., 2]
     normal = torch.linalg.cross(right - left, below - above)
+    # Neighbours lie two pixels apart in both directions.
+    footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)
+    smooth &= normal.norm(dim=-1) >= _LEAST_NORMAL * footprint
     rays = torch.from_numpy(camera.rays()[1:-1, 1:-1]).to(images.dtype)
     met = (normal * centre).sum(-1) / (normal * rays).sum(-1)
     smooth &= (met - centre[..., 2]).abs() < _MOST_CORRECTION * centre[..., 2]

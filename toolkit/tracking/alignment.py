@@ -19,7 +19,7 @@ from toolkit.rendering.surface import SurfaceView
 from toolkit.tracking import alignment_numpy
 
 LUMA = (0.299, 0.587, 0.114)
-_SUMS = 51  # doubles of the kernel's result
+_SUMS = 49  # doubles of the kernel's result
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def accumulate(
     T_model_frame: NDArray[np.float64],
     scalars: tuple[float, float, float, float, float],
 ) -> NDArray[np.float64]:
-    """The kernel's 51 sums; scalars are gain, bias, both scales and the gate."""
+    """The kernel's 49 sums; scalars are gain, bias, both scales and the gate."""
     texture, surface = model_images
     intensity, depth = frame_images
     gain, bias, sigma_intensity, sigma_depth, gate = scalars
@@ -90,7 +90,7 @@ def accumulate(
     seen = texture[nearest[:, 1], nearest[:, 0], 3]
     close = (seen > 0) & (abs(seen - Y[:, 2]) < gate * Y[:, 2])
 
-    H, g, tail = np.zeros((8, 8)), np.zeros(8), np.zeros(7)
+    H, g, tail = np.zeros((8, 8)), np.zeros(8), np.zeros(5)
     tail[4] = len(Y)
     flat = close & plane[:, :3].any(axis=1)
     n = plane[flat, :3]
@@ -125,7 +125,6 @@ def _add(H: NDArray, g: NDArray, tail: NDArray, kind: int, residuals: tuple[NDAr
     g += J.T @ (weight * r)
     tail[kind] += len(r)
     tail[2 + kind] += (robust * q2).sum()
-    tail[5 + kind] += robust.sum()
 
 
 def _bilinear(texture: Image, uv: NDArray) -> tuple[NDArray, NDArray]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.tracking.health import HealthLimits, may_start_map
 from toolkit.tracking.result import Health, TrackingResult
 
 
@@ -21,7 +22,9 @@ class GivenPoses:
         self._trajectory = trajectory
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
-        """T_map_camera [4, 4] of the first frame, None where the table has none."""
+        """T_map_camera [4, 4] of the first frame; None without pose or anything to map."""
+        if not may_start_map(HealthLimits(), frame):
+            return None
         return self._trajectory.at(frame.timestamp_s)
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:

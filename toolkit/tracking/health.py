@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.frame import Frame
 from toolkit.tracking.alignment import Scales
 from toolkit.tracking.result import Health
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,19 @@ class HealthLimits:
     most_intensity: float = 0.15
     most_depth_m: float = 0.04
     least_information: float = 1e4
+
+
+def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
+    """Whether a map can begin with a frame; a warning says what is wrong with it."""
+    measured = int((np.isfinite(frame.depth_m) & (frame.depth_m > 0)).sum())
+    if not np.isfinite(frame.rgb).all():
+        fault = "its colour holds values that are not finite"
+    elif measured < limits.least_measured:
+        fault = f"only {measured} pixels have depth"
+    else:
+        return True
+    _log.warning("frame %d cannot start the map: %s", frame.index, fault)
+    return False
 
 
 def verdict(

@@ -20,13 +20,15 @@ constexpr float NU = 5.0f;
 constexpr float EDGE = 0.05f;
 // The surface depth may differ from the mean depth by this share of it.
 constexpr float MOST_CORRECTION = 0.02f;
+// A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
+// mean centre hardly moves from pixel to pixel, span no plane.
+constexpr float LEAST_NORMAL = 0.01f;
 
 // Sums of one group of rows: upper triangles of the two blocks of the Hessian.
 struct Sums {
     float pose[21], pose_gain[6], pose_bias[6], gain_gain, gain_bias, bias_bias;
     float g[PARAMETERS];
     float intensity_pixels, depth_pixels, intensity_squares, depth_squares, frame_pixels;
-    float weighted_intensity, weighted_depth;
 };
 
 inline void add_outer(Sums& s, const float* J, float weight, float residual) {
@@ -99,7 +101,6 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
                 add_outer(sums, J, weight, r);
                 sums.depth_pixels += 1;
                 sums.depth_squares += robust * q * q;
-                sums.weighted_depth += robust;
             }
 
             float value[4];
@@ -129,7 +130,6 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
             sums.g[7] -= weight * r;
             sums.intensity_pixels += 1;
             sums.intensity_squares += robust * q * q;
-            sums.weighted_intensity += robust;
         }
     }
 }
@@ -152,8 +152,6 @@ void add(const Sums& s, NormalEquations& out) {
     out.intensity_squares += s.intensity_squares;
     out.depth_squares += s.depth_squares;
     out.frame_pixels += s.frame_pixels;
-    out.weighted_intensity += s.weighted_intensity;
-    out.weighted_depth += s.weighted_depth;
 }
 
 }  // namespace
@@ -203,6 +201,8 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
         t[i] = (float)T[4 * i + 3];
     }
     std::vector<float> points(3 * plane);
+    // Neighbours lie two pixels apart in both directions; times z^2 this is the shortest normal.
+    const float footprint = 4.0f * LEAST_NORMAL / (camera.fx * camera.fy);
 #pragma omp parallel
     {
 #pragma omp for schedule(static)
@@ -231,6 +231,8 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
                 const float ax = r[0] - l[0], ay = r[1] - l[1], az = r[2] - l[2];
                 const float bx = u[0] - o[0], by = u[1] - o[1], bz = u[2] - o[2];
                 const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
+                const float shortest = footprint * p[2] * p[2];
+                if (nx * nx + ny * ny + nz * nz < shortest * shortest) continue;
                 const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
                 const float z = (nx * p[0] + ny * p[1] + nz * p[2]) / (nx * rx + ny * ry + nz);
                 // A plane seen edge-on says nothing.

@@ -39,7 +39,6 @@ struct NormalEquations {
     double intensity_pixels, depth_pixels;  // residuals that took part
     double intensity_squares, depth_squares;  // sums of weight * squared residual
     double frame_pixels;                    // frame pixels with depth that fall into the model's image
-    double weighted_intensity, weighted_depth;  // sums of the weights
 };
 
 // Depth (m) at which each pixel's ray meets the drawn surface, 0 where thinner than asked.

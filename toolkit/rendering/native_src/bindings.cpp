@@ -107,7 +107,7 @@ void align_halve(const Size& size, Address intensity, Address depth, Address hal
           at<float>(half_depth));
 }
 
-// scalars: gain, bias, sigma_intensity, sigma_depth, max_distance. out: 51 doubles.
+// scalars: gain, bias, sigma_intensity, sigma_depth, max_distance. out: 49 doubles.
 void align_accumulate(const Intrinsics& intrinsics, const Size& size, const std::array<Address, 4>& arrays,
                       const std::array<double, 12>& T_model_frame, const std::array<double, 5>& scalars,
                       Address out) {

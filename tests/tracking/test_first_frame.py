@@ -1,0 +1,67 @@
+"""A map cannot begin with a frame that shows nothing."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracked_room import Room, blind_frame, dead_sensor_frame
+
+from toolkit.frame import Frame
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.slam import Slam
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
+from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.tracker import Tracker
+
+
+def without_numbers(like: Frame) -> Frame:
+    """As some drivers mark pixels without depth."""
+    return replace(like, depth_m=np.full_like(like.depth_m, np.nan))
+
+
+def at_infinity(like: Frame) -> Frame:
+    return replace(like, depth_m=np.full_like(like.depth_m, np.inf))
+
+
+FAULTS = [
+    (blind_frame, "only 0 pixels have depth"),
+    (without_numbers, "only 0 pixels have depth"),
+    (at_infinity, "only 0 pixels have depth"),
+    (dead_sensor_frame, "its colour holds values that are not finite"),
+]
+
+
+@pytest.fixture(params=["dense", "first-order", "given"])
+def tracker(request: pytest.FixtureRequest, room: Room) -> Tracker:
+    if request.param == "given":
+        times = np.array([frame.timestamp_s for frame in room.frames])
+        return GivenPoses(Trajectory(times, room.T_map_camera))
+    if request.param == "first-order":
+        return FirstOrderTracker(FirstOrderOptions(iterations=2))
+    return DenseTracker()
+
+
+@pytest.mark.parametrize(("make", "fault"), FAULTS)
+def test_such_a_frame_is_refused_in_one_line(room, tracker, caplog, make, fault):
+    before = {name: array.copy() for name, array in tracker.state().items()}
+    with caplog.at_level(logging.WARNING, "toolkit"):
+        assert tracker.first_pose(make(room.frames[0])) is None
+    assert [r.getMessage() for r in caplog.records] == [f"frame 0 cannot start the map: {fault}"]
+    after = tracker.state()
+    assert all(np.array_equal(before[name], after[name]) for name in before)
+
+
+@pytest.mark.parametrize("make", [make for make, _ in FAULTS])
+def test_the_next_frame_starts_the_map(room, tracker, make):
+    slam = Slam(tracker, Mapper(MapperOptions(first_iterations=2, iterations=1)))
+    assert slam.process_frame(make(room.frames[0])).lost
+    assert len(slam.mapper.gaussians) == 0
+    assert not slam.process_frame(room.frames[1]).lost
+    assert [k.index for k in slam.mapper.keyframes] == [1]
+    assert slam.lost_frames == [0]
+    assert len(slam.mapper.gaussians) > 1000
