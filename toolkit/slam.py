@@ -76,7 +76,7 @@ class Slam:
             may_map: False keeps the frame out of the map (a held-out view).
         """
         tracking = None
-        if self._labeller is not None and self._labeller.every_frame:
+        if self._labels_first:
             frame = self._labelled(frame, None)
         if not self.mapper.keyframes:
             T_map_camera = self.tracker.first_pose(frame) if may_map else None
@@ -91,13 +91,19 @@ class Slam:
         mapping = None
         if may_map and self.mapper.wants(frame, T_map_camera):
             exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
-            if self._labeller is not None and not self._labeller.every_frame:
+            if self._labeller is not None and not self._labels_first:
                 frame = self._labelled(frame, T_map_camera)
             with self._recorder.timed("mapping"):
                 mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
 
         self._remember(frame, T_map_camera, tracking)
         return FrameResult(frame.index, T_map_camera, tracking, mapping)
+
+    @property
+    def _labels_first(self) -> bool:
+        """Whether frames are labelled before they are tracked, not only as keyframes."""
+        labeller = self._labeller
+        return labeller is not None and (labeller.every_frame or self.tracker.wants_labels)
 
     def _labelled(self, frame: Frame, T_map_camera: NDArray[np.float64] | None) -> Frame:
         assert self._labeller is not None

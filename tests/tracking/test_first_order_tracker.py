@@ -18,11 +18,14 @@ from tracked_room import (
     small_motion,
 )
 
+from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.losses.tracking_loss import PRESETS, tracking_loss
+from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
 from toolkit.rendering import backend
+from toolkit.semantics.codes import binary_code
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.tracking import FirstOrderSettings, TrackingSettings
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.factory import build_tracker
@@ -247,3 +250,57 @@ def test_frames_keep_their_exposure(room, opaque_map):
         darker, opaque_map, np.eye(4)
     )
     assert (result.gain, result.bias) == (1.0, 0.0)
+
+
+CLASSES = Taxonomy.flat(CLASS_NAMES)
+
+
+def labelled_map(room: Room, gaussians: GaussianCloud) -> GaussianCloud:
+    """The map with each Gaussian labelled by the pixel of the first frame that it falls on."""
+    frame = room.frames[0]
+    uv = np.rint(frame.camera.project(gaussians.means.double().numpy())).astype(int)
+    u = uv[:, 0].clip(0, frame.camera.width - 1)
+    v = uv[:, 1].clip(0, frame.camera.height - 1)
+    ids = torch.from_numpy(frame.labels[v, u].astype(np.int64))
+    return replace(gaussians, features=binary_code(CLASSES).start_values.index_select(0, ids))
+
+
+@BOTH
+def test_semantic_term_has_the_gradient_of_its_loss(room, opaque_map, preset, monkeypatch):
+    """Through code, loss and renderer to the pose, features alone being compared."""
+    monkeypatch.setitem(PRESETS, preset, replace(PRESETS[preset], least_silhouette=0.5))
+    gaussians = labelled_map(room, opaque_map)
+    options = FirstOrderOptions(preset, semantic=0.5)
+    tracker = FirstOrderTracker(options, code=binary_code(CLASSES))
+    frame, start = room.frames[1], small_motion(3, 0.01, 0.3)
+    labels = torch.from_numpy(frame.labels)
+
+    def semantic_loss(xi: np.ndarray, backward: bool = False):
+        T = se3.exp(xi) @ start
+        drawn = backend().forward(gaussians, frame.camera, T, gaussians.features, None)
+        nothing = TrackingLoss(0.0, 0.0, torch.zeros_like(drawn.images), labels.numel())
+        loss = tracker._with_semantics(nothing, drawn.images, labels)
+        if not backward:
+            return loss.value
+        return pose_gradient(drawn.backward(loss.gradient).T_camera_map.numpy(), T)
+
+    step = 2e-4
+    numerical = np.array(
+        [(semantic_loss(step * e) - semantic_loss(-step * e)) / (2 * step) for e in np.eye(6)]
+    )
+    analytic = semantic_loss(np.zeros(6), backward=True)
+    assert np.allclose(analytic, numerical, rtol=0.05, atol=0.03 * abs(numerical).max())
+
+
+def test_semantic_term_is_used_only_where_frames_have_labels(room, opaque_map):
+    gaussians = labelled_map(room, opaque_map)
+    options = FirstOrderOptions(iterations=5, semantic=0.5)
+    tracker = FirstOrderTracker(options, code=binary_code(CLASSES))
+    plain = FirstOrderTracker(replace(options, semantic=0.0), code=binary_code(CLASSES))
+    assert tracker.wants_labels and not plain.wants_labels
+    frame, start = room.frames[1], small_motion(3, 0.01, 0.3)
+    found = tracker.locate(frame, gaussians, start).T_map_camera
+    bare = tracker.locate(replace(frame, labels=None), gaussians, start).T_map_camera
+    expected = plain.locate(frame, gaussians, start).T_map_camera
+    assert np.array_equal(bare, expected)
+    assert not np.array_equal(found, expected)

@@ -83,7 +83,7 @@ def build_slam(settings: RunSettings, dataset: Dataset, watch: StageRecorder) ->
         build_semantic_mapping(settings.semantics, code, settings.seed),
     )
     if settings.poses == "slam":
-        tracker = build_tracker(settings.tracking, settings.backend, watch)
+        tracker = build_tracker(settings.tracking, settings.backend, watch, code)
         return Slam(tracker, mapper, watch, labeller)
     if dataset.ground_truth is None:
         raise DatasetError(

@@ -110,6 +110,8 @@ class DenseTracker:
         self._scales = _START
         self._exposure = (1.0, 0.0)
 
+    wants_labels = False
+
     def first_pose(self, frame: Frame) -> NDArray[np.float64]:
         """The map's frame is the first camera's."""
         self.motion.update(frame.timestamp_s, np.eye(4))

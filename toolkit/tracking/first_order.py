@@ -1,7 +1,6 @@
 """The papers' tracker: Adam on the pose alone (H-21, H-22, G-2).
 
-It is here to be compared with: the dense tracker needs a tenth of its renders. The semantic
-term of G-2 is not part of it.
+It is here to be compared with: the dense tracker needs a tenth of its renders.
 """
 
 from __future__ import annotations
@@ -18,8 +17,11 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.losses.tracking_loss import PRESETS, tracking_loss
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
 from toolkit.rendering import RenderOutput, backend
+from toolkit.rendering.output import FEATURES, SILHOUETTE
+from toolkit.semantics.codes import SemanticCode
 from toolkit.tracking.alignment import (
     FrameLevel,
     Linearisation,
@@ -42,12 +44,14 @@ class FirstOrderOptions:
         preset: loss weights, "hier-slam" or "gausem".
         iterations: Adam steps a frame.
         translation_rate, rotation_rate: step sizes in metres and radians.
+        semantic: weight of the semantic term (G-2: 0.5); 0 leaves semantics out.
     """
 
     preset: str = "hier-slam"
     iterations: int = 40
     translation_rate: float = 0.002
     rotation_rate: float = 0.001
+    semantic: float = 0.0
 
 
 # How the final pose is judged: residual scales to start from, rounds of their fixed point,
@@ -72,6 +76,9 @@ class _Candidate:
 class FirstOrderTracker:
     """Tracks frames against a map of Gaussians by gradient descent.
 
+    Args:
+        code: of the map's features, for the semantic term.
+
     Raises:
         SettingsError: the preset is unknown.
     """
@@ -82,6 +89,7 @@ class FirstOrderTracker:
         limits: HealthLimits | None = None,
         backend_name: str = "auto",
         recorder: Recorder | None = None,
+        code: SemanticCode | None = None,
     ) -> None:
         self.options = options or FirstOrderOptions()
         if self.options.preset not in PRESETS:
@@ -93,6 +101,19 @@ class FirstOrderTracker:
         self.motion = ConstantVelocity()
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
+        self._semantic = None
+        if code is not None and self.options.semantic > 0:
+            weights = SemanticLossWeights(
+                weight=self.options.semantic,
+                least_silhouette=PRESETS[self.options.preset].least_silhouette,
+                moves_geometry=True,
+            )
+            self._semantic = SemanticLoss(code, weights)
+
+    @property
+    def wants_labels(self) -> bool:
+        """See Tracker."""
+        return self._semantic is not None
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64]:
         """The map's frame is the first camera's."""
@@ -123,6 +144,10 @@ class FirstOrderTracker:
         rgb = torch.from_numpy(np.ascontiguousarray(frame.rgb.transpose(2, 0, 1)))
         depth_m = torch.from_numpy(frame.depth_m)
         weights = PRESETS[self.options.preset]
+        features = labels = None
+        if self._semantic is not None and frame.labels is not None:
+            features = gaussians.features
+            labels = torch.from_numpy(np.where(frame.depth_m > 0, frame.labels, 0))
         T_camera_map = se3.inverse(T_map_camera)
         adam = PoseAdam(self.options.translation_rate, self.options.rotation_rate)
         best: _Candidate | None = None
@@ -131,9 +156,11 @@ class FirstOrderTracker:
         # there is one render more than there are steps.
         for step in range(self.options.iterations + 1):
             with self._recorder.timed("tracking render"):
-                drawn = self._backend.forward(gaussians, frame.camera, T_camera_map, None, None)
+                drawn = self._backend.forward(gaussians, frame.camera, T_camera_map, features, None)
             renders += 1
             loss = tracking_loss(drawn.images, rgb, depth_m, weights)
+            if labels is not None:
+                loss = self._with_semantics(loss, drawn.images, labels)
             if best is None or loss.per_pixel < best.loss:
                 best = _Candidate(T_camera_map, drawn.images, loss.per_pixel, step)
             if step == self.options.iterations or loss.pixels == 0:
@@ -144,6 +171,25 @@ class FirstOrderTracker:
             T_camera_map = se3.orthonormalise(se3.exp(adam.step(by_pose)) @ T_camera_map)
         assert best is not None
         return self._result(frame, best, renders)
+
+    def _with_semantics(self, loss: TrackingLoss, images: Tensor, labels: Tensor) -> TrackingLoss:
+        """The loss with its semantic term (G-2), in the preset's own kind of mean."""
+        assert self._semantic is not None
+        if loss.pixels == 0:
+            return loss
+        silhouette = images[SILHOUETTE]
+        term = self._semantic(images[FEATURES].contiguous(), silhouette, labels, (0, 1))
+        assert term.silhouette is not None
+        share = 1.0 if PRESETS[self.options.preset].summed else 1.0 / loss.pixels
+        loss.gradient[FEATURES] = term.features * share
+        loss.gradient[SILHOUETTE] += term.silhouette * share
+        per_pixel = term.value * labels.numel() / loss.pixels
+        return TrackingLoss(
+            loss.value + per_pixel * loss.pixels * share,
+            loss.per_pixel + per_pixel,
+            loss.gradient,
+            loss.pixels,
+        )
 
     def _result(self, frame: Frame, best: _Candidate, renders: int) -> TrackingResult:
         linear, scales = _judged(frame, best.images)

@@ -21,6 +21,8 @@ class GivenPoses:
     def __init__(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
 
+    wants_labels = False
+
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the first frame; None without pose or anything to map."""
         if not may_start_map(HealthLimits(), frame):

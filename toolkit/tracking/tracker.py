@@ -15,6 +15,11 @@ from toolkit.tracking.result import TrackingResult
 class Tracker(Protocol):
     """Finds the pose of each frame against the map."""
 
+    @property
+    def wants_labels(self) -> bool:
+        """Whether frames must be labelled before they are tracked."""
+        ...
+
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the frame that starts the map; None refuses the frame."""
         ...
