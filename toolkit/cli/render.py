@@ -31,15 +31,19 @@ from toolkit.io.pictures import (
     silhouette_picture,
     view_strip,
     with_depth_scale,
+    with_legend,
 )
 from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.run_folder import read_cloud
+from toolkit.semantics.palette import Palette
 
 # Rendered pixels thinner than this show no surface.
 _LEAST_SILHOUETTE = 0.5
+_SEMANTIC = {"labels", "levels"}
+_LEGEND_ROWS = 8
 # Views drawn beforehand to find the depths that the colours must cover.
 _SPAN_VIEWS = 8
 # Where nothing says more: about 60 degrees wide, as most RGB-D cameras are.
@@ -61,12 +65,14 @@ class RenderProgram:
     right, up, as seen from the run's first camera, or in the axes of a bare splat file."""
     every: int = 1
     """Draw every n-th pose."""
-    what: tuple[Literal["colour", "depth", "silhouette", "strip"], ...] = (
+    what: tuple[Literal["colour", "depth", "silhouette", "strip", "labels", "levels"], ...] = (
         "colour",
         "depth",
         "silhouette",
     )
-    """Pictures of each view; a strip holds them all, beside the input where there is one."""
+    """Pictures of each view. A strip holds colour, depth and silhouette beside the input where
+    there is one; labels are one picture a level of the class tree, with a legend; levels are
+    all of them side by side."""
     camera: tuple[float, float, float, float] | None = None
     """fx fy cx cy in pixels; by default the camera of the run's data set."""
     image_size: tuple[int, int] | None = None
@@ -80,6 +86,7 @@ class _Map:
     gaussians: GaussianCloud
     run: FinishedRun | None
     backend_name: str
+    labels: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,11 +100,13 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Colour [H, W, 3], surface depth [H, W] in metres (0: none) and silhouette [H, W]."""
+    """Colour [H, W, 3], surface depth [H, W] in metres (0: none), silhouette [H, W], and nodes of
+    the class tree [L, H, W] where they were asked for."""
 
     rgb: NDArray[np.float32]
     depth_m: NDArray[np.float32]
     silhouette: NDArray[np.float32]
+    nodes: NDArray[np.int32] | None = None
 
 
 def main(argv: Sequence[str]) -> int:
@@ -112,7 +121,8 @@ def main(argv: Sequence[str]) -> int:
     """
     program = parse_arguments(RenderProgram, argv, "render")
     _check_values(program)
-    subject = _open(program.map)
+    subject = _open(program)
+    palette = _palette(subject)
     dataset = None
     if subject.run is not None and program.camera is None:
         dataset = _dataset(subject.run, program.image_size)
@@ -127,9 +137,15 @@ def main(argv: Sequence[str]) -> int:
         observed = None
         if dataset is not None and shot.frame_index is not None and "strip" in program.what:
             observed = dataset[shot.frame_index].rgb
-        for kind in program.what:
-            picture = _picture(kind, drawn, span, observed)
-            write_png(out / f"{kind}_{shot.number:06d}.png", picture)
+        pictures = {
+            kind: _picture(kind, drawn, span, observed)
+            for kind in program.what
+            if kind not in _SEMANTIC
+        }
+        if palette is not None:
+            pictures |= _label_pictures(program.what, palette, drawn)
+        for name, picture in pictures.items():
+            write_png(out / f"{name}_{shot.number:06d}.png", picture)
     print(f"drew {len(shots)} view(s) into {out}")
     return 0
 
@@ -145,7 +161,10 @@ def _check_values(program: RenderProgram) -> None:
         raise SettingsError("--view must be finite numbers")
 
 
-def _open(path: Path) -> _Map:
+def _open(program: RenderProgram) -> _Map:
+    path, labels = program.map, bool(_SEMANTIC & set(program.what))
+    if labels and not path.is_dir():
+        raise SettingsError(f"--what labels needs a run folder; {path} is none")
     if path.suffix in SUFFIXES and not path.is_dir():
         return _Map(read_cloud(path), None, "auto")
     if not path.exists():
@@ -153,7 +172,17 @@ def _open(path: Path) -> _Map:
             f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"
         )
     run = open_finished_run(path)
-    return _Map(run.gaussians, run, run.settings.backend)
+    if labels and run.taxonomy is None:
+        raise SettingsError(
+            f"{path} was mapped without semantics; run it with --semantics.code.kind"
+        )
+    return _Map(run.gaussians, run, run.settings.backend, labels)
+
+
+def _palette(subject: _Map) -> Palette | None:
+    if not subject.labels or subject.run is None or subject.run.taxonomy is None:
+        return None
+    return Palette(subject.run.taxonomy)
 
 
 def _dataset(run: FinishedRun, image_size: tuple[int, int] | None) -> Dataset:
@@ -216,10 +245,28 @@ def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
         subject.gaussians,
         camera,
         se3.inverse(shot.T_map_camera),
-        DrawOptions(_LEAST_SILHOUETTE),
+        DrawOptions(_LEAST_SILHOUETTE, features=subject.labels),
     )
     seen = drawn.output
-    return _Drawn(seen.colour.numpy(), drawn.depth_m.numpy(), seen.silhouette.numpy())
+    nodes = None
+    if subject.labels and subject.run is not None:
+        nodes = subject.run.semantics.decode_view(drawn).nodes.T.reshape(-1, *drawn.depth_m.shape)
+    return _Drawn(seen.colour.numpy(), drawn.depth_m.numpy(), seen.silhouette.numpy(), nodes)
+
+
+def _label_pictures(what: Sequence[str], palette: Palette, drawn: _Drawn) -> dict[str, Picture]:
+    """Pictures of the class tree's levels by the beginning of their file's name."""
+    assert drawn.nodes is not None
+    pictures = {}
+    if "labels" in what:
+        for level, nodes in enumerate(drawn.nodes):
+            picture = with_legend(palette.picture(nodes), palette.legend(nodes))
+            pictures[f"labels_l{level}"] = picture
+    if "levels" in what:
+        rgb = np.clip(drawn.rgb, 0.0, 1.0)
+        strip = palette.level_strip(rgb, list(drawn.nodes), legend_rows=_LEGEND_ROWS)
+        pictures["levels"] = strip
+    return pictures
 
 
 def _picture(
