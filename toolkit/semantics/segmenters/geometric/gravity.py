@@ -14,8 +14,8 @@ _DIRECTIONS = 4000
 _KERNEL_RAD = np.radians(8.0)
 # A hand-held camera looks a little down and is roughly upright: its likely pitch, and how far
 # pitch and roll stray. Against what planes say, habit has this weight.
-_PITCH_DOWN_RAD, _PITCH_RAD, _ROLL_RAD = np.radians([30.0, 30.0, 20.0])
-_HABIT = 0.35
+_PITCH_DOWN_RAD, _PITCH_RAD, _ROLL_RAD = np.radians([30.0, 30.0, 30.0])
+_HABIT = 0.15
 # A plane that could be either is more often level.
 _UPRIGHT = 0.9
 # Planes within this angle of level or upright take part in the fine estimate.
@@ -42,17 +42,20 @@ class UpEstimator:
         self._votes = np.zeros(_DIRECTIONS)
         self._scatter = np.zeros((3, 3))
 
-    def update(self, normals: Array, weights: Array, R_map_camera: Array) -> bool:
+    def update(self, normals: Array, shares: Array, R_map_camera: Array) -> bool:
         """Take in the planes of one frame.
 
         Args:
             normals: [N, 3] of planes, in the map's frame, unit length, towards the camera.
-            weights: [N] share of the image that each covers; their sum is at most 1.
+            shares: [N] of the image that each covers.
             R_map_camera: [3, 3] the camera's orientation.
 
         Returns:
             whether up has changed so much that what was built on it is void.
         """
+        # Roots, since a strip of floor below a large wall decides which way that wall stands.
+        weights = np.sqrt(shares)
+        weights /= max(1.0, float(weights.sum()))
         directions = _directions()
         self._votes = _FORGET * self._votes + _agreement(directions @ normals.T) @ weights
         self._votes += _HABIT * _habit(directions @ R_map_camera)

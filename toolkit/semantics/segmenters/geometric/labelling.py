@@ -22,7 +22,7 @@ Labels = NDArray[np.uint8]
 _LEVEL, _QUITE_LEVEL = math.cos(math.radians(32.0)), math.cos(math.radians(15.0))
 _ON_WALL, _IN_RECESS = math.cos(math.radians(40.0)), math.cos(math.radians(18.0))
 # Doors and window panes lie so far behind a wall; walls go on a little beyond what was seen.
-_RECESS_M, _BEYOND_M = 0.25, 0.3
+_RECESS_M, _BEYOND_M = 0.25, 0.8
 # A surface is so high above the floor, so large, and to this share quite level.
 _SURFACE_HEIGHT_M, _SURFACE_AREA_M2, _SURFACE_SHARE = 0.12, 0.03, 0.3
 
@@ -36,7 +36,7 @@ def label_cells(view: LevelledGrid, room: Room) -> Labels:
     for wall in room.walls.walls():
         labels[_on_wall(view, wall.normal, wall.offset_m, wall.span_m)] = WALL
     _label_levels(labels, view, room)
-    floor = room.floor.height_m
+    floor = room.floor_height_m
     raised = view.grid.valid if floor is None else view.heights_m > floor + _SURFACE_HEIGHT_M
     labels[_surfaces(view, raised & (labels == OBJECT) & view.faces(_LEVEL))] = SURFACE
     return labels
@@ -61,7 +61,7 @@ def _on_wall(
 
 def _label_levels(labels: Labels, view: LevelledGrid, room: Room) -> None:
     """Enter floor and ceiling, in place."""
-    floor, ceiling = room.floor.height_m, room.ceiling_height_m
+    floor, ceiling = room.floor_height_m, room.ceiling_height_m
     unsure = ~view.grid.oriented & view.grid.valid
     facing_up, facing_down = view.faces(_LEVEL), view.faces(-1.0, -_LEVEL)
     if floor is not None:
@@ -109,8 +109,8 @@ def _best_neighbour(
     cells: Labels,
     grid: SurfaceGrid,
     home: tuple[NDArray[np.int64], NDArray[np.int64]],
-    rays: tuple[NDArray[np.float64], NDArray[np.float64]],
-    inverse_depth: NDArray[np.float32],
+    rays: tuple[NDArray[np.floating], NDArray[np.floating]],
+    inverse_depth: NDArray[np.floating],
 ) -> Labels:
     """Labels [N] of pixels: of the cell around `home` on whose plane they lie best.
 

@@ -42,6 +42,16 @@ class Level:
     def height_m(self) -> float | None:
         return None if math.isnan(self._height) else self._sign * self._height
 
+    @property
+    def seen(self) -> int:
+        """In how many frames it was seen at that height."""
+        return self._seen
+
+    @property
+    def sure(self) -> bool:
+        """Whether it was seen several times."""
+        return self._seen >= _CONFIRM
+
     def update(
         self, heights_m: NDArray[np.floating], level: NDArray[np.bool_], camera_height_m: float
     ) -> None:

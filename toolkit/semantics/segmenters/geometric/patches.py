@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +14,9 @@ from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid
 
 # Open3D looks for patches among about so many points.
 _POINTS = 5000
-_NEIGHBOURS = 20
-_LEAST_POINTS = 30
-_LEAST_EDGE_M = 0.2
+_NEIGHBOURS = 10
+_LEAST_POINTS = 12
+_LEAST_EDGE_M = 0.1
 # What of the grid belongs to a patch: beside its box, off its plane (m, and share of depth),
 # and by its normal.
 _MARGIN_M = 0.05
@@ -60,22 +62,47 @@ def planar_patches(grid: SurfaceGrid) -> list[Patch]:
         min_num_points=_LEAST_POINTS,
         search_param=o3d.geometry.KDTreeSearchParamKNN(knn=_NEIGHBOURS),
     )
-    found = (
-        _patch(grid, np.asarray(b.R), np.asarray(b.center), np.asarray(b.extent)) for b in boxes
-    )
-    return [patch for patch in found if patch is not None]
+    found: list[Patch] = []
+    free = grid.oriented.copy()
+    for box in sorted(boxes, key=lambda b: -float(np.prod(np.asarray(b.extent)[:2]))):
+        core = _in_box(grid, box) & free
+        if core.sum() < _LEAST_POINTS:
+            continue
+        cells = _grown(grid, core, free)
+        found.append(Patch(*_fitted(grid, cells), cells))
+        free &= ~cells
+    return found
 
 
-def _patch(grid: SurfaceGrid, R: NDArray, centre: NDArray, extent_m: NDArray) -> Patch | None:
-    """The patch of a box whose third axis is the normal, fitted again to the cells in it."""
+def _in_box(grid: SurfaceGrid, box: Any) -> NDArray[np.bool_]:
+    """The cells in a box whose third axis is the normal."""
+    R, extent_m = np.asarray(box.R).astype(np.float32), np.asarray(box.extent)
+    centre = np.asarray(box.center).astype(np.float32)
     normal = R[:, 2] if R[:, 2] @ centre < 0 else -R[:, 2]
-    local = (grid.points - centre.astype(np.float32)) @ R.astype(np.float32)
-    cells = grid.oriented & (grid.normals @ normal.astype(np.float32) > _LEAST_COSINE)
+    local = (grid.points - centre) @ R
+    cells = grid.oriented & (grid.normals @ normal > _LEAST_COSINE)
     cells &= np.abs(local[..., 2]) < _OFF_M + _OFF_SHARE * grid.depth_m
     for axis in (0, 1):
         cells &= np.abs(local[..., axis]) < extent_m[axis] / 2 + _MARGIN_M
-    if cells.sum() < _LEAST_POINTS:
-        return None
+    return cells
+
+
+def _grown(
+    grid: SurfaceGrid, core: NDArray[np.bool_], free: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """The free cells on a core's plane that hang together with it: boxes end too soon."""
+    normal, distance_m = _fitted(grid, core)
+    off = np.abs(grid.points @ normal.astype(np.float32) - np.float32(distance_m))
+    cells = free & (off < _OFF_M + _OFF_SHARE * grid.depth_m)
+    cells &= grid.normals @ normal.astype(np.float32) > _LEAST_COSINE
+    count, pieces = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+    joined = np.bincount(pieces[core], minlength=count) > 0
+    joined[0] = False
+    return core | joined[pieces]
+
+
+def _fitted(grid: SurfaceGrid, cells: NDArray[np.bool_]) -> tuple[NDArray[np.float64], float]:
+    """Normal [3] and distance of the plane through some cells."""
     normal = grid.normals[cells].sum(axis=0, dtype=np.float64)
     normal /= np.linalg.norm(normal)
-    return Patch(normal, float(np.median(grid.points[cells] @ normal)), cells)
+    return normal, float(np.median(grid.points[cells] @ normal))

@@ -32,7 +32,6 @@ class Room:
 
     Attributes:
         up: the direction up.
-        floor, ceiling: their heights.
         walls: the upright planes.
     """
 
@@ -42,16 +41,25 @@ class Room:
         self._furnish()
 
     def _furnish(self) -> None:
-        self.floor = Level(1, self._camera_height_m)
-        self.ceiling = Level(-1, _CEILING_DISTANCE_M)
+        self._floor = Level(1, self._camera_height_m)
+        self._ceiling = Level(-1, _CEILING_DISTANCE_M)
         self.walls = WallMemory()
+
+    @property
+    def floor_height_m(self) -> float | None:
+        """Height of the floor, if it is one: under a low ceiling, the less often seen is none."""
+        wrong = self._too_close() and self._floor.seen < self._ceiling.seen
+        return None if wrong else self._floor.height_m
 
     @property
     def ceiling_height_m(self) -> float | None:
         """Height of the ceiling, if it is one: the underside of a shelf is too low."""
-        floor, ceiling = self.floor.height_m, self.ceiling.height_m
-        low = floor is not None and ceiling is not None and ceiling - floor < _ROOM_HEIGHT_M
-        return None if low else ceiling
+        wrong = self._too_close() and self._floor.seen >= self._ceiling.seen
+        return None if wrong else self._ceiling.height_m
+
+    def _too_close(self) -> bool:
+        floor, ceiling = self._floor.height_m, self._ceiling.height_m
+        return floor is not None and ceiling is not None and ceiling - floor < _ROOM_HEIGHT_M
 
     def update(self, grid: SurfaceGrid, T_map_camera: Array) -> LevelledGrid:
         """Take in the surfaces of one frame, and return them levelled."""
@@ -59,32 +67,31 @@ class Room:
         R_map_camera = T_map_camera[:3, :3]
         normals = np.array([p.normal for p in patches]).reshape(-1, 3) @ R_map_camera.T
         shares = np.array([p.cells.sum() for p in patches]) / max(int(grid.valid.sum()), 1)
-        # Patches overlap a little at their borders.
-        shares /= max(1.0, float(shares.sum()))
         if self.up.update(normals, shares, R_map_camera):
             self._furnish()
 
         view = LevelledGrid(grid, T_map_camera, self.up.direction)
         heights = view.heights_m[grid.valid]
-        self.floor.update(heights, view.faces(_LEVEL)[grid.valid], view.camera_height_m)
+        self._floor.update(heights, view.faces(_LEVEL)[grid.valid], view.camera_height_m)
         facing_down = view.faces(-1.0, -_LEVEL)[grid.valid]
-        self.ceiling.update(heights, facing_down, view.camera_height_m)
+        self._ceiling.update(heights, facing_down, view.camera_height_m)
         sightings = [s for s in (sight(view, patch) for patch in patches) if s is not None]
-        self.walls.update(sightings, self.floor.height_m, self.ceiling_height_m)
+        ceiling_m = self.ceiling_height_m if self._ceiling.sure else None
+        self.walls.update(sightings, self.floor_height_m, ceiling_m)
         return view
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes."""
         return {
             **{f"up/{name}": array for name, array in self.up.state().items()},
-            "floor": self.floor.state(),
-            "ceiling": self.ceiling.state(),
+            "floor": self._floor.state(),
+            "ceiling": self._ceiling.state(),
             "walls": self.walls.state(),
         }
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
         self.up.restore({n[3:]: a for n, a in arrays.items() if n.startswith("up/")})
-        self.floor.restore(arrays["floor"])
-        self.ceiling.restore(arrays["ceiling"])
+        self._floor.restore(arrays["floor"])
+        self._ceiling.restore(arrays["ceiling"])
         self.walls.restore(arrays["walls"])

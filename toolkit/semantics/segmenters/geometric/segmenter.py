@@ -75,7 +75,7 @@ class GeometricSegmenter:
     @property
     def floor_m(self) -> float | None:
         """Height of the floor along `up` from the map's origin, as far as is known."""
-        return self._room.floor.height_m
+        return self._room.floor_height_m
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None

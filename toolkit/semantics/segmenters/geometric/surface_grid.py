@@ -7,6 +7,7 @@ it, so planes are fitted there: by sums over windows, a few milliseconds an imag
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -80,7 +81,7 @@ def surface_grid(depth_m: NDArray[np.float32], camera: Camera, columns: int = 16
     down = (np.arange(height) * block + middle - camera.cy) / camera.fy
     x, y = np.meshgrid(across.astype(np.float32), down.astype(np.float32))
     planes, oriented = _fitted_planes(inverse_depth, valid, x, y)
-    length = np.linalg.norm(planes, axis=-1, keepdims=True)
+    length = np.linalg.norm(planes, axis=-1, keepdims=True).astype(np.float32)
     oriented &= length[..., 0] > 0
     depth = np.where(valid, 1.0 / np.where(valid, inverse_depth, 1.0), 0.0).astype(np.float32)
     return SurfaceGrid(
@@ -91,7 +92,7 @@ def surface_grid(depth_m: NDArray[np.float32], camera: Camera, columns: int = 16
         y=y,
         planes=planes,
         # With n . X = d on a plane, (a, b, c) = n / d, and d < 0 where n looks at the camera.
-        normals=-planes / np.where(length > 0, length, 1),
+        normals=np.asarray(-planes / np.where(length > 0, length, 1), dtype=np.float32),
         oriented=oriented,
         points=np.stack([x, y, np.ones_like(x)], axis=-1) * depth[..., None],
         cell_area=block * block / (camera.fx * camera.fy),
@@ -160,7 +161,7 @@ def _window_fits(
         )
 
     count = total(weight)
-    filled = np.maximum(count, 1)
+    filled = np.maximum(count, 1).astype(np.float32)
 
     def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
         return total(weight * values) / filled
@@ -177,12 +178,13 @@ def _window_fits(
     determinant = np.where(fits, determinant, 1)
     a = (yy * xq - xy * yq) / determinant
     b = (xx * yq - xy * xq) / determinant
-    planes = np.stack([a, b, mean_q - a * mean_x - b * mean_y], axis=-1)
+    c = mean_q - a * mean_x - b * mean_y
+    planes = np.stack([a, b, c], axis=-1).astype(np.float32)
     residual = np.maximum(qq - a * xq - b * yq, 0)
     return planes, np.where(fits, residual, _NO_FIT)
 
 
-def moved(image: NDArray, down: int, across: int, fill: float) -> NDArray:
+def moved(image: NDArray, down: int, across: int, fill: Any) -> NDArray:
     """The image moved by whole cells, `fill` where nothing comes in."""
     out = np.full_like(image, fill)
     height, width = image.shape[:2]

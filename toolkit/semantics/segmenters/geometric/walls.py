@@ -53,11 +53,11 @@ class WallMemory:
     ) -> None:
         """Take in the upright planes of one frame; heights of floor and ceiling if known."""
         for plane in sightings:
-            row = self._match(plane)
-            if row is None:
+            same = self._match(plane)
+            if same is None:
                 self._add(plane)
             else:
-                self._merge(self._table[row], plane)
+                self._merge(self._table[same], plane)
         for row in self._table:
             odds = _log_odds(row, floor_m, ceiling_m)
             # What was seen once has no habit yet.
