@@ -23,6 +23,7 @@ JOBS = {
     "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
     "check-data": ("check_data", "read a data set and say what is wrong with it"),
     "make-room": ("make_room", "make a synthetic room with known truth"),
+    "train-head": ("train_head", "train a segmentation head on a data set's labels"),
     "doctor": ("doctor", "say what this machine has, and how to mend what it lacks"),
 }
 

@@ -1,0 +1,80 @@
+"""Segmenters from settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from toolkit.errors import DatasetError, SettingsError
+from toolkit.semantics.segmenters.geometric import GeometricOptions, GeometricSegmenter
+from toolkit.semantics.segmenters.image_folder import LabelImageFolder
+from toolkit.semantics.segmenters.recorded import RecordedLabels
+from toolkit.semantics.segmenters.segmenter import Segmenter
+from toolkit.semantics.segmenters.unlabelled import Unlabelled
+from toolkit.settings.semantics import LabelImageSettings, ModelSettings, SegmenterSettings
+
+
+def build_segmenter(
+    settings: SegmenterSettings,
+    label_names: Mapping[int, str] | None,
+    stems: Sequence[str] | None = None,
+) -> Segmenter:
+    """The segmenter that the settings name.
+
+    Args:
+        label_names: the data set's class names by id, or None where it has no labels.
+        stems: the names, without suffix, of the frames' images by index; label images that
+            pair by stem need them.
+
+    Raises:
+        SettingsError: a path that the kind needs is not set.
+        DatasetError: the data set or the folder lacks what the kind needs.
+        DependencyError: transformers cannot be loaded.
+        FormatError: a model's folder is not what it should be.
+    """
+    kind = settings.kind
+    if kind == "auto":
+        kind = "recorded" if label_names else "geometric"
+    if kind == "recorded":
+        if not label_names:
+            raise DatasetError(
+                "the data set has no labels with names; choose another --segmenter.kind"
+            )
+        return RecordedLabels(label_names)
+    if kind == "images":
+        return _label_images(settings.images, stems)
+    if kind == "model":
+        return _model(settings.model)
+    if kind == "geometric":
+        if settings.geometric.least_camera_height_m >= settings.geometric.most_camera_height_m:
+            raise SettingsError(
+                "segmenter.geometric.least_camera_height_m must be below most_camera_height_m"
+            )
+        return GeometricSegmenter(GeometricOptions(**settings.geometric.model_dump()))
+    return Unlabelled()
+
+
+def _label_images(settings: LabelImageSettings, stems: Sequence[str] | None) -> Segmenter:
+    if settings.folder is None:
+        raise SettingsError("--segmenter.kind images needs --segmenter.images.folder DIR")
+    if settings.pairing == "number":
+        return LabelImageFolder(settings.folder, None, settings.gaps)
+    if stems is None:
+        raise SettingsError(
+            "these frames have no file names; set --segmenter.images.pairing number"
+        )
+    return LabelImageFolder(settings.folder, stems, settings.gaps)
+
+
+def _model(settings: ModelSettings) -> Segmenter:
+    if settings.folder is None:
+        raise SettingsError("--segmenter.kind model needs --segmenter.model.folder DIR")
+    # Not before it is asked for: torch and transformers take seconds to load.
+    from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
+    from toolkit.semantics.segmenters.patch_features import PatchEncoder
+    from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter
+
+    if settings.head is None:
+        return TransformersSegmenter(settings.folder, settings.least_confidence, settings.device)
+    head = LinearHead.load(settings.head)
+    encoder = PatchEncoder(settings.folder, settings.longest_side, settings.device)
+    return HeadSegmenter(encoder, head, settings.least_confidence)
