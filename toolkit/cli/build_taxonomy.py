@@ -15,10 +15,10 @@ import numpy as np
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.datasets.pairing import read_class_names
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
+from toolkit.io.class_names import read_class_names
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.grouper import Grouper, Grouping, Question

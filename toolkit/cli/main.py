@@ -25,6 +25,7 @@ JOBS = {
     "check-data": ("check_data", "read a data set and say what is wrong with it"),
     "make-room": ("make_room", "make a synthetic room with known truth"),
     "build-taxonomy": ("build_taxonomy", "sort class names into a tree of groups"),
+    "train-head": ("train_head", "train a segmentation head on a data set's labels"),
     "doctor": ("doctor", "say what this machine has, and how to mend what it lacks"),
 }
 

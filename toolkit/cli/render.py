@@ -137,7 +137,7 @@ def main(argv: Sequence[str]) -> int:
         observed = None
         if dataset is not None and shot.frame_index is not None and "strip" in program.what:
             observed = dataset[shot.frame_index].rgb
-        pictures = {
+        pictures: dict[str, Picture] = {
             kind: _picture(kind, drawn, span, observed)
             for kind in program.what
             if kind not in _SEMANTIC

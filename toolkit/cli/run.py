@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.run_results import held_out, write_results
-from toolkit.datasets.base import Dataset
+from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
@@ -73,7 +73,8 @@ def main(argv: Sequence[str]) -> int:
 
 def build_slam(settings: RunSettings, dataset: Dataset, watch: StageRecorder) -> Slam:
     """The system that the settings describe."""
-    labeller = build_labeller(settings.semantics, dataset.label_names)
+    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
+    labeller = build_labeller(settings.semantics, dataset.label_names, stems)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
     mapper = build_mapper(
         settings.mapping,

@@ -116,6 +116,7 @@ class RecordedDataset:
         self.recording = recording
         self.name = recording.name
         self.label_names = recording.label_names
+        self.stems = [files.rgb.stem for files in recording.files[:max_frames]]
         self._files = recording.files[:max_frames]
         self._undistortion = (
             Undistortion(recording.camera, recording.distortion) if recording.distortion else None

@@ -14,10 +14,10 @@ from toolkit.datasets.pairing import (
     attach_poses,
     folder_holding,
     pairing_flaws,
-    read_class_names,
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
+from toolkit.io.class_names import read_class_names
 from toolkit.io.trajectories import read_tum_lines
 
 DEFAULT_FPS = 30.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,19 +147,3 @@ def camera_of_matrix(path: Path, width: int, height: int) -> Camera:
         return Camera(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), width, height)
     except SettingsError as error:
         raise FormatError(f"{path} must hold fx 0 cx / 0 fy cy / 0 0 1: {error}") from error
-
-
-def read_class_names(path: Path) -> dict[int, str]:
-    """Class names by id from `classes.json`: {"void": 0, "classes": {"1": "name", ...}}.
-
-    Raises:
-        DatasetError: the file is missing or not of this form.
-    """
-    form = '{"void": 0, "classes": {"1": "name", ...}}'
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return {int(number): str(name) for number, name in content["classes"].items()}
-    except OSError as error:
-        raise DatasetError(f"cannot read {path}: {error.strerror}; it must hold {form}") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DatasetError(f"{path} is not of the form {form}: {error!r}") from error

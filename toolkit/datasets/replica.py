@@ -12,10 +12,10 @@ from toolkit.datasets.pairing import (
     numbered,
     pair_numbered,
     pairing_flaws,
-    read_class_names,
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
+from toolkit.io.class_names import read_class_names
 from toolkit.io.trajectories import read_matrix_lines
 
 # The layout has no times; its videos are shown at this rate.

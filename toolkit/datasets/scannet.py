@@ -13,10 +13,10 @@ from toolkit.datasets.pairing import (
     numbered,
     pair_numbered,
     pairing_flaws,
-    read_class_names,
 )
 from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
+from toolkit.io.class_names import read_class_names
 from toolkit.io.images import read_depth_m, read_rgb
 from toolkit.io.trajectories import read_matrix
 

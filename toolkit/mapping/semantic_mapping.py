@@ -108,7 +108,9 @@ class SemanticMapping:
         silhouette = view.output.silhouette.reshape(-1)
         seen = silhouette >= _LEAST_SILHOUETTE
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
-        return self._decode(view.features.reshape(self.channels, -1) / safe, seen)
+        values = view.features.reshape(self.channels, -1) / safe
+        assert self._loss is not None
+        return self._decode(values, seen & self._loss.code.told(values))
 
     def probabilities(self, view: SurfaceView) -> tuple[NDArray[np.int64], Tensor]:
         """Classes told of, ascending [K], and the probability of each at each pixel [K, H * W]."""
@@ -120,7 +122,9 @@ class SemanticMapping:
 
     def decode_gaussians(self, features: Tensor) -> Decoding:
         """What each Gaussian of features [N, S] is; those that never had a label are void."""
-        return self._decode(features.T.contiguous(), (features != 0).any(dim=1))
+        assert self._loss is not None
+        values = features.T.contiguous()
+        return self._decode(values, self._loss.code.told(values))
 
     def _decode(self, values: Tensor, seen: Tensor) -> Decoding:
         assert self._loss is not None, "a map without semantics has nothing to decode"

@@ -20,6 +20,8 @@ from torch import Tensor
 
 from toolkit.semantics.taxonomy import Taxonomy
 
+_LEAST_LOGIT = 0.5
+_LEAST_COLOUR = 0.1
 _PRIOR = 0.1  # pixels that vote for every answer alike
 
 CodeName = Literal["flat", "one-hot", "binary", "colour"]
@@ -57,6 +59,10 @@ class SemanticCode(Protocol):
             votes: [N, S] sum of the pixels' codewords, each times the Gaussian's share in it.
             total: [N] sum of these shares, 0 where there was no label.
         """
+        ...
+
+    def told(self, values: Tensor) -> Tensor:
+        """Where values [S, P] say anything at all, [P]: void started, and stayed, at zero."""
         ...
 
     def logits(self, values: Tensor) -> Tensor:
@@ -157,6 +163,10 @@ class HeadedCode:
             return ((votes + _PRIOR) / (against + _PRIOR)).log()
         width = torch.from_numpy(np.repeat(heads.width, heads.width)).to(votes)
         return ((votes * width + _PRIOR) / (total[:, None] + _PRIOR)).log()
+
+    def told(self, values: Tensor) -> Tensor:
+        """See SemanticCode: some head leans somewhere."""
+        return values.abs().amax(dim=0) > _LEAST_LOGIT
 
     def logits(self, values: Tensor) -> Tensor:
         """See SemanticCode: the heads' normalisers are the same for all classes."""
@@ -263,6 +273,10 @@ class ColourCode:
     def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
         """See SemanticCode: the mean colour."""
         return votes / total[:, None].clamp(min=1e-6)
+
+    def told(self, values: Tensor) -> Tensor:
+        """See SemanticCode: it is not black."""
+        return values.amax(dim=0) > _LEAST_COLOUR
 
     def logits(self, values: Tensor) -> Tensor:
         """See SemanticCode: a Gaussian around each colour of the palette."""

@@ -1,11 +1,12 @@
-"""Taxonomy, code and labels from settings."""
+"""Segmenter, taxonomy, code and labels from settings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from toolkit.errors import DatasetError, SettingsError
 from toolkit.semantics.codes import (
     CodeOptions,
     ColourCode,
@@ -16,12 +17,22 @@ from toolkit.semantics.codes import (
 )
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.palette import Palette
+from toolkit.semantics.segmenters.geometric import GeometricOptions, GeometricSegmenter
+from toolkit.semantics.segmenters.image_folder import LabelImageFolder
 from toolkit.semantics.segmenters.recorded import RecordedLabels
+from toolkit.semantics.segmenters.segmenter import Segmenter
+from toolkit.semantics.segmenters.unlabelled import Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import build_taxonomy
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.semantics.trees import taxonomy_for, taxonomy_named
-from toolkit.settings.semantics import CodeSettings, SemanticsSettings
+from toolkit.settings.semantics import (
+    CodeSettings,
+    LabelImageSettings,
+    ModelSettings,
+    SegmenterSettings,
+    SemanticsSettings,
+)
 
 _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
 
@@ -52,15 +63,94 @@ def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
     return build_taxonomy(classes, RuleGrouper())
 
 
-def build_labeller(settings: SemanticsSettings, names: Mapping[int, str] | None) -> Labeller | None:
-    """Who labels the frames of a data set, None where nobody can.
+def build_labeller(
+    settings: SemanticsSettings,
+    names: Mapping[int, str] | None,
+    stems: Sequence[str] | None = None,
+) -> Labeller | None:
+    """Who labels the frames of a data set, None for a map without semantics.
 
     Args:
-        names: class names of the data set's own labels, without void, or None.
+        names, stems: as `build_segmenter` takes them.
+
+    Raises:
+        ToolkitError: as `build_segmenter` and `choose_taxonomy`, or the tree lacks a class.
     """
-    if settings.code.kind == "none" or not names:
+    if settings.code.kind == "none" or settings.segmenter.kind == "none":
         return None
-    segmenter = RecordedLabels(names)
+    segmenter = build_segmenter(settings.segmenter, names, stems)
     taxonomy = choose_taxonomy(settings.taxonomy, segmenter.class_names)
     ignored = [i for node in settings.ignore for i in taxonomy.find(node).class_ids]
-    return Labeller(segmenter, taxonomy, ignored, "labels/classes.json")
+    return Labeller(segmenter, taxonomy, ignored, f"{settings.segmenter.kind} labels")
+
+
+def build_segmenter(
+    settings: SegmenterSettings,
+    label_names: Mapping[int, str] | None,
+    stems: Sequence[str] | None = None,
+) -> Segmenter:
+    """The segmenter that the settings name.
+
+    Args:
+        label_names: the data set's class names by id, or None where it has no labels.
+        stems: the names, without suffix, of the frames' images by index; label images that
+            pair by stem need them.
+
+    Raises:
+        SettingsError: a path that the kind needs is not set.
+        DatasetError: the data set or the folder lacks what the kind needs.
+        DependencyError: transformers cannot be loaded.
+        FormatError: a model's folder is not what it should be.
+    """
+    kind = settings.kind
+    if kind == "auto":
+        kind = "recorded" if label_names else "geometric"
+    if kind == "recorded":
+        if not label_names:
+            raise DatasetError(
+                "the data set has no labels with names; choose another --semantics.segmenter.kind"
+            )
+        return RecordedLabels(label_names)
+    if kind == "images":
+        return _label_images(settings.images, stems)
+    if kind == "model":
+        return _model(settings.model)
+    if kind == "geometric":
+        if settings.geometric.least_camera_height_m >= settings.geometric.most_camera_height_m:
+            raise SettingsError(
+                "semantics.segmenter.geometric.least_camera_height_m must be below "
+                "most_camera_height_m"
+            )
+        return GeometricSegmenter(GeometricOptions(**settings.geometric.model_dump()))
+    return Unlabelled()
+
+
+def _label_images(settings: LabelImageSettings, stems: Sequence[str] | None) -> Segmenter:
+    if settings.folder is None:
+        raise SettingsError(
+            "--semantics.segmenter.kind images needs --semantics.segmenter.images.folder DIR"
+        )
+    if settings.pairing == "number":
+        return LabelImageFolder(settings.folder, None, settings.gaps)
+    if stems is None:
+        raise SettingsError(
+            "these frames have no file names; set --semantics.segmenter.images.pairing number"
+        )
+    return LabelImageFolder(settings.folder, stems, settings.gaps)
+
+
+def _model(settings: ModelSettings) -> Segmenter:
+    if settings.folder is None:
+        raise SettingsError(
+            "--semantics.segmenter.kind model needs --semantics.segmenter.model.folder DIR"
+        )
+    # Not before it is asked for: torch and transformers take seconds to load.
+    from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
+    from toolkit.semantics.segmenters.patch_features import PatchEncoder
+    from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter
+
+    if settings.head is None:
+        return TransformersSegmenter(settings.folder, settings.least_confidence, settings.device)
+    head = LinearHead.load(settings.head)
+    encoder = PatchEncoder(settings.folder, settings.longest_side, settings.device)
+    return HeadSegmenter(encoder, head, settings.least_confidence)

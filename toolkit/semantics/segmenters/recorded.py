@@ -2,35 +2,57 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
+from toolkit.semantics.segmenters.vocabulary import Vocabulary
+
+_log = logging.getLogger(__name__)
 
 
 class RecordedLabels:
-    """The label image that lies beside each frame; a frame without one is void.
+    """Hands on the labels that frames bring along, after a check.
+
+    A frame without a label image is void; the first one causes a warning.
 
     Args:
-        class_names: the data set's names by id, without void.
+        names: the data set's class names by id, without void.
+
+    Raises:
+        DatasetError: there are no names.
     """
 
-    def __init__(self, class_names: Mapping[int, str]) -> None:
-        self.class_names = dict(class_names)
+    def __init__(self, names: Mapping[int, str]) -> None:
+        self._vocabulary = Vocabulary(names, "the data set's classes.json")
+        self.class_names: Mapping[int, str] = self._vocabulary.names
+        self._warned = False
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """See Segmenter."""
+        """The frame's labels [H, W].
+
+        Raises:
+            DatasetError: they hold an id that has no name.
+        """
         if frame.labels is None:
+            if not self._warned:
+                _log.warning(
+                    "frame %d has no label image; it, and others like it, count as void",
+                    frame.index,
+                )
+                self._warned = True
             return np.zeros(frame.depth_m.shape, np.int32)
+        self._vocabulary.check(frame.labels, f"the label image of frame {frame.index}")
         return frame.labels
 
     def state(self) -> dict[str, NDArray]:
-        """See Segmenter."""
+        """Nothing: every frame stands for itself."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """See Segmenter."""
+        """Take over an earlier `state`, which is empty."""

@@ -1,0 +1,100 @@
+"""`semsplat train-head` on a tiny labelled recording and a tiny random encoder."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.cli.main import main
+from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+from toolkit.semantics.segmenters.linear_head import LinearHead
+
+transformers = pytest.importorskip("transformers")
+
+CAMERA = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory) -> Path:
+    """Five frames: a red wall above a green floor, their border at another height each."""
+    folder = tmp_path_factory.mktemp("recordings") / "room"
+    frames = []
+    for index in range(5):
+        floor = np.zeros((48, 64), bool)
+        floor[8 + 8 * index :] = True
+        rgb = np.where(floor[..., None], [0.1, 0.8, 0.1], [0.8, 0.1, 0.1]).astype(np.float32)
+        labels = np.where(floor, CLASS_IDS["floor"], CLASS_IDS["wall"]).astype(np.int32)
+        depth_m = np.ones((48, 64), np.float32)
+        frames.append(Frame(index, index / 30.0, rgb, depth_m, CAMERA, labels))
+    prepare_folder(folder)
+    write_sequence(folder, frames, CAMERA, np.tile(np.eye(4), (5, 1, 1)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def encoder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("models") / "encoder"
+    torch.manual_seed(0)
+    config = transformers.Dinov2Config(
+        hidden_size=16, num_hidden_layers=1, num_attention_heads=2, patch_size=8, image_size=32
+    )
+    transformers.Dinov2Model(config).save_pretrained(folder)
+    return folder
+
+
+def words(labelled: Path, encoder: Path, out: Path, *more: str) -> list[str]:
+    data = ["--dataset.kind", "replica", "--dataset.path", str(labelled)]
+    return ["train-head", *data, "--model", str(encoder), "--out", str(out), *more]
+
+
+def test_a_head_is_trained_measured_on_held_out_frames_and_written(
+    labelled, encoder, tmp_path, capsys
+):
+    out = tmp_path / "head.safetensors"
+    assert main(words(labelled, encoder, out, "--hold-out", "3", "--device", "cpu")) == 0
+    printed = capsys.readouterr().out
+    assert "training frames         4\nheld-out frames         1\n" in printed
+    accuracy = re.search(r"held-out accuracy +([\d.]+)", printed)
+    assert float(accuracy.group(1)) > 0.9
+    assert LinearHead.load(out).class_names == ("floor", "wall")
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--hold-out", "1"], "--hold-out must be at least 2, got 1"),
+        (["--hold-out", "9"], "leave none to measure on"),
+        (["--device", "tpu"], "--device must be auto, cpu or cuda"),
+        (["--out", "head.bin"], "--out must end in .safetensors"),
+        (["--model", "nowhere"], "nowhere has no config.json"),
+    ],
+)
+def test_wrong_options_are_one_line(labelled, encoder, tmp_path, capsys, more, named):
+    assert main(words(labelled, encoder, tmp_path / "head.safetensors", *more)) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith("semsplat: error: ")
+    assert named in line
+    assert not (tmp_path / "head.safetensors").exists()
+
+
+def test_a_data_set_without_labels_is_named(labelled, encoder, tmp_path, capsys):
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for name in ("results", "traj.txt", "cam_params.json"):
+        (bare / name).symlink_to(labelled / name)
+    assert main(words(bare, encoder, tmp_path / "head.safetensors")) == 2
+    assert "has no labels to learn from" in capsys.readouterr().err
+
+
+def test_a_missing_library_is_one_line(labelled, encoder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    assert main(words(labelled, encoder, tmp_path / "head.safetensors")) == 2
+    assert "mend it with: pip install 'semsplat[semantics]'" in capsys.readouterr().err

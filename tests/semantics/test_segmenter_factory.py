@@ -1,0 +1,84 @@
+"""Which segmenter the settings make."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from toolkit.errors import DatasetError, FormatError, SettingsError
+from toolkit.io.images import write_png
+from toolkit.semantics.factory import build_segmenter
+from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
+from toolkit.semantics.segmenters.image_folder import LabelImageFolder
+from toolkit.semantics.segmenters.recorded import RecordedLabels
+from toolkit.semantics.segmenters.unlabelled import Unlabelled
+from toolkit.settings.semantics import SegmenterSettings
+
+
+def settings(**values) -> SegmenterSettings:
+    return SegmenterSettings.model_validate(values)
+
+
+def test_auto_takes_the_data_sets_labels_or_else_geometry():
+    recorded = build_segmenter(settings(), {1: "wall"})
+    assert isinstance(recorded, RecordedLabels)
+    assert recorded.class_names == {1: "wall"}
+    for names in (None, {}):
+        geometric = build_segmenter(settings(), names)
+        assert isinstance(geometric, GeometricSegmenter)
+        assert geometric.class_names == CLASS_NAMES
+
+
+def test_none_is_a_segmenter_without_classes():
+    segmenter = build_segmenter(settings(kind="none"), {1: "wall"})
+    assert isinstance(segmenter, Unlabelled)
+    assert segmenter.class_names == {}
+
+
+def test_images_pair_as_the_settings_say(tmp_path):
+    write_png(tmp_path / "0.png", np.ones((4, 4), np.uint8))
+    (tmp_path / "classes.json").write_text(json.dumps({"classes": {"1": "wall"}}))
+    images = {"folder": tmp_path, "pairing": "number"}
+    made = build_segmenter(settings(kind="images", images=images), None)
+    assert isinstance(made, LabelImageFolder)
+    images["pairing"] = "stem"
+    with pytest.raises(SettingsError, match="pairing number"):
+        build_segmenter(settings(kind="images", images=images), None)
+    with pytest.raises(DatasetError, match="frame7 was looked for"):
+        build_segmenter(settings(kind="images", images=images), None, ["frame7"])
+
+
+@pytest.mark.parametrize(
+    ("values", "error", "named"),
+    [
+        ({"kind": "recorded"}, DatasetError, "no labels with names"),
+        ({"kind": "images"}, SettingsError, "--semantics.segmenter.images.folder"),
+        ({"kind": "model"}, SettingsError, "--semantics.segmenter.model.folder"),
+        ({"kind": "model", "model": {"folder": "nowhere"}}, FormatError, "nowhere has no config"),
+        (
+            {"kind": "model", "model": {"folder": "nowhere", "head": "h.safetensors"}},
+            FormatError,
+            "h.safetensors is not there",
+        ),
+        (
+            {"kind": "geometric", "geometric": {"least_camera_height_m": 3.0}},
+            SettingsError,
+            "must be below most_camera_height_m",
+        ),
+    ],
+)
+def test_what_is_missing_is_named(values, error, named):
+    with pytest.raises(error, match=named):
+        build_segmenter(settings(**values), None)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"kind": "magic"}, {"model": {"least_confidence": 1.5}}, {"geometric": {"columns": 4}}],
+)
+def test_settings_are_closed_and_ranged(values):
+    with pytest.raises(ValidationError):
+        settings(**values)

@@ -1,0 +1,103 @@
+"""`classes.json`: what the numbers, or the colours, of label images mean."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from toolkit.errors import DatasetError
+
+_FORM = '{"void": 0, "classes": {"1": "name", ...}}'
+_COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
+VOID_NAMES = ("void", "unlabeled", "unlabelled", "ignore")
+_LARGEST_ID = 65535
+
+
+def read_class_names(path: Path) -> dict[int, str]:
+    """Class names by id from `classes.json`: {"void": 0, "classes": {"1": "name", ...}}.
+
+    Raises:
+        DatasetError: the file is missing or not of this form, or names its void.
+    """
+    content = _content(path)
+    classes = _mapping(content, "classes", path)
+    names: dict[int, str] = {}
+    for key, name in classes.items():
+        number = _class_id(key, path)
+        if not isinstance(name, str) or not name.strip():
+            raise DatasetError(f"{path}: class {number} must have a name, got {name!r}")
+        if number == 0:
+            if name.casefold() not in VOID_NAMES:
+                raise DatasetError(f"{path}: id 0 is void, so it cannot be '{name}'; renumber it")
+            continue
+        names[number] = name
+    return names
+
+
+def read_class_colours(path: Path) -> dict[int, tuple[int, int, int]] | None:
+    """RGB colours by class id from `classes.json`, or None where it has no `colours`.
+
+    Raises:
+        DatasetError: the file is missing or not of its form, or two classes share a colour.
+    """
+    content = _content(path)
+    if "colours" not in content:
+        return None
+    colours: dict[int, tuple[int, int, int]] = {}
+    for key, colour in _mapping(content, "colours", path).items():
+        number = _class_id(key, path)
+        if not _is_colour(colour):
+            raise DatasetError(
+                f"{path}: the colour of class {number} is {colour!r}; {_COLOUR_FORM}"
+            )
+        red, green, blue = colour
+        if (red, green, blue) in colours.values():
+            raise DatasetError(f"{path}: class {number} has the colour of another class")
+        colours[number] = red, green, blue
+    return colours
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unique)
+    except OSError as error:
+        raise DatasetError(f"cannot read {path}: {error.strerror}; it must hold {_FORM}") from error
+    except ValueError as error:
+        raise DatasetError(f"{path} is not of the form {_FORM}: {error}") from error
+    if not isinstance(content, dict):
+        raise DatasetError(f"{path} is not of the form {_FORM}")
+    if content.get("void", 0) != 0:
+        raise DatasetError(f"{path}: void is {content['void']!r}, but must be 0; renumber it")
+    return content
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object whose keys may not repeat: silently, the last one would win."""
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"'{next(k for k in keys if keys.count(k) > 1)}' is given twice")
+    return made
+
+
+def _mapping(content: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+    values = content.get(key)
+    if not isinstance(values, dict):
+        raise DatasetError(f"{path} is not of the form {_FORM}: '{key}' must be a mapping")
+    return values
+
+
+def _class_id(key: str, path: Path) -> int:
+    # "01" would be a second key for 1.
+    if not key.isdecimal() or key != str(int(key)) or int(key) > _LARGEST_ID:
+        raise DatasetError(f"{path}: '{key}' is no class id; ids are numbers up to {_LARGEST_ID}")
+    return int(key)
+
+
+def _is_colour(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(isinstance(v, int) and not isinstance(v, bool) and 0 <= v <= 255 for v in value)
+    )

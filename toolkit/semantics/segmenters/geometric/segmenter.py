@@ -1,0 +1,98 @@
+"""Floor, wall, ceiling, surface and object, from depth alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame
+from toolkit.semantics.segmenters.geometric.labelling import (
+    CEILING,
+    FLOOR,
+    OBJECT,
+    SURFACE,
+    WALL,
+    label_cells,
+    label_pixels,
+)
+from toolkit.semantics.segmenters.geometric.room import Room
+from toolkit.semantics.segmenters.geometric.surface_grid import surface_grid
+
+CLASS_NAMES: dict[int, str] = {
+    FLOOR: "floor",
+    WALL: "wall",
+    CEILING: "ceiling",
+    SURFACE: "surface",
+    OBJECT: "object",
+}
+
+
+@dataclass(frozen=True)
+class GeometricOptions:
+    """How depth is looked at.
+
+    Attributes:
+        columns: most cells across the image on which surfaces are found, at least 16.
+        least_camera_height_m, most_camera_height_m: height of the camera above the floor. What
+            is level and nearer is a table; what is farther below is another storey.
+    """
+
+    columns: int = 160
+    least_camera_height_m: float = 0.5
+    most_camera_height_m: float = 2.5
+
+
+class GeometricSegmenter:
+    """Labels floor, walls, ceiling, level surfaces (a table's top, a seat) and objects.
+
+    Up, the heights of floor and ceiling, and the walls are remembered in the map's frame,
+    so that a table that fills the view is not taken for the floor. All poses must be in one
+    frame, that of the first call; a frame without a pose is judged by itself and changes
+    nothing. Pixels without depth are void.
+
+    Raises:
+        DependencyError: Open3D cannot be loaded (when a frame comes).
+    """
+
+    def __init__(self, options: GeometricOptions | None = None) -> None:
+        self.class_names: Mapping[int, str] = CLASS_NAMES
+        self._options = options or GeometricOptions()
+        self._room = self._new_room()
+
+    def _new_room(self) -> Room:
+        options = self._options
+        return Room((options.least_camera_height_m, options.most_camera_height_m))
+
+    @property
+    def up(self) -> NDArray[np.float64] | None:
+        """The direction [3] in the map's frame that is up, as far as is known."""
+        direction = self._room.up.direction
+        return direction.copy() if direction.any() else None
+
+    @property
+    def floor_m(self) -> float | None:
+        """Height of the floor along `up` from the map's origin, as far as is known."""
+        return self._room.floor_height_m
+
+    def segment(
+        self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
+    ) -> NDArray[np.int32]:
+        """Class ids [H, W] by `CLASS_NAMES`, 0 where there is no depth."""
+        grid = surface_grid(frame.depth_m, frame.camera, self._options.columns)
+        if not grid.oriented.any():
+            return np.where(frame.depth_m > 0, OBJECT, 0).astype(np.int32)
+        room = self._room if T_map_camera is not None else self._new_room()
+        pose = np.eye(4) if T_map_camera is None else np.asarray(T_map_camera, dtype=np.float64)
+        view = room.update(grid, pose)
+        return label_pixels(label_cells(view, room), grid, frame.depth_m, frame.camera)
+
+    def state(self) -> dict[str, NDArray]:
+        """What is known of the room."""
+        return self._room.state()
+
+    def restore(self, arrays: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self._room.restore(arrays)

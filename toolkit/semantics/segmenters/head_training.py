@@ -1,0 +1,160 @@
+"""Train a linear head on the patch features of labelled frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.errors import DatasetError
+from toolkit.frame import Frame
+from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
+from toolkit.semantics.segmenters.patch_features import PatchEncoder
+from toolkit.semantics.segmenters.vocabulary import Vocabulary
+
+
+@dataclass(frozen=True)
+class HeadTrainingOptions:
+    """How a head is trained.
+
+    Attributes:
+        patches_per_frame: most patches of a frame that take part, chosen at random.
+        steps: most steps of L-BFGS.
+        decay: weight of the squared weights in the loss, against overfitting.
+    """
+
+    patches_per_frame: int = 400
+    steps: int = 100
+    decay: float = 1e-4
+
+
+@dataclass(frozen=True)
+class HeadScore:
+    """How a head does on frames that it was not trained on, void left out.
+
+    Attributes:
+        frames: how many.
+        accuracy: share of pixels with the right class.
+        mean_iou: mean over the classes that appear in these frames' labels.
+    """
+
+    frames: int
+    accuracy: float
+    mean_iou: float
+
+
+def train_head(
+    encoder: PatchEncoder,
+    frames: Iterable[Frame],
+    names: Mapping[int, str],
+    generator: np.random.Generator,
+    options: HeadTrainingOptions | None = None,
+) -> LinearHead:
+    """Fit a head by multinomial regression, a patch's target being the mix of its labels.
+
+    Args:
+        frames: labelled frames; those without labels are passed over.
+        names: class names by label id; the head knows those that appear.
+        generator: chooses patches.
+
+    Raises:
+        DatasetError: no pixel has a class, an id has no name, or a name several ids.
+    """
+    options = options or HeadTrainingOptions()
+    vocabulary = Vocabulary(names, "the data set's classes.json")
+    repeated = sorted({n for n in names.values() if list(names.values()).count(n) > 1})
+    if repeated:
+        raise DatasetError(f"the data set gives the name '{repeated[0]}' to several classes")
+    ids = np.array(sorted(names))
+    features, targets = [], []
+    for frame in frames:
+        if frame.labels is None:
+            continue
+        vocabulary.check(frame.labels, f"the label image of frame {frame.index}")
+        found = encoder.features(frame.rgb).cpu()
+        mix = _patch_labels(frame.labels, ids, found.shape[:2])
+        found, mix = found.reshape(-1, encoder.channels), mix.reshape(-1, len(ids))
+        labelled = np.flatnonzero(mix.sum(axis=1) > 0)
+        chosen = generator.permutation(labelled)[: options.patches_per_frame]
+        features.append(found[torch.from_numpy(chosen)])
+        targets.append(torch.from_numpy(mix[chosen]))
+    if not features or not sum(len(t) for t in targets):
+        raise DatasetError("no frame has a labelled pixel; a head cannot be trained without")
+    all_targets = torch.cat(targets)
+    present = all_targets.sum(dim=0) > 0
+    weights, bias = _fit(torch.cat(features), all_targets[:, present], options)
+    kept = tuple(names[int(i)] for i in ids[present.numpy()])
+    return LinearHead(weights, bias, kept, encoder.digest)
+
+
+def score_head(
+    encoder: PatchEncoder, head: LinearHead, frames: Iterable[Frame], names: Mapping[int, str]
+) -> HeadScore:
+    """Compare a head's labels with those of frames it was not trained on.
+
+    Raises:
+        DatasetError: no frame has a labelled pixel.
+    """
+    segmenter = HeadSegmenter(encoder, head)
+    count = max(names) + 1
+    number = {name: i for i, name in names.items()}
+    to_label = np.array([0, *(number[name] for name in head.class_names)])
+    confusion, scored = np.zeros((count, count), np.int64), 0
+    for frame in frames:
+        if frame.labels is None:
+            continue
+        found = to_label[segmenter.segment(frame)]
+        known = frame.labels > 0
+        pairs = count * frame.labels[known].astype(np.int64) + found[known]
+        confusion += np.bincount(pairs, minlength=count * count).reshape(count, count)
+        scored += 1
+    if not confusion.any():
+        raise DatasetError("no held-out frame has a labelled pixel; nothing can be measured")
+    right = np.diag(confusion)
+    union = confusion.sum(axis=0) + confusion.sum(axis=1) - right
+    present = confusion.sum(axis=1) > 0
+    iou = right[present] / union[present]
+    return HeadScore(scored, float(right.sum() / confusion.sum()), float(iou.mean()))
+
+
+def _patch_labels(
+    labels: NDArray[np.int32], ids: NDArray[np.int64], grid: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """Share [rows, columns, C] that each class has of each patch; void leaves a rest."""
+    rows, columns = grid
+    shares = [
+        cv2.resize((labels == i).astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+        for i in ids
+    ]
+    return np.stack(shares, axis=-1)
+
+
+def _fit(
+    features: torch.Tensor, targets: torch.Tensor, options: HeadTrainingOptions
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weights [C, D] and bias [C] of the least weighted cross-entropy."""
+    mean, deviation = features.mean(dim=0), features.std(dim=0, correction=0).clamp_min(1e-6)
+    scaled = (features - mean) / deviation
+    weights = torch.zeros(targets.shape[1], features.shape[1], requires_grad=True)
+    bias = torch.zeros(targets.shape[1], requires_grad=True)
+    optimiser = torch.optim.LBFGS(
+        [weights, bias], max_iter=options.steps, line_search_fn="strong_wolfe"
+    )
+
+    def loss() -> torch.Tensor:
+        optimiser.zero_grad()
+        likelihood = (scaled @ weights.T + bias).log_softmax(dim=1)
+        value = -(targets * likelihood).sum() / targets.sum()
+        value = value + options.decay * weights.square().sum()
+        value.backward()
+        return value
+
+    optimiser.step(loss)
+    with torch.no_grad():
+        # The scaling of features becomes part of the head.
+        plain = weights / deviation
+        return plain.contiguous(), bias - plain @ mean
