@@ -40,6 +40,7 @@ demo: ready $(DEMO_ROOM)/unseen/cam_params.json
 
 # Written last, so that its presence means a whole room.
 $(DEMO_ROOM)/unseen/cam_params.json: | ready
+	@echo "make: making a synthetic room of 300 frames, which takes about a minute"
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
 # One thread a worker: two workers share the machine, and pools would fight.
@@ -69,6 +70,7 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	$(PYTHON) -m venv .venv
 
 .stamps/dependencies: setup.cfg pyproject.toml constraints.txt | .venv/bin/python .stamps
+	@echo "make: installing Python packages into .venv, which takes some minutes"
 	$(PIP) setuptools wheel pybind11
 	$(PIP) --no-deps --retries 1 $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) torch
 	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --editable '.[dev]'
@@ -77,6 +79,7 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 # Compiled here and not by pip, which would start from nothing each time. Without a
 # compiler this says so, leaves no stamp, and tries again next time.
 .stamps/native: setup.py $(NATIVE_SOURCES) .stamps/dependencies
+	@echo "make: compiling the native kernels, which takes about a minute"
 	.venv/bin/python setup.py --quiet build_ext --inplace
 	@if ls toolkit/rendering/_native_*.so >/dev/null 2>&1; then touch $@; fi
 

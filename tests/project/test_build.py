@@ -51,3 +51,18 @@ def test_a_failing_check_fails_the_continuous_check(checkout, tmp_path):
     )
     assert result.returncode == 3
     assert result.stdout == "lint test\n"
+
+
+def test_make_says_before_each_long_step_what_happens(checkout):
+    planned = subprocess.run(
+        ["make", "--dry-run", "--always-make", "demo"],
+        cwd=checkout,
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=True,
+    ).stdout.splitlines()
+    for step in ("pip install", "setup.py --quiet build_ext", "semsplat make-room"):
+        first = next(i for i, line in enumerate(planned) if step in line)
+        assert planned[first - 1].startswith('echo "make: '), step
+        assert "takes" in planned[first - 1]

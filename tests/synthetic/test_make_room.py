@@ -89,6 +89,20 @@ def test_a_room_may_be_made_again_and_nothing_old_remains(made, tmp_path):
     assert not list((tmp_path / "unseen" / "results").glob("*.png"))
 
 
+def test_progress_sees_every_frame_of_the_walk(tmp_path):
+    seen = []
+
+    def watched(frames, total):
+        for frame in frames:
+            seen.append((frame.index, total))
+            yield frame
+
+    settings = RoomSettings(frames=3, share=0.1, width=32, height=24, unseen=1)
+    make_room(tmp_path, settings, watched)
+    assert seen == [(0, 3), (1, 3), (2, 3)]
+    assert len(list((tmp_path / "results").glob("*.png"))) == 6
+
+
 def test_a_folder_with_other_things_is_left_alone(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
     with pytest.raises(DatasetError, match="not empty and not a synthetic room"):

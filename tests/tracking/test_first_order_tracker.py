@@ -153,6 +153,16 @@ def test_judgement_agrees_with_the_dense_tracker(room, gaussians):
     assert ((ratio > 0.05) & (ratio < 20.0)).all()
 
 
+def test_frames_are_judged_by_the_colour_that_the_loss_compares(room, gaussians):
+    """As composited: divided by the silhouette, a perfect frame would seem too dark."""
+    pose = small_motion(0, metres=0.01, degrees=0.5)
+    frame = composited_frame(gaussians, room.frames[1], pose)
+    still = FirstOrderOptions(iterations=1, translation_rate=1e-9, rotation_rate=1e-9)
+    result = FirstOrderTracker(still).locate(frame, gaussians, pose)
+    assert result.intensity_residual < 0.003
+    assert not result.lost
+
+
 def test_a_restored_tracker_goes_on_with_the_same_bits(room, opaque_map):
     tracker = FirstOrderTracker(FirstOrderOptions(iterations=4))
     tracker.first_pose(room.frames[0])

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from tqdm import tqdm
+
 from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.synthetic import RoomSettings, SensorModel, make_room
+from toolkit.frame import Frame
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,11 @@ def main(argv: Sequence[str]) -> int:
         sensor=SensorModel() if options.sensor_noise else None,
         unseen=options.unseen,
     )
-    make_room(options.out, settings)
+    make_room(options.out, settings, with_progress)
     print(f"made a room in {options.out}")
     return 0
+
+
+def with_progress(frames: Iterable[Frame], total: int) -> Iterable[Frame]:
+    """The same frames, and a bar on a terminal that shows how many are made."""
+    return tqdm(frames, total=total, unit="frame", file=sys.stderr, disable=not sys.stderr.isatty())

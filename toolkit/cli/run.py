@@ -108,12 +108,13 @@ def _dataset_path(program: RunProgram) -> Path:
         return settings.dataset.path
     if settings.dataset.kind != "synthetic":
         raise SettingsError(f"--dataset.kind {settings.dataset.kind} needs --dataset.path DIR")
+    from toolkit.cli.make_room import with_progress
     from toolkit.datasets.synthetic import RoomSettings, make_room
 
     room = program.out.with_name(program.out.name + "_room")
     if not program.resume and not (room / "traj.txt").exists():
         _log.info("making a synthetic room in %s", room)
-        make_room(room, RoomSettings(seed=settings.seed))
+        make_room(room, RoomSettings(seed=settings.seed), with_progress)
     return room
 
 

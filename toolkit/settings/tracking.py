@@ -30,6 +30,9 @@ class DenseSettings(Settings):
     max_distance: float = Field(0.05, gt=0, description="depth gate, share of the depth")
     exposure: bool = Field(True, description="estimate gain and bias of every frame")
     photometric_weight: float = Field(1.0, gt=0, description="against the geometric term")
+    start: Literal["velocity", "auto", "both"] = Field(
+        "auto", description="from Open3D's odometry too: never, where a frame fits badly, always"
+    )
 
 
 class FirstOrderSettings(Settings):

@@ -58,6 +58,12 @@ class Scales:
     depth_m: float
 
 
+# Start and bounds of the scales, which every step re-estimates.
+START_SCALES = Scales(intensity=0.05, depth_m=0.01)
+_LEAST = Scales(intensity=0.002, depth_m=0.0001)
+_MOST = Scales(intensity=0.2, depth_m=0.05)
+
+
 @dataclass(frozen=True)
 class Linearisation:
     """Normal equations at a pose and the numbers that judge it.
@@ -198,6 +204,20 @@ def linearise(
             sums.ctypes.data,
         )
     return _unpack(sums)
+
+
+def rescaled(scales: Scales, linear: Linearisation, photometric_weight: float = 1.0) -> Scales:
+    """Scales of Student's t from the last residuals: one step of its fixed point."""
+    intensity = scales.intensity * np.sqrt(linear.intensity_variance / photometric_weight)
+    depth_m = scales.depth_m * np.sqrt(linear.depth_variance)
+    return Scales(
+        float(np.clip(intensity, _LEAST.intensity, _MOST.intensity))
+        if linear.intensity_pixels
+        else scales.intensity,
+        float(np.clip(depth_m, _LEAST.depth_m, _MOST.depth_m))
+        if linear.depth_pixels
+        else scales.depth_m,
+    )
 
 
 def _unpack(sums: NDArray[np.float64]) -> Linearisation:

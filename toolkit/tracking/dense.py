@@ -2,22 +2,27 @@
 
 Render once where the camera is expected, align the frame to that view coarse to fine, and
 render again only where the result lies far from the view that it was measured against.
+Where the frame then fits badly, Open3D's odometry proposes another start.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.errors import DependencyError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.tracking import exposure
 from toolkit.tracking.alignment import (
+    START_SCALES,
     FrameLevel,
     Linearisation,
     ModelLevel,
@@ -26,11 +31,15 @@ from toolkit.tracking.alignment import (
     linearise,
     model_level,
     pyramid,
+    rescaled,
     view_of,
 )
-from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.health import HealthLimits, may_start_map, verdict
 from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.result import TrackingResult
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -48,6 +57,10 @@ class DenseOptions:
             doubled at every coarser level.
         exposure: estimate gain and bias of every frame.
         photometric_weight: weight of the photometric term against the geometric one.
+        start: where alignment begins. "velocity": where constant velocity or standing still
+            put the camera. "auto": where a frame then fits badly, once more where Open3D's
+            odometry puts it, if Open3D is installed. "both": so for every frame. The better
+            fit is kept.
     """
 
     levels: int = 4
@@ -58,25 +71,40 @@ class DenseOptions:
     max_distance: float = 0.05
     exposure: bool = True
     photometric_weight: float = 1.0
+    start: Literal["velocity", "auto", "both"] = "auto"
 
-
-# Start and bounds of the residual scales, which every step re-estimates.
-_START = Scales(intensity=0.05, depth_m=0.01)
-_LEAST = Scales(intensity=0.002, depth_m=0.0001)
-_MOST = Scales(intensity=0.2, depth_m=0.05)
-
-# Share of the pixels that hold gain and bias where they were in the last frame.
-_EXPOSURE_PRIOR = 0.02
-
-# Changes of exposure smaller than both are not told from the map's own smoothness.
-_CONTRAST_LOSS, _BRIGHTNESS_LOSS = 0.06, 0.02
 
 # Fewer residuals than this fix no pose.
 _FEWEST_PIXELS = 50
 
+# A frame fits badly when its residual scales, multiplied, exceed so many times those of the
+# last frame. Ordinary frames of the real sequences stay below 1.8; of the wrong poses that
+# jumps led to, nearly all lie above, up to 3000.
+_BAD_FIT = 2.0
+
+# Odometry works on this pyramid level: a start need not be precise.
+_ODOMETRY_LEVEL = 1
+
 # Steps below these end a level: a thousandth of a pixel at usual focal lengths.
 _SMALL_TRANSLATION_M = 2e-5
 _SMALL_ROTATION_RAD = 1e-5
+
+
+@dataclass(frozen=True)
+class _View:
+    """The map as drawn at a pose, fine to coarse."""
+
+    T_map_view: NDArray[np.float64]
+    levels: list[ModelLevel]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One frame to be placed: the map, and the frame's own levels from fine to coarse."""
+
+    frame: Frame
+    gaussians: GaussianCloud
+    levels: list[FrameLevel]
 
 
 @dataclass
@@ -107,13 +135,15 @@ class DenseTracker:
         self.motion = ConstantVelocity()
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
-        self._scales = _START
+        self._scales = START_SCALES
         self._exposure = (1.0, 0.0)
 
     wants_labels = False
 
-    def first_pose(self, frame: Frame) -> NDArray[np.float64]:
-        """The map's frame is the first camera's."""
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """The map's frame is the first camera's; None where there is nothing to map."""
+        if not may_start_map(self.limits, frame):
+            return None
         self.motion.update(frame.timestamp_s, np.eye(4))
         return np.eye(4)
 
@@ -152,72 +182,98 @@ class DenseTracker:
         Args:
             starts: T_map_camera [4, 4] each; the map is drawn at the first, and the one that
                 fits best on the coarsest level is where alignment begins.
-        """
-        levels = pyramid(
-            FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)),
-            self.options.levels,
-        )
-        estimate = _Estimate(starts[0].copy(), self._scales, *self._exposure)
-        renders = 0
-        while renders < self.options.renders:
-            T_map_view = estimate.T_map_camera.copy()
-            with self._recorder.timed("tracking render"):
-                view = self._draw_levels(gaussians, frame.camera, T_map_view)
-            if renders == 0:
-                estimate.T_map_camera = self._best_start(view[-1], levels[-1], starts, estimate)
-            renders += 1
-            with self._recorder.timed("tracking align"):
-                self._align(view, levels, T_map_view, estimate, coarse=renders == 1)
-            near = not self._moved_far(T_map_view, estimate.T_map_camera, frame)
-            if near and estimate.converged:
-                break
-        return self._result(estimate, renders, levels[0])
 
-    def _draw_levels(
-        self, gaussians: GaussianCloud, camera: Camera, T_map_view: NDArray[np.float64]
-    ) -> list[ModelLevel]:
-        thin = self.options.least_silhouette
+        Raises:
+            DependencyError: `start` is "both" and Open3D cannot be loaded.
+        """
+        finest = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
+        task = _Task(frame, gaussians, pyramid(finest, self.options.levels))
+        view = self._draw(task, starts[0])
+        start = self._best_start(task, view, starts)
+        result = self._aligned(task, view, start)
+        if self.options.start == "both" or (
+            self.options.start == "auto" and (result.lost or self._misfit(result) > _BAD_FIT)
+        ):
+            return self._better_by_odometry(task, view, start, result)
+        return result
+
+    def _draw(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
+        camera, thin = task.frame.camera, self.options.least_silhouette
         T_view_map = se3.inverse(T_map_view)
-        surface = draw_surface(self._backend, gaussians, camera, T_view_map, DrawOptions(thin))
-        view = view_of(surface, camera, thin)
-        return [model_level(level) for level in pyramid(view, self.options.levels)]
+        with self._recorder.timed("tracking render"):
+            options = DrawOptions(thin)
+            surface = draw_surface(self._backend, task.gaussians, camera, T_view_map, options)
+            levels = pyramid(view_of(surface, camera, thin), self.options.levels)
+            return _View(T_map_view.copy(), [model_level(level) for level in levels])
 
     def _best_start(
-        self,
-        view: ModelLevel,
-        frame: FrameLevel,
-        starts: tuple[NDArray[np.float64], ...],
-        estimate: _Estimate,
+        self, task: _Task, view: _View, starts: tuple[NDArray[np.float64], ...]
     ) -> NDArray[np.float64]:
-        """The start with the least cost against the view drawn at the first one."""
+        """The start with the least cost against a view."""
         if len(starts) == 1:
-            return starts[0].copy()
-        T_view_map = se3.inverse(starts[0])
+            return starts[0]
+        T_view_map = se3.inverse(view.T_map_view)
+        model, frame = view.levels[-1], task.levels[-1]
         gate = self.options.max_distance * 2 ** (self.options.levels - 1)
-        exposure = (estimate.gain, estimate.bias)
         costs = [
-            linearise(view, frame, T_view_map @ T, estimate.scales, exposure, gate).cost
+            linearise(model, frame, T_view_map @ T, self._scales, self._exposure, gate).cost
             for T in starts
         ]
-        return starts[int(np.argmin(costs))].copy()
+        return starts[int(np.argmin(costs))]
 
-    def _align(
-        self,
-        view: list[ModelLevel],
-        frame: list[FrameLevel],
-        T_map_view: NDArray[np.float64],
-        estimate: _Estimate,
-        coarse: bool,
-    ) -> None:
+    def _misfit(self, result: TrackingResult) -> float:
+        """Residual scales of both kinds, multiplied, in units of the last frame's."""
+        scales = self._scales.intensity * self._scales.depth_m
+        return result.intensity_residual * result.depth_residual_m / scales
+
+    def _better_by_odometry(
+        self, task: _Task, view: _View, start: NDArray[np.float64], first: TrackingResult
+    ) -> TrackingResult:
+        """The better of a result and of what alignment makes of odometry's answer."""
+        level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
+        T_view_start = se3.inverse(view.T_map_view) @ start
+        try:
+            with self._recorder.timed("tracking odometry"):
+                T_view_camera = frame_to_model(view.levels[level], task.levels[level], T_view_start)
+        except DependencyError as error:
+            if self.options.start == "both":
+                raise
+            _log.info("frame %d fits badly, and odometry cannot help: %s", task.frame.index, error)
+            return first
+        if T_view_camera is None:
+            return first
+        found = view.T_map_view @ T_view_camera
+        second = self._aligned(task, self._draw(task, found), found)
+        fits_better = (second.lost, self._misfit(second)) < (first.lost, self._misfit(first))
+        return replace(
+            second if fits_better else first,
+            renders=first.renders + second.renders,
+            iterations=first.iterations + second.iterations,
+        )
+
+    def _aligned(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
+        """Alignment from a start, first against a view of the map near it."""
+        estimate = _Estimate(start.copy(), self._scales, *self._exposure)
+        renders = 1
+        while True:
+            with self._recorder.timed("tracking align"):
+                self._align(task, view, estimate, coarse=renders == 1)
+            near = not self._moved_far(view.T_map_view, estimate.T_map_camera, task.frame)
+            if (near and estimate.converged) or renders == self.options.renders:
+                return self._result(estimate, renders, task.levels[0])
+            view = self._draw(task, estimate.T_map_camera)
+            renders += 1
+
+    def _align(self, task: _Task, view: _View, estimate: _Estimate, coarse: bool) -> None:
         """Coarse to fine; a second view of the same frame needs the finest level only."""
-        T_view_map = se3.inverse(T_map_view)
-        for level in range(len(view) - 1 if coarse else 0, -1, -1):
+        T_view_map = se3.inverse(view.T_map_view)
+        for level in range(len(view.levels) - 1 if coarse else 0, -1, -1):
             gate = self.options.max_distance * 2**level
             estimate.converged = False
             for _ in range(self.options.iterations):
                 linear = linearise(
-                    view[level],
-                    frame[level],
+                    view.levels[level],
+                    task.levels[level],
                     T_view_map @ estimate.T_map_camera,
                     self._weighted(estimate.scales),
                     (estimate.gain, estimate.bias),
@@ -230,10 +286,10 @@ class DenseTracker:
                 if step is None:
                     return
                 T_view_camera = se3.exp(step[:6]) @ (T_view_map @ estimate.T_map_camera)
-                estimate.T_map_camera = T_map_view @ se3.orthonormalise(T_view_camera)
+                estimate.T_map_camera = view.T_map_view @ se3.orthonormalise(T_view_camera)
                 estimate.gain += step[6]
                 estimate.bias += step[7]
-                estimate.scales = _rescaled(estimate.scales, linear, self.options)
+                estimate.scales = rescaled(estimate.scales, linear, self.options.photometric_weight)
                 small = np.linalg.norm(step[:3]) < _SMALL_TRANSLATION_M * 4**level
                 small &= np.linalg.norm(step[3:6]) < _SMALL_ROTATION_RAD * 4**level
                 if small:
@@ -244,25 +300,18 @@ class DenseTracker:
         return Scales(scales.intensity / np.sqrt(self.options.photometric_weight), scales.depth_m)
 
     def _step(
-        self, linear: Linearisation, estimate: _Estimate, exposure: bool
+        self, linear: Linearisation, estimate: _Estimate, with_exposure: bool
     ) -> NDArray[np.float64] | None:
         """Gauss-Newton step [8], or None where the equations cannot be solved."""
         if linear.depth_pixels + linear.intensity_pixels < _FEWEST_PIXELS:
             return None
         H, g = linear.H.copy(), linear.g.copy()
-        if exposure:
-            # Exposure changes little between frames. Left free, gain 0 would explain any
-            # misalignment: on steps of 5 to 17 degrees it took the pose away by 70 cm.
-            prior = _EXPOSURE_PRIOR * linear.intensity_pixels / estimate.scales.intensity**2
-            H[6, 6] += prior
-            H[7, 7] += prior
-            g[6] += prior * (estimate.gain - self._exposure[0])
-            g[7] += prior * (estimate.bias - self._exposure[1])
+        if with_exposure:
+            pixels = linear.intensity_pixels / estimate.scales.intensity**2
+            change = np.array([estimate.gain, estimate.bias]) - self._exposure
+            exposure.hold(H, g, pixels, change)
         else:
-            H[6:, :] = 0.0
-            H[:, 6:] = 0.0
-            H[6, 6] = H[7, 7] = 1.0
-            g[6:] = 0.0
+            exposure.fix(H, g)
         H[np.diag_indices(8)] *= 1.0 + 1e-6
         try:
             step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
@@ -285,7 +334,7 @@ class DenseTracker:
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
         # Perturbations were on the view's side; the view stands at the pose itself now.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
-        gain, bias = _believable_exposure(estimate.gain, estimate.bias)
+        gain, bias = exposure.believable(estimate.gain, estimate.bias)
         health, reason = verdict(self.limits, estimate.scales, visible, information, measured)
         return TrackingResult(
             T_map_camera=estimate.T_map_camera,
@@ -301,30 +350,3 @@ class DenseTracker:
             gain=gain,
             bias=bias,
         )
-
-
-def _believable_exposure(gain: float, bias: float) -> tuple[float, float]:
-    """Gain and bias, or none where they could be the map's own loss of contrast.
-
-    A map is a little smoother than the camera's image, so a fit finds gain below and bias
-    above their true values; believed, they would grow from keyframe to keyframe (by 30 % of
-    the brightness over 300 frames of a room).
-    """
-    at_mid_grey = 0.5 * gain + bias - 0.5
-    if abs(gain - 1.0) < _CONTRAST_LOSS and abs(at_mid_grey) < _BRIGHTNESS_LOSS:
-        return 1.0, 0.0
-    return gain, bias
-
-
-def _rescaled(scales: Scales, linear: Linearisation, options: DenseOptions) -> Scales:
-    """Scales of Student's t from the last residuals: one step of its fixed point."""
-    intensity = scales.intensity * np.sqrt(linear.intensity_variance / options.photometric_weight)
-    depth = scales.depth_m * np.sqrt(linear.depth_variance)
-    return Scales(
-        float(np.clip(intensity, _LEAST.intensity, _MOST.intensity))
-        if linear.intensity_pixels
-        else scales.intensity,
-        float(np.clip(depth, _LEAST.depth_m, _MOST.depth_m))
-        if linear.depth_pixels
-        else scales.depth_m,
-    )

@@ -23,14 +23,16 @@ from toolkit.rendering import RenderOutput, backend
 from toolkit.rendering.output import FEATURES, SILHOUETTE
 from toolkit.semantics.codes import SemanticCode
 from toolkit.tracking.alignment import (
+    START_SCALES,
     FrameLevel,
     Linearisation,
     Scales,
     intensity_of,
     linearise,
     model_level,
+    rescaled,
 )
-from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.health import HealthLimits, may_start_map, verdict
 from toolkit.tracking.motion import ConstantVelocity
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 from toolkit.tracking.result import TrackingResult
@@ -54,10 +56,10 @@ class FirstOrderOptions:
     semantic: float = 0.0
 
 
-# How the final pose is judged: residual scales to start from, rounds of their fixed point,
-# the gate on depth differences (share of the depth) and the least silhouette.
-_START = Scales(intensity=0.05, depth_m=0.01)
-_LEAST = Scales(intensity=0.002, depth_m=0.0001)
+# How the final pose is judged: rounds of the residual scales' fixed point, the gate on depth
+# differences (share of the depth) and the least silhouette. The latter is the dense tracker's,
+# not the loss's 0.99: that leaves 12 to 16 % of a default map's pixels, in specks too small for
+# a plane, and every frame would count as lost.
 _ROUNDS = 8
 _MAX_DISTANCE = 0.05
 _LEAST_SILHOUETTE = 0.9
@@ -115,8 +117,10 @@ class FirstOrderTracker:
         """See Tracker."""
         return self._semantic is not None
 
-    def first_pose(self, frame: Frame) -> NDArray[np.float64]:
-        """The map's frame is the first camera's."""
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """The map's frame is the first camera's; None where there is nothing to map."""
+        if not may_start_map(self.limits, frame):
+            return None
         self.motion.update(frame.timestamp_s, np.eye(4))
         return np.eye(4)
 
@@ -192,7 +196,7 @@ class FirstOrderTracker:
         )
 
     def _result(self, frame: Frame, best: _Candidate, renders: int) -> TrackingResult:
-        linear, scales = _judged(frame, best.images)
+        linear, scales = _judged(frame, _view_of(best.images, frame.camera))
         measured = float((frame.depth_m > 0).sum())
         visible = linear.depth_pixels / max(measured, 1.0)
         information = linear.H[:6, :6]
@@ -212,28 +216,24 @@ class FirstOrderTracker:
         )
 
 
-def _judged(frame: Frame, images: Tensor) -> tuple[Linearisation, Scales]:
+def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, Scales]:
     """Normal equations at the pose that was drawn, and the scales of its residuals."""
-    model = model_level(_view_of(images, frame.camera))
+    model = model_level(view)
     own = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
-    scales = _START
+    scales = START_SCALES
     for _ in range(_ROUNDS):
         linear = linearise(model, own, np.eye(4), scales, (1.0, 0.0), _MAX_DISTANCE)
-        scales = Scales(
-            max(scales.intensity * float(np.sqrt(linear.intensity_variance)), _LEAST.intensity),
-            max(scales.depth_m * float(np.sqrt(linear.depth_variance)), _LEAST.depth_m),
-        )
+        scales = rescaled(scales, linear)
     return linear, scales
 
 
 def _view_of(images: Tensor, camera: Camera) -> FrameLevel:
-    """Intensity and depth of a rendering as the loss saw them, 0 where it is too thin."""
+    """Intensity as composited, which the loss compares, and depth; 0 where it is too thin."""
     output = RenderOutput(images)
     solid = output.silhouette >= _LEAST_SILHOUETTE
-    colour = output.colour / output.silhouette.clamp(min=_LEAST_SILHOUETTE)[..., None]
     nothing = torch.zeros_like(output.silhouette)
     return FrameLevel(
         camera,
-        torch.where(solid, intensity_of(colour.numpy()), nothing),
+        torch.where(solid, intensity_of(output.colour.numpy()), nothing),
         torch.where(solid, output.depth_m, nothing),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -82,12 +82,17 @@ class RoomSettings:
         return np.random.default_rng([self.seed, purpose])
 
 
-def make_room(path: Path | str, settings: RoomSettings | None = None) -> None:
+def make_room(
+    path: Path | str,
+    settings: RoomSettings | None = None,
+    progress: Callable[[Iterable[Frame], int], Iterable[Frame]] | None = None,
+) -> None:
     """Write a room in Replica's layout, with labels, mesh and unseen views.
 
     Args:
         path: a new or empty folder, or one that holds an earlier synthetic room.
         settings: what to make; the default room without them.
+        progress: wraps the frames, given their number, as they are made.
 
     Raises:
         DatasetError: the folder holds something else or cannot be written.
@@ -100,7 +105,10 @@ def make_room(path: Path | str, settings: RoomSettings | None = None) -> None:
     scene = build_scene(layout, settings.seed, _texel_m(settings))
     camera, poses = settings.camera, _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
-    writer.write_sequence(path, _frames(scene, settings, poses), camera, poses)
+    frames: Iterable[Frame] = _frames(scene, settings, poses)
+    if progress is not None:
+        frames = progress(frames, len(poses))
+    writer.write_sequence(path, frames, camera, poses)
     ideal = poses_off_the_path(scene, camera, poses, settings.unseen, settings.stream(_UNSEEN))
     writer.write_sequence(path / "unseen", _ideal_frames(scene, camera, ideal), camera, ideal)
     writer.write_mesh(path / "mesh.ply", scene)
