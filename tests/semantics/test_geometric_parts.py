@@ -10,10 +10,18 @@ from hypothesis import strategies as st
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric.gravity import UpEstimator
+from toolkit.semantics.segmenters.geometric.labelling import (
+    OBJECT,
+    WALL,
+    label_cells,
+    label_pixels,
+)
+from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid
 from toolkit.semantics.segmenters.geometric.levels import Level
 from toolkit.semantics.segmenters.geometric.patches import planar_patches
+from toolkit.semantics.segmenters.geometric.room import Room
 from toolkit.semantics.segmenters.geometric.surface_grid import moved, surface_grid
-from toolkit.semantics.segmenters.geometric.wall_evidence import PlaneSighting
+from toolkit.semantics.segmenters.geometric.wall_evidence import PlaneSighting, sight
 from toolkit.semantics.segmenters.geometric.walls import WallMemory
 
 CAMERA = Camera(128.0, 128.0, 79.5, 59.5, 160, 120)
@@ -67,6 +75,13 @@ def test_moving_an_image_brings_in_the_fill():
     image = np.arange(6).reshape(2, 3)
     assert moved(image, 1, -1, 9).tolist() == [[9, 9, 9], [1, 2, 9]]
     assert moved(image, 5, 0, 9).tolist() == [[9, 9, 9], [9, 9, 9]]
+
+
+def test_a_plane_without_any_noise_is_found():
+    grid = surface_grid(np.full((120, 160), 3.0, np.float32), CAMERA)
+    (patch,) = planar_patches(grid)
+    assert patch.cells.all()
+    assert patch.distance_m == pytest.approx(-3.0, abs=1e-4)
 
 
 def test_patches_of_a_corner_are_its_three_planes():
@@ -204,11 +219,11 @@ def sighting(**values) -> PlaneSighting:
     ("values", "wall"),
     [
         ({}, True),
-        ({"free_top": 0.3, "ended_top": 0.3, "cut_top": 0.0}, False),
+        ({"free_top": 0.1, "ended_top": 0.1, "cut_top": 0.0}, False),
         ({"backed": 500.0}, False),
-        ({"heights_m": (0.0, 2.4), "ceiling_top": 0.3, "backed": 100.0}, True),
+        ({"heights_m": (0.0, 2.4), "ceiling_top": 0.1, "backed": 100.0}, True),
         ({"span_m": (-0.2, 0.2), "heights_m": (0.5, 0.9)}, False),
-        ({"span_m": (-0.6, 0.6), "heights_m": (0.0, 0.8), "ended_top": 0.4, "cut_top": 0.0}, False),
+        ({"span_m": (-0.6, 0.6), "heights_m": (0.0, 0.8), "ended_top": 0.1, "cut_top": 0.0}, False),
     ],
 )
 def test_what_makes_a_wall(values, wall):
@@ -219,10 +234,19 @@ def test_what_makes_a_wall(values, wall):
 
 def test_a_front_once_seen_to_end_stays_furniture_when_its_top_is_out_of_view():
     memory = WallMemory()
-    memory.update([sighting(free_top=0.4, ended_top=0.4, cut_top=0.0)], 0.0, None)
+    memory.update([sighting(free_top=0.1, ended_top=0.1, cut_top=0.0)], 0.0, None)
     for _ in range(5):
         memory.update([sighting(heights_m=(0.0, 1.2))], 0.0, None)
     assert not memory.walls()
+
+
+def test_a_window_sill_is_not_the_top_of_its_wall():
+    sill = {"heights_m": (0.0, 1.0), "free_top": 0.1, "ended_top": 0.1, "cut_top": 0.0}
+    for order in ([sighting(), sighting(**sill)], [sighting(**sill), sighting()]):
+        memory = WallMemory()
+        for plane in order:
+            memory.update([plane], 0.0, None)
+        assert len(memory.walls()) == 1
 
 
 def test_the_same_plane_is_one_wall_and_another_is_not():
@@ -242,3 +266,81 @@ def test_the_memory_of_planes_is_bounded():
         memory.update([sighting(offset_m=float(number))], 0.0, None)
     assert len(memory.walls()) == 100
     assert memory.walls()[-1].offset_m == 299.0
+
+
+def levelled(depth_m: np.ndarray) -> LevelledGrid:
+    """A view of an upright camera."""
+    up = np.array([0.0, -1.0, 0.0])
+    return LevelledGrid(surface_grid(depth_m.astype(np.float32), CAMERA), np.eye(4), up)
+
+
+def nearest_sighting(view: LevelledGrid) -> PlaneSighting:
+    patch = max(planar_patches(view.grid), key=lambda p: p.distance_m)
+    found = sight(view, patch)
+    assert found is not None
+    return found
+
+
+def test_a_window_in_a_wall_does_not_speak_against_it():
+    depth = np.full((120, 160), 3.0)
+    depth[30:80, 50:110] = 3.3
+    found = nearest_sighting(levelled(depth))
+    assert found.backed == 0
+    assert found.cut_top == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0], atol=1e-3)
+    assert found.offset_m == pytest.approx(-3.0, abs=1e-2)
+
+
+def test_a_cupboard_before_a_wall_is_backed_and_has_a_free_top():
+    depth = np.full((120, 160), 3.0)
+    depth[40:, 50:110] = 2.4
+    found = nearest_sighting(levelled(depth))
+    assert found.backed > 500
+    assert found.free_top == pytest.approx(60 / 160, abs=0.05)
+    assert found.ceiling_top == 0
+    # Heights and spans by hand: pixel offsets from the middle, over focal length, times depth.
+    assert found.heights_m[1] == pytest.approx((59.5 - 40) / 128 * 2.4, abs=0.05)
+    left, right = (np.array([50, 109]) - 79.5) / 128 * 2.4
+    assert sorted(np.abs(found.span_m)) == pytest.approx(sorted([-left, right]), abs=0.05)
+
+
+def test_a_slanted_plane_is_not_upright():
+    normal = np.array([0.0, -0.5, -np.sqrt(0.75)])
+    view = levelled(plane_depth(normal, -2.0))
+    assert all(sight(view, patch) is None for patch in planar_patches(view.grid))
+
+
+def room_with(floors: int, ceilings: int) -> Room:
+    """A room whose floor and ceiling, 1.2 m apart, were seen so often."""
+    room = Room((0.5, 2.5))
+    for level, height, count in ((room._floor, 0.0, floors), (room._ceiling, 1.2, ceilings)):
+        for _ in range(count):
+            level.update(np.full(100, height), np.ones(100, bool), camera_height_m=0.7)
+    return room
+
+
+def test_between_a_floor_and_a_ceiling_too_close_the_better_known_is_right():
+    shelf_above = room_with(5, 3)
+    assert shelf_above.floor_height_m == pytest.approx(0.0)
+    assert shelf_above.ceiling_height_m is None
+    sofa_below = room_with(3, 5)
+    assert sofa_below.floor_height_m is None
+    assert sofa_below.ceiling_height_m == pytest.approx(1.2)
+
+
+def test_a_wall_ends_a_little_beyond_what_was_seen_of_it():
+    view, room = levelled(np.full((120, 160), 4.0)), Room((0.5, 2.5))
+    room.walls.update([sighting(normal=np.array([0.0, 0, -1]), offset_m=-4.0)], None, None)
+    labels = label_cells(view, room)
+    along = np.abs(view.along(np.array([1.0, 0.0, 0.0])))
+    assert (labels[along < 1.7] == WALL).all()
+    assert (labels[along > 1.9] == OBJECT).all()
+
+
+def test_pixels_on_a_border_take_the_side_that_their_depth_fits():
+    depth = np.full((120, 160), 3.0, np.float32)
+    depth[:, 81:] = 1.0  # inside a block of four pixels
+    grid = surface_grid(depth, CAMERA, columns=40)
+    cells = np.where(grid.depth_m > 2, WALL, OBJECT).astype(np.uint8)
+    labels = label_pixels(cells, grid, depth, CAMERA)
+    np.testing.assert_array_equal(labels, np.where(depth > 2, WALL, OBJECT))

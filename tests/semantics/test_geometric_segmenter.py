@@ -123,6 +123,15 @@ def test_pixels_without_depth_are_void_and_no_others():
     assert (labels[depth > 0] > 0).all()
 
 
+def test_scattered_holes_of_a_large_image_are_void():
+    camera = Camera(512.0, 512.0, 319.5, 239.5, 640, 480)
+    sight = walk(1, camera=camera)[0]
+    depth = sight.frame.depth_m.copy()
+    depth[np.random.default_rng(0).random(depth.shape) < 0.05] = 0.0
+    labels = GeometricSegmenter().segment(replace(sight.frame, depth_m=depth), np.eye(4))
+    np.testing.assert_array_equal(labels == 0, depth == 0)
+
+
 def test_a_frame_without_any_depth_is_void_and_teaches_nothing():
     segmenter = GeometricSegmenter()
     blank = replace(walk(1)[0].frame, depth_m=np.zeros((120, 160), np.float32))

@@ -17,6 +17,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters import pretrained
 from toolkit.semantics.segmenters.head_training import (
     HeadTrainingOptions,
+    _fit,
     _patch_labels,
     score_head,
     train_head,
@@ -233,6 +234,20 @@ def test_a_patchs_target_is_the_mix_of_its_labels():
     labels = np.array([[1, 1, 0, 0], [1, 2, 0, 0]], np.int32)
     mix = _patch_labels(labels, np.array([1, 2]), (1, 2))
     np.testing.assert_allclose(mix, [[[0.75, 0.25], [0.0, 0.0]]])
+
+
+def test_a_fit_does_not_mind_features_of_very_different_scale():
+    generator = np.random.default_rng(0)
+    classes = generator.integers(0, 3, 600)
+    features = np.eye(3)[classes] + 0.1 * generator.normal(size=(600, 3))
+    features = features * [1e-2, 1.0, 1e3] + [5.0, 0.0, -2e3]
+    weights, bias = _fit(
+        torch.tensor(features, dtype=torch.float32),
+        torch.tensor(np.eye(3)[classes], dtype=torch.float32),
+        HeadTrainingOptions(),
+    )
+    found = (torch.tensor(features, dtype=torch.float32) @ weights.T + bias).argmax(dim=1)
+    assert (found.numpy() == classes).mean() > 0.99
 
 
 @pytest.fixture(scope="module")

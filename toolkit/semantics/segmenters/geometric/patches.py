@@ -22,6 +22,8 @@ _LEAST_EDGE_M = 0.1
 _MARGIN_M = 0.05
 _OFF_M, _OFF_SHARE = 0.025, 0.01
 _LEAST_COSINE = 0.85
+# Of depth, up and down.
+_RIPPLE, _GOLDEN_RATIO = 1.5e-3, 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,10 @@ def planar_patches(grid: SurfaceGrid) -> list[Patch]:
         return []
     o3d = open3d()
     cloud = o3d.geometry.PointCloud()
-    for name, values in (("points", grid.points), ("normals", grid.normals)):
-        kept = values[::stride, ::stride][chosen].astype(np.float64)
-        setattr(cloud, name, o3d.utility.Vector3dVector(kept))
+    points = _rippled(grid.points[::stride, ::stride][chosen].astype(np.float64))
+    normals = grid.normals[::stride, ::stride][chosen].astype(np.float64)
+    cloud.points = o3d.utility.Vector3dVector(points)
+    cloud.normals = o3d.utility.Vector3dVector(normals)
     boxes = cloud.detect_planar_patches(
         normal_variance_threshold_deg=60,
         coplanarity_deg=75,
@@ -72,6 +75,16 @@ def planar_patches(grid: SurfaceGrid) -> list[Patch]:
         found.append(Patch(*_fitted(grid, cells), cells))
         free &= ~cells
     return found
+
+
+def _rippled(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points moved a little along their rays, always alike.
+
+    Open3D measures planes by the spread about them and finds none where there is no spread, as
+    in depth without noise.
+    """
+    share = np.arange(len(points)) * _GOLDEN_RATIO % 1.0
+    return np.asarray(points * (1.0 + _RIPPLE * (2.0 * share - 1.0))[:, None])
 
 
 def _in_box(grid: SurfaceGrid, box: Any) -> NDArray[np.bool_]:

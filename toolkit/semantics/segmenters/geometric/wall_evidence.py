@@ -119,7 +119,8 @@ def _top_edge(
         free |= seen & moved(farther, down, across, False) & ~own
         ceiling |= seen & moved(down_facing & (behind < 0), down, across, False)
         open_edge &= ~seen
-    width = cells.shape[1]
+    # The edge is as thick as the first step.
+    width = cells.shape[1] * _STEPS[0]
     cut = open_edge.sum()
     return (
         float(free.sum() / width),

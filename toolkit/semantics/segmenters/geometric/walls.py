@@ -25,6 +25,8 @@ _HYSTERESIS = 0.5
 _WALL_AREA_M2 = 0.35
 _FURNITURE_HEIGHT_M, _WALL_HEIGHT_M = 1.3, 2.2
 _AT_CEILING_M = 0.15
+# So much of a top edge, in widths of the image, tells all that it can.
+_TELLING_EDGE = 0.04
 
 # Columns of the table.
 _NORMAL, _OFFSET, _SPAN, _HEIGHTS = slice(0, 3), 3, slice(4, 6), slice(6, 8)
@@ -133,9 +135,11 @@ def _log_odds(row: Array, floor_m: float | None, ceiling_m: float | None) -> flo
     width, height = row[5] - row[4], row[7] - row[6]
     odds = float(np.clip(math.log(max(width * height, 1e-6) / _WALL_AREA_M2), -2.0, 1.0))
 
-    known = row[_FREE] + row[_CEILING]
+    # A little of an edge that is mostly cut off, or mostly not free, may be noise.
+    known = row[_ENDED] + 0.5 * row[_CUT]
     free = row[_FREE] / known if known > 0 else 0.0
-    odds -= 4.0 * min(1.0, known / 0.125) * max(free - 0.25, 0.0)
+    odds -= 4.0 * min(1.0, known / _TELLING_EDGE) * max(free - 0.25, 0.0)
+    odds += 1.5 * min(1.0, row[_CEILING] / _TELLING_EDGE)
     backed = row[_BACKED] / (row[_BACKED] + row[_CELLS])
     odds -= 2.5 * float(np.clip((backed - 0.03) / 0.2, 0.0, 1.0))
 
@@ -146,5 +150,5 @@ def _log_odds(row: Array, floor_m: float | None, ceiling_m: float | None) -> flo
         if reach > _WALL_HEIGHT_M:
             odds += 1.0
         if reach < _FURNITURE_HEIGHT_M:
-            odds -= 2.5 * row[_ENDED] / (row[_ENDED] + row[_CUT] + 0.03)
+            odds -= 2.5 * row[_ENDED] / (row[_ENDED] + row[_CUT] + 0.01)
     return odds
