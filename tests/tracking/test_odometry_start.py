@@ -26,7 +26,7 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import backend, draw_surface
+from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking import dense, odometry
 from toolkit.tracking.alignment import (
     FrameLevel,
@@ -50,7 +50,7 @@ def level_of(frame: Frame) -> FrameLevel:
 def drawn(gaussians: GaussianCloud, camera: Camera) -> ModelLevel:
     """The map as the first camera sees it."""
     return model_level(
-        view_of(draw_surface(backend(), gaussians, camera, np.eye(4), 0.9), camera, 0.9)
+        view_of(draw_surface(backend(), gaussians, camera, np.eye(4), DrawOptions(0.9)), camera, 0.9)
     )
 
 
