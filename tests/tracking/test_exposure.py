@@ -1,0 +1,59 @@
+"""Exposure in the normal equations: fixed, held, and believed only beyond the map's own loss."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toolkit.tracking import exposure
+
+
+def equations(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(seed)
+    J = generator.normal(size=(40, 8))
+    return J.T @ J, J.T @ generator.normal(size=40)
+
+
+def test_fixed_exposure_takes_no_step_and_leaves_the_pose_its_own():
+    H, g = equations()
+    alone = np.linalg.solve(H[:6, :6], g[:6])
+    exposure.fix(H, g)
+    step = np.linalg.solve(H, g)
+    assert np.array_equal(step[6:], [0.0, 0.0])
+    assert np.allclose(step[:6], alone)
+
+
+def test_held_exposure_goes_back_to_the_last_frames():
+    """The prior alone decides where the pixels say nothing."""
+    change = np.array([0.3, -0.1])
+    H, g = np.diag([1.0] * 6 + [0.0] * 2), np.zeros(8)
+    exposure.hold(H, g, 1000.0, change)
+    step = -np.linalg.solve(H, g)
+    assert np.allclose(step[6:], -change)
+    assert not step[:6].any()
+
+
+def test_holding_is_the_derivative_of_a_quadratic_cost():
+    change = np.array([0.3, -0.1])
+    H, g = np.zeros((8, 8)), np.zeros(8)
+    exposure.hold(H, g, 500.0, change)
+    weight = H[6, 6]
+    assert weight == H[7, 7] > 0
+    assert np.allclose(g[6:], weight * change)
+
+
+@pytest.mark.parametrize(
+    ("gain", "bias"),
+    [
+        (0.97, 0.015),  # a smooth map: less contrast about the same grey
+        (1.05, -0.03),
+        (1.0, 0.0),
+    ],
+)
+def test_a_loss_of_contrast_is_not_believed(gain, bias):
+    assert exposure.believable(gain, bias) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("gain_bias", [(0.9, 0.05), (1.0, 0.05), (0.96, -0.01), (1.2, -0.1)])
+def test_exposure_that_changes_brightness_or_much_contrast_is(gain_bias):
+    assert exposure.believable(*gain_bias) == gain_bias
