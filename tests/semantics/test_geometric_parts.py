@@ -220,7 +220,10 @@ def sighting(**values) -> PlaneSighting:
     [
         ({}, True),
         ({"free_top": 0.1, "ended_top": 0.1, "cut_top": 0.0}, False),
+        ({"free_top": 0.05, "ended_top": 0.05, "cut_top": 0.5}, True),
         ({"backed": 500.0}, False),
+        ({"span_m": (-0.25, 0.25), "heights_m": (1.4, 1.9)}, False),
+        ({"span_m": (-0.25, 0.25), "heights_m": (1.4, 1.9), "ceiling_top": 0.1}, True),
         ({"heights_m": (0.0, 2.4), "ceiling_top": 0.1, "backed": 100.0}, True),
         ({"span_m": (-0.2, 0.2), "heights_m": (0.5, 0.9)}, False),
         ({"span_m": (-0.6, 0.6), "heights_m": (0.0, 0.8), "ended_top": 0.1, "cut_top": 0.0}, False),
@@ -241,7 +244,7 @@ def test_a_front_once_seen_to_end_stays_furniture_when_its_top_is_out_of_view():
 
 
 def test_a_window_sill_is_not_the_top_of_its_wall():
-    sill = {"heights_m": (0.0, 1.0), "free_top": 0.1, "ended_top": 0.1, "cut_top": 0.0}
+    sill = {"heights_m": (0.0, 1.0), "free_top": 0.5, "ended_top": 0.5, "cut_top": 0.0}
     for order in ([sighting(), sighting(**sill)], [sighting(**sill), sighting()]):
         memory = WallMemory()
         for plane in order:
