@@ -158,7 +158,6 @@ def noise(options: Options) -> None:
         ]
         rounds = "--mapping.consensus.rounds"
         rows = {
-            "right labels": office(),
             "20 % wrong": [*office(), *wrong],
             "20 % wrong, votes alone": [*office(), *wrong, rounds, "0"],
             "20 % wrong, binary": [*office(), *wrong, *code("binary")],
@@ -168,13 +167,12 @@ def noise(options: Options) -> None:
 
 def ablation(options: Options) -> None:
     """Terms of the loss, ways to read the code, ways to seed."""
-    network = ["--semantics.network.use", "True"]
+    network = ["--semantics.network.use"]
     share = ["--mapping.seeding.share", "0.35", "--mapping.seeding.choice"]
     rows = {
-        "intra, read by path": office(),
         "intra + inter, by path": [*office(), *network],
         "intra + inter, by network": [*office(), *network, "--semantics.reader", "network"],
-        "geometry moved by semantics": [*office(), "--semantics.loss.moves-geometry", "True"],
+        "geometry moved by semantics": [*office(), "--semantics.loss.moves-geometry"],
         "35 % of pixels seed, uniform": [*office(), *share, "uniform"],
         "35 % of pixels seed, semantic": [*office(), *share, "semantic"],
     }

@@ -209,11 +209,36 @@ class RunFolder:
             raise FormatError(f"{self.semantics} does not belong to {self.map}; run again")
         return replace(cloud, features=torch.from_numpy(features))
 
-    def write_semantics(self, features: Tensor, reader: dict[str, NDArray]) -> None:
+    def write_semantics(
+        self, features: Tensor, reader: dict[str, NDArray], taxonomy: Taxonomy
+    ) -> None:
         """`semantics/`: the map's features, in half precision, and the state of their reader."""
         arrays = {"features": features.numpy().astype(np.float16)}
         arrays |= {f"reader/{name}": array for name, array in reader.items()}
-        write_array_tree(self.semantics, arrays, {"version": __version__})
+        metadata = {"version": __version__, "taxonomy": taxonomy.digest}
+        write_array_tree(self.semantics, arrays, metadata)
+
+    def read_taxonomy(self) -> Taxonomy | None:
+        """The tree of the map's labels, None for a map without any.
+
+        Raises:
+            FormatError: the tree's file is missing or damaged, or is not the one that the
+                labels were written with.
+        """
+        if not self.semantics.is_dir():
+            return None
+        if not self.taxonomy.is_file():
+            raise FormatError(
+                f"{self.taxonomy} is missing, without which the labels of {self.map} mean "
+                "nothing; put the one there that the run was given"
+            )
+        taxonomy = Taxonomy.load(self.taxonomy)
+        if read_array_tree(self.semantics).metadata.get("taxonomy") != taxonomy.digest:
+            raise FormatError(
+                f"{self.taxonomy} is not the tree that {self.map} was labelled with; put that "
+                "one there, or run again"
+            )
+        return taxonomy
 
     def read_semantics(self) -> dict[str, NDArray]:
         """The state of what reads the features, empty where there are none."""

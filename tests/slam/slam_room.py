@@ -9,10 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolkit.datasets.synthetic import tiny_room
+from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.semantics.factory import build_code, build_labeller
+from toolkit.settings.semantics import SemanticsSettings
 from toolkit.slam import FrameResult, Slam
 from toolkit.tracking.dense import DenseTracker
 
@@ -34,6 +38,19 @@ def first_steps(count: int = 14) -> SlamRoom:
 
 def new_slam(seed: int = 0) -> Slam:
     return Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(seed)))
+
+
+def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
+    """With labels of the room's own ("recorded") or of its planes ("geometric")."""
+    settings = SemanticsSettings.model_validate(
+        {"segmenter": {"kind": kind}, "network": {"use": True}, "loss": {"inter_from": 1}}
+    )
+    labeller = build_labeller(settings, dict(enumerate(CLASS_NAMES, start=1)))
+    assert labeller is not None
+    code = build_code(settings.code, labeller.taxonomy)
+    semantics = build_semantic_mapping(settings, code, 0)
+    mapper = Mapper(FEW, np.random.default_rng(seed), semantics=semantics)
+    return Slam(DenseTracker(), mapper, labeller=labeller)
 
 
 def fed(slam: Slam, frames: Iterable[Frame], hold_out: int | None = None) -> list[FrameResult]:

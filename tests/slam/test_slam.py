@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from slam_room import FEW, SlamRoom, fed, fingerprint, new_slam
+from slam_room import FEW, SlamRoom, fed, fingerprint, new_semantic_slam, new_slam
 
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
@@ -165,6 +165,24 @@ class TestSameBits:
         for slam in (straight, resumed):
             slam.finish()
         assert fingerprint(resumed) == fingerprint(straight)
+
+    @pytest.mark.parametrize("kind", ["recorded", "geometric"])
+    def test_a_resumed_run_with_semantics_is_identical(self, room, tmp_path, kind):
+        """Features, network, and what the segmenter remembers."""
+        frames = room.frames[:11]
+        straight, interrupted = new_semantic_slam(kind), new_semantic_slam(kind)
+        fed(straight, frames)
+        fed(interrupted, frames[:6])
+        folder = RunFolder.create(tmp_path / "run", "seed: 0\n")
+        folder.save_checkpoint(6, *interrupted.state())
+        checkpoint = RunFolder.open(tmp_path / "run").load_checkpoint()
+        resumed = new_semantic_slam(kind, seed=77)
+        resumed.restore(checkpoint.arrays, checkpoint.values)
+        fed(resumed, frames[6:])
+        for slam in (straight, resumed):
+            slam.finish()
+        assert fingerprint(resumed) == fingerprint(straight)
+        assert straight.mapper.gaussians.features.abs().max() > 1.0
 
     def test_saving_often_changes_nothing(self, room):
         plain, saved = new_slam(), new_slam()

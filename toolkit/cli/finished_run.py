@@ -86,7 +86,7 @@ def open_finished_run(path: Path) -> FinishedRun:
             )
     content = _read_frames(folder.frames)
     settings = load(folder.config)
-    taxonomy = Taxonomy.load(folder.taxonomy) if folder.taxonomy.is_file() else None
+    taxonomy = folder.read_taxonomy()
     code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
     semantics.restore(folder.read_semantics())

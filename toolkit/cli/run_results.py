@@ -58,7 +58,7 @@ def write_results(
     gaussians, semantics = slam.mapper.gaussians, slam.mapper.semantics
     labels = None
     if slam.taxonomy is not None:
-        folder.write_semantics(gaussians.features, semantics.state())
+        folder.write_semantics(gaussians.features, semantics.state(), slam.taxonomy)
         # What is measured is what the file holds, which is rounded.
         features = gaussians.features.half().float()
         gaussians = replace(gaussians, features=features)

@@ -101,7 +101,9 @@ class Mapper:
         self.semantics = semantics or SemanticMapping()
         self.gaussians = GaussianCloud.empty(self.semantics.channels)
         self.keyframes: list[Keyframe] = []
-        self.optimiser = SparseAdam(self.options.rates, self.semantics.channels)
+        rates = self.options.rates
+        rates = replace(rates, features=rates.features * self.semantics.unit)
+        self.optimiser = SparseAdam(rates, self.semantics.channels)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()

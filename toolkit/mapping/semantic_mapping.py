@@ -32,6 +32,7 @@ class SemanticMapping:
         self._loss = loss
         self._by_network = reader == "network" and loss is not None and loss.network is not None
         self.channels = 0 if loss is None else loss.code.channels
+        self.unit = 1.0 if loss is None else loss.code.unit
         classes = 0 if loss is None else len(loss.code.taxonomy)
         self._told = torch.zeros(classes, dtype=torch.bool)
 

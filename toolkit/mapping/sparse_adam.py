@@ -21,7 +21,8 @@ class LearningRates:
 
     Attributes:
         means: in units of a Gaussian's own radius, so that scenes of any scale behave alike.
-        log_radii, opacity_logits, colours, features: in the parameter's own unit.
+        log_radii, opacity_logits, colours: in the parameter's own unit.
+        features: in units of the code's own; a logit.
         epsilon: gradients well below it hardly move anything: a Gaussian that fits rests. In
             units of the loss summed over pixels, by the parameter in its own unit.
         settle_steps: a Gaussian's rates fall as 1 / (1 + its steps / settle_steps).

@@ -35,11 +35,13 @@ class SemanticCode(Protocol):
         taxonomy: its classes; ids count from 1, 0 is void.
         channels: S, feature channels of a Gaussian.
         heads: what the native loss needs, or None where only `pixel_loss` will do.
+        unit: what counts as a step of a feature: learning rates are in units of it.
     """
 
     name: str
     taxonomy: Taxonomy
     channels: int
+    unit: float
     heads: Heads | None
 
     @property
@@ -128,7 +130,7 @@ class HeadedCode:
     ) -> None:
         options = options or CodeOptions()
         targets, choices = questions
-        self.name, self.taxonomy = name, taxonomy
+        self.name, self.taxonomy, self.unit = name, taxonomy, 1.0
         width = np.ceil(np.log2(choices)).astype(np.int32) if bits else choices.astype(np.int32)
         guess = width * math.log(2.0) if bits else np.log(choices)
         weight = 1.0 / guess if options.normalise else np.ones(len(choices))
@@ -259,6 +261,7 @@ class ColourCode:
         self.name, self.taxonomy, self.channels = "colour", taxonomy, 3
         self._palette = torch.from_numpy(np.asarray(palette, np.float32))
         self._precision = 1.0 / spread**2
+        self.unit = 0.2 * spread
 
     @property
     def start_values(self) -> Tensor:

@@ -1,0 +1,201 @@
+"""Runs with semantics: what they leave, how they are read again, what they say to bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from test_finished_run_programs import one_line_of_error
+
+from toolkit.cli.main import main
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
+from toolkit.io.splats import read_splats
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.trees import shipped_taxonomy
+
+QUICK = [
+    *("--mapping.first-iterations", "6"),
+    *("--mapping.iterations", "3"),
+    *("--mapping.final-iterations", "2"),
+]
+
+
+@pytest.fixture(scope="session")
+def labelled_recording(tmp_path_factory) -> Path:
+    """Eight frames of a small room in Replica's layout, with labels."""
+    folder = tmp_path_factory.mktemp("labelled") / "room"
+    frames, truth = tiny_room(8, 80, 60)
+    prepare_folder(folder)
+    write_sequence(folder, frames, frames[0].camera, truth.T_world_camera)
+    return folder
+
+
+def arguments(recording: Path, out: Path, *more: str, pace: list[str] = QUICK) -> list[str]:
+    place = ["--dataset.kind", "synthetic", "--dataset.path", str(recording)]
+    given = ["--poses", "given", "--hold-out", "4"]
+    return ["run", *place, *given, *pace, "--out", str(out), *more]
+
+
+def error_of(capsys, *words: object) -> str:
+    """The line that a program fails with, below its progress bars."""
+    assert main([str(word) for word in words]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith("semsplat: error: ")
+    return line
+
+
+@pytest.fixture(scope="session")
+def run(labelled_recording, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "run"
+    assert main(arguments(labelled_recording, out)) == 0
+    return out
+
+
+def metrics_of(run: Path) -> dict:
+    return json.loads((run / "metrics.json").read_text())
+
+
+def test_a_run_knows_what_it_mapped(run):
+    metrics = metrics_of(run)
+    assert metrics["miou_percent"] > 70.0  # many classes have a few pixels here
+    assert metrics["miou_unseen_percent"] > 50.0
+    assert metrics["accuracy_percent"] > 97.0
+    assert metrics["miou_level_0_percent"] >= metrics["miou_percent"]
+    assert metrics["level_0_name"] == "size"
+    assert 0.0 <= metrics["ece_percent"] < 10.0
+
+
+def test_a_run_leaves_its_tree_and_labelled_splats(run):
+    taxonomy = Taxonomy.load(run / "taxonomy.yaml")
+    assert taxonomy == shipped_taxonomy("replica")
+    labels = read_splats(run / "map.ply").labels
+    assert labels.levels.shape[1] == taxonomy.depth
+    told = labels.label > 0
+    assert told.mean() > 0.99
+    # Where a level is sure, it lies on the label's own path.
+    sure = told & (labels.confidence > 0.6)
+    path = taxonomy.node_ids[labels.label[sure] - 1]
+    levels = labels.levels[sure]
+    assert (levels == path)[levels >= 0].all()
+    assert list((run / "renders").glob("*_levels.png"))
+
+
+def test_measuring_again_gives_the_same_labels(run, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "copy")
+    before = metrics_of(copy)
+    assert main(["evaluate", str(copy)]) == 0
+    after = metrics_of(copy)
+    for key in ("miou_percent", "miou_unseen_percent", "accuracy_percent", "ece_percent"):
+        assert after[key] == pytest.approx(before[key], abs=0.02)
+
+
+def test_labels_are_rendered_at_every_level(run, tmp_path):
+    out = tmp_path / "views"
+    words = ["render", str(run), "--what", "labels", "levels", "--every", "4", "--out", str(out)]
+    assert main(words) == 0
+    names = {file.name.rsplit("_", 1)[0] for file in out.iterdir()}
+    assert names == {"levels", *(f"labels_l{i}" for i in range(5))}
+
+
+def test_the_network_can_read_the_map(labelled_recording, tmp_path):
+    network = ["--semantics.network.use", "--semantics.reader", "network"]
+    fast = ["--semantics.loss.inter-from", "1", "--semantics.network.learning-rate", "0.03"]
+    pace = ["--mapping.first-iterations", "50", "--mapping.final-iterations", "8"]
+    out = tmp_path / "run"
+    assert main(arguments(labelled_recording, out, *network, *fast, pace=pace)) == 0
+    copy = metrics_of(out)
+    assert copy["accuracy_percent"] > 80.0
+    assert main(["evaluate", str(out)]) == 0
+    assert metrics_of(out)["accuracy_percent"] == pytest.approx(copy["accuracy_percent"], abs=0.1)
+
+
+# Blended colours of two classes are those of others.
+@pytest.mark.parametrize(("code", "least"), [("flat", 97.0), ("binary", 97.0), ("colour", 88.0)])
+def test_every_code_works(labelled_recording, tmp_path, code, least):
+    out = tmp_path / "run"
+    assert main(arguments(labelled_recording, out, "--semantics.code.kind", code)) == 0
+    assert metrics_of(out)["accuracy_percent"] > least
+
+
+def test_without_semantics_nothing_of_them_is_left(labelled_recording, tmp_path):
+    out = tmp_path / "run"
+    assert main(arguments(labelled_recording, out, "--semantics.code.kind", "none")) == 0
+    assert not (out / "taxonomy.yaml").exists() and not (out / "semantics").exists()
+    assert "miou_percent" not in metrics_of(out)
+    assert read_splats(out / "map.ply").labels is None
+
+
+def test_without_labels_planes_give_names(labelled_recording, tmp_path):
+    bare = shutil.copytree(labelled_recording, tmp_path / "bare")
+    shutil.rmtree(bare / "labels")
+    out = tmp_path / "run"
+    assert main(arguments(bare, out)) == 0
+    assert Taxonomy.load(out / "taxonomy.yaml") == shipped_taxonomy("geometric")
+    names = Taxonomy.load(out / "taxonomy.yaml").classes
+    found = {names[i - 1] for i in np.unique(read_splats(out / "map.ply").labels.label) if i}
+    assert {"floor", "wall"} <= found
+
+
+def test_ignored_classes_are_not_mapped(run, labelled_recording, tmp_path):
+    out = tmp_path / "run"
+    assert main(arguments(labelled_recording, out, "--semantics.ignore", "floor")) == 0
+    floor = shipped_taxonomy("replica").find("floor").class_ids[0]
+    before, after = (read_splats(r / "map.ply").labels.label for r in (run, out))
+    assert (before == floor).sum() > 100
+    assert (after == floor).sum() == 0
+    assert len(after) < len(before)
+
+
+def test_a_map_without_semantics_has_no_labels_to_render(labelled_recording, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(arguments(labelled_recording, out, "--semantics.code.kind", "none")) == 0
+    line = error_of(capsys, "render", out, "--what", "labels")
+    assert "without semantics" in line
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        (["--semantics.taxonomy", "nowhere.yaml"], "nowhere.yaml"),
+        (["--semantics.taxonomy", "cityscapes"], "no taxonomy 'cityscapes' is shipped"),
+        (["--semantics.taxonomy", "nyu40"], "has no class"),
+        (["--semantics.ignore", "perzon"], "no class or group 'perzon'"),
+        (["--semantics.segmenter.kind", "images"], "images.folder"),
+        (["--semantics.segmenter.kind", "model"], "model.folder"),
+    ],
+)
+def test_bad_settings_end_in_one_line(labelled_recording, tmp_path, capsys, more, expected):
+    words = arguments(labelled_recording, tmp_path / "run", *more)
+    assert expected in one_line_of_error(capsys, *words)
+
+
+def test_a_label_without_a_name_is_refused(labelled_recording, tmp_path, capsys):
+    broken = shutil.copytree(labelled_recording, tmp_path / "broken")
+    file = sorted((broken / "labels").glob("label*.png"))[0]
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    image[5, 5] = 240
+    cv2.imwrite(str(file), image)
+    line = error_of(capsys, *arguments(broken, tmp_path / "run"))
+    assert "240" in line and "frame 0" in line
+
+
+def test_another_tree_does_not_read_a_map(run, tmp_path, capsys):
+    copy = shutil.copytree(run, tmp_path / "copy")
+    taxonomy = Taxonomy.load(copy / "taxonomy.yaml")
+    Taxonomy.flat(taxonomy.classes).save(copy / "taxonomy.yaml")
+    assert "is not the tree" in one_line_of_error(capsys, "evaluate", copy)
+    (copy / "taxonomy.yaml").unlink()
+    assert "missing" in one_line_of_error(capsys, "query", copy, "chair")
+
+
+def test_a_run_resumed_with_another_tree_is_refused(run, labelled_recording, tmp_path, capsys):
+    copy = shutil.copytree(run, tmp_path / "copy")
+    taxonomy = Taxonomy.load(copy / "taxonomy.yaml")
+    Taxonomy.flat(taxonomy.classes).save(copy / "taxonomy.yaml")
+    words = ["run", "--config", str(copy / "config.yaml"), "--out", str(copy), "--resume"]
+    assert "another one" in one_line_of_error(capsys, *words)
