@@ -31,6 +31,7 @@ COLUMNS = (
     "depth_l1_cm",
     "gaussians",
     "tracking_ms_per_frame",
+    "labelling_ms_per_frame",
     "mapping_ms_per_frame",
     "refinement_ms_per_frame",
     "peak_memory_mb",

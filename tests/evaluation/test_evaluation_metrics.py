@@ -31,6 +31,7 @@ COSTS = RunCosts(
     keyframes=3,
     gaussians=1000,
     tracking_ms=250.0,
+    labelling_ms=None,
     mapping_ms=500.0,
     refinement_ms=None,
     peak_memory_mb=321.0,

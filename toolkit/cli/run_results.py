@@ -126,6 +126,7 @@ def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
         keyframes=len(slam.mapper.keyframes),
         gaussians=len(gaussians),
         tracking_ms=watch.total_ms("tracking"),
+        labelling_ms=watch.total_ms("labelling"),
         mapping_ms=watch.total_ms("mapping"),
         refinement_ms=watch.total_ms("refinement"),
         peak_memory_mb=peak_memory_mb(),

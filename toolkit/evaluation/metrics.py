@@ -70,7 +70,8 @@ class RunCosts:
         frames: frames given to the system.
         frames_lost: frames without a pose.
         keyframes, gaussians: of the final map.
-        tracking_ms, mapping_ms, refinement_ms: milliseconds, all frames together.
+        tracking_ms, labelling_ms, mapping_ms, refinement_ms: milliseconds, all frames
+            together.
         peak_memory_mb: largest resident memory of the process.
         map_mb: the map's parameters.
     """
@@ -80,6 +81,7 @@ class RunCosts:
     keyframes: int
     gaussians: int
     tracking_ms: float | None
+    labelling_ms: float | None
     mapping_ms: float | None
     refinement_ms: float | None
     peak_memory_mb: float | None
@@ -170,6 +172,7 @@ def cost_metrics(costs: RunCosts) -> Metrics:
     """Counts, means over frames and memory."""
     per_frame = {
         "tracking_ms_per_frame": costs.tracking_ms,
+        "labelling_ms_per_frame": costs.labelling_ms,
         "mapping_ms_per_frame": costs.mapping_ms,
         "refinement_ms_per_frame": costs.refinement_ms,
     }

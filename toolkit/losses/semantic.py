@@ -19,6 +19,8 @@ class SemanticLossWeights:
 
     Attributes:
         weight: of the whole beside colour and depth (H-24: 0.2; G-3: 0.5).
+        every: of the steps of a mapping call, every so many take semantics in; votes at the end
+            do the rest.
         intra: of the code's own questions (H-9: w1).
         inter: of the network's flat classes, once it counts (H-9: w2).
         inter_from: first step within a mapping call at which it does (H: eta), but never
@@ -30,6 +32,7 @@ class SemanticLossWeights:
     """
 
     weight: float = 0.2
+    every: int = 3
     intra: float = 1.0
     inter: float = 5.0
     inter_from: int = 15

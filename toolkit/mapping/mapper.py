@@ -213,6 +213,8 @@ class Mapper:
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         region = focus.region(keyframe)
         rgb, depth_m, labels = keyframe.observed(region)
+        if not self.semantics.takes_part(progress[0]):
+            labels = None
         with self._recorder.timed("map forward"):
             options = DrawOptions(features=labels is not None, region=region)
             view = draw_surface(

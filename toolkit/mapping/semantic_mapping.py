@@ -41,6 +41,10 @@ class SemanticMapping:
         """Features of a new Gaussian by its pixel's class id, [C + 1, S]."""
         return torch.zeros(1, 0) if self._loss is None else self._loss.code.start_values
 
+    def takes_part(self, step: int) -> bool:
+        """Whether a step of a mapping call, counted from 0, is one of those with semantics."""
+        return self._loss is not None and step % self._loss.weights.every == 0
+
     def observe(self, labels: NDArray[np.integer] | None) -> None:
         """Remember which classes the map was told of: it can hold no others.
 

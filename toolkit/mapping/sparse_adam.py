@@ -33,7 +33,7 @@ class LearningRates:
     log_radii: float = 0.01
     opacity_logits: float = 0.05
     colours: float = 0.01
-    features: float = 0.5
+    features: float = 1.0
     epsilon: float = 0.05
     settle_steps: float = 60.0
     freeze_steps: int = 0

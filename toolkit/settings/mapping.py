@@ -37,7 +37,7 @@ class LearningRateSettings(Settings):
     log_radii: float = Field(0.01, ge=0)
     opacity_logits: float = Field(0.05, ge=0)
     colours: float = Field(0.01, ge=0)
-    features: float = Field(0.5, ge=0, description="logits")
+    features: float = Field(1.0, ge=0, description="logits")
     epsilon: float = Field(0.05, gt=0, description="gradients below it hardly move anything")
     settle_steps: float = Field(60.0, ge=0, description="rates halve after so many steps")
     freeze_steps: int = Field(0, ge=0, description="a Gaussian rests after so many; 0 is never")

@@ -63,6 +63,7 @@ class SemanticLossSettings(Settings):
     """Weights of the semantic loss (H-9)."""
 
     weight: float = Field(0.2, ge=0, description="beside colour and depth (G-3: 0.5)")
+    every: int = Field(3, ge=1, description="steps of mapping for one that takes semantics in")
     intra: float = Field(1.0, ge=0, description="of the code's own questions (w1)")
     inter: float = Field(5.0, ge=0, description="of the network's flat classes (w2)")
     inter_from: int = Field(15, ge=0, description="first step of a call that counts it (eta)")

@@ -10,7 +10,7 @@
 namespace semsplat {
 namespace {
 
-enum { LANE = 16 };
+enum { LANE = 16, CHUNK = 64 };
 
 // Natural logarithm of normal positive numbers, relative error below 1e-6; the compiler
 // turns the loop over lanes into vectors.
@@ -36,7 +36,7 @@ struct Lanes {
     int32_t target[LANE];
 };
 
-// One head of sixteen pixels. Returns nothing; adds each pixel's loss to `value`.
+// One head of sixteen pixels (H-10): writes its gradient, adds each pixel's loss to `value`.
 void softmax_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float* scratch,
                   float* gradient, float* value) {
     const F16 inverse = load(lanes.inverse);
@@ -67,6 +67,7 @@ void softmax_head(const float* features, size_t plane, int channels, float weigh
     }
 }
 
+// The same for bits (H-11).
 void bits_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float*,
                float* gradient, float* value) {
     for (int c = 0; c < channels; ++c) {
@@ -87,79 +88,105 @@ void bits_head(const float* features, size_t plane, int channels, float weight, 
     }
 }
 
+// Sixteen neighbouring pixels: their channels lie `apart` floats from each other.
+struct Patch {
+    const float* features;
+    const float* silhouette;
+    const int32_t* labels;
+    size_t apart;
+    float* gradient;
+    float* silhouette_gradient;  // or null
+};
+
+// Loss of a patch; fills its gradients.
+double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, float least_silhouette,
+                  float* scratch) {
+    Lanes lanes;
+    alignas(64) float value[LANE] = {0};
+    bool any = false;
+    for (int i = 0; i < LANE; ++i) {
+        const bool active = patch.labels[i] > 0 && patch.silhouette[i] >= least_silhouette;
+        lanes.active[i] = active ? 1.0f : 0.0f;
+        lanes.inverse[i] = active ? 1.0f / patch.silhouette[i] : 0.0f;
+        lanes.pull[i] = 0;
+        any |= active;
+    }
+    if (!any) {
+        for (int c = 0; c < channels; ++c) std::fill_n(patch.gradient + c * patch.apart, (int)LANE, 0.0f);
+        return 0.0;
+    }
+    const auto head = heads.bits ? bits_head : softmax_head;
+    for (int h = 0; h < heads.count; ++h) {
+        for (int i = 0; i < LANE; ++i) {
+            const int32_t label = patch.labels[i];
+            lanes.target[i] = label > 0 ? heads.targets[(label - 1) * heads.count + h] : 0;
+        }
+        const size_t at = heads.first[h] * patch.apart;
+        head(patch.features + at, patch.apart, heads.width[h], heads.weight[h], lanes, scratch,
+             patch.gradient + at, value);
+    }
+    double total = 0;
+    for (int i = 0; i < LANE; ++i) {
+        total += value[i];
+        if (patch.silhouette_gradient) patch.silhouette_gradient[i] -= lanes.pull[i];
+    }
+    return total;
+}
+
+// The last pixels of an image whose number is no multiple of sixteen, padded with void ones.
+double rest_loss(const Patch& image, int64_t rest, const SemanticHeads& heads, int channels,
+                 float least_silhouette, float* scratch) {
+    std::vector<float> features((size_t)channels * LANE, 0.0f), gradient(features.size(), 0.0f);
+    float silhouette[LANE] = {0}, pull[LANE] = {0};
+    int32_t labels[LANE] = {0};
+    std::copy_n(image.silhouette, rest, silhouette);
+    std::copy_n(image.labels, rest, labels);
+    for (int c = 0; c < channels; ++c) {
+        std::copy_n(image.features + c * image.apart, rest, features.data() + c * LANE);
+    }
+    const Patch padded = {features.data(), silhouette, labels, LANE, gradient.data(), pull};
+    const double total = patch_loss(padded, heads, channels, least_silhouette, scratch);
+    for (int c = 0; c < channels; ++c) {
+        std::copy_n(gradient.data() + c * LANE, rest, image.gradient + c * image.apart);
+    }
+    for (int64_t i = 0; image.silhouette_gradient && i < rest; ++i) image.silhouette_gradient[i] += pull[i];
+    return total;
+}
+
 }  // namespace
 
 double semantic_loss(const float* features, const float* silhouette, const int32_t* labels, int height, int width,
                      const SemanticHeads& heads, float least_silhouette, float* gradient,
                      float* silhouette_gradient) {
-    const int64_t plane = (int64_t)height * width;
-    const int64_t groups = plane / LANE, rest = plane - groups * LANE;
+    const int64_t plane = (int64_t)height * width, patches = plane / LANE, rest = plane - patches * LANE;
+    const int64_t chunks = (patches + CHUNK - 1) / CHUNK;
     int channels = 0, widest = 1;
     for (int h = 0; h < heads.count; ++h) {
         channels = std::max(channels, heads.first[h] + heads.width[h]);
         widest = std::max(widest, heads.width[h]);
     }
-    const auto head = heads.bits ? bits_head : softmax_head;
-    std::vector<double> by_chunk;
-    const int64_t chunk = 64, chunks = (groups + chunk - 1) / chunk;
-    by_chunk.assign((size_t)chunks + 1, 0.0);
-    // Sixteen pixels; features and gradient at their first one, planes apart.
-    const auto sixteen = [&](const float* f, const float* s, const int32_t* l, size_t apart, float* g,
-                             float* scratch, float* pull) {
-        Lanes lanes;
-        alignas(64) float value[LANE] = {0};
-        bool any = false;
-        for (int i = 0; i < LANE; ++i) {
-            const bool active = l[i] > 0 && s[i] >= least_silhouette;
-            lanes.active[i] = active ? 1.0f : 0.0f;
-            lanes.inverse[i] = active ? 1.0f / s[i] : 0.0f;
-            lanes.pull[i] = 0;
-            any |= active;
-        }
-        if (!any) {
-            for (int c = 0; c < channels; ++c) std::fill_n(g + c * apart, (int)LANE, 0.0f);
-            return 0.0;
-        }
-        for (int h = 0; h < heads.count; ++h) {
-            for (int i = 0; i < LANE; ++i) {
-                lanes.target[i] = l[i] > 0 ? heads.targets[(l[i] - 1) * heads.count + h] : 0;
-            }
-            const size_t at = heads.first[h] * apart;
-            head(f + at, apart, heads.width[h], heads.weight[h], lanes, scratch, g + at, value);
-        }
-        double total = 0;
-        for (int i = 0; i < LANE; ++i) {
-            total += value[i];
-            if (pull) pull[i] -= lanes.pull[i];
-        }
-        return total;
+    const auto patch_at = [&](int64_t p) {
+        return Patch{features + p, silhouette + p, labels + p, (size_t)plane, gradient + p,
+                     silhouette_gradient ? silhouette_gradient + p : nullptr};
     };
+    // Added up in order, whatever the number of threads.
+    std::vector<double> by_chunk((size_t)chunks + 1, 0.0);
 #pragma omp parallel
     {
         std::vector<float> scratch((size_t)widest * LANE);
 #pragma omp for schedule(static)
         for (int64_t k = 0; k < chunks; ++k) {
-            for (int64_t at = k * chunk; at < std::min(groups, (k + 1) * chunk); ++at) {
-                const int64_t p = at * LANE;
-                by_chunk[k] += sixteen(features + p, silhouette + p, labels + p, plane, gradient + p, scratch.data(),
-                                       silhouette_gradient ? silhouette_gradient + p : nullptr);
+            for (int64_t at = k * CHUNK; at < std::min(patches, (k + 1) * CHUNK); ++at) {
+                by_chunk[k] += patch_loss(patch_at(at * LANE), heads, channels, least_silhouette, scratch.data());
             }
         }
     }
-    if (rest) {  // the last pixels, padded with void ones
-        const int64_t p = groups * LANE;
-        std::vector<float> f((size_t)channels * LANE, 0.0f), g(f.size(), 0.0f), scratch((size_t)widest * LANE);
-        float s[LANE] = {0}, pull[LANE] = {0};
-        int32_t l[LANE] = {0};
-        std::copy_n(silhouette + p, rest, s);
-        std::copy_n(labels + p, rest, l);
-        for (int c = 0; c < channels; ++c) std::copy_n(features + c * plane + p, rest, f.data() + c * LANE);
-        by_chunk[chunks] = sixteen(f.data(), s, l, LANE, g.data(), scratch.data(), pull);
-        for (int c = 0; c < channels; ++c) std::copy_n(g.data() + c * LANE, rest, gradient + c * plane + p);
-        for (int64_t i = 0; silhouette_gradient && i < rest; ++i) silhouette_gradient[p + i] += pull[i];
+    if (rest) {
+        std::vector<float> scratch((size_t)widest * LANE);
+        by_chunk[chunks] = rest_loss(patch_at(patches * LANE), rest, heads, channels, least_silhouette, scratch.data());
     }
     double total = 0;
-    for (double v : by_chunk) total += v;
+    for (double value : by_chunk) total += value;
     return total;
 }
 
