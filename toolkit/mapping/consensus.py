@@ -57,43 +57,65 @@ def agree(
         draw: the Gaussians as a keyframe sees them, with their features.
     """
     labelled = [keyframe for keyframe in keyframes if keyframe.class_ids is not None]
+    ballot = _Ballot(gaussians, semantics, draw)
+    for keyframe in labelled:
+        ballot.count(keyframe)
     for _ in range(options.rounds):
-        gaussians, views = _vote(gaussians, labelled, semantics, draw)
-        changed = sum(_correct(gaussians, views, k, semantics, draw, options) for k in labelled)
+        gaussians = ballot.elected()
+        changed = False
+        for keyframe in labelled:
+            better = _corrected(gaussians, ballot.views, keyframe, semantics, draw, options)
+            if better is not None:
+                ballot.count(keyframe, -1.0)
+                keyframe.class_ids = better
+                ballot.count(keyframe)
+                changed = True
         if not changed:
             return gaussians
-    return _vote(gaussians, labelled, semantics, draw)[0]
+    return ballot.elected()
 
 
-def _vote(
-    gaussians: GaussianCloud, keyframes: list[Keyframe], semantics: SemanticMapping, draw: Draw
-) -> tuple[GaussianCloud, Tensor]:
-    """Features out of all votes, and how many views told of each Gaussian, [N]."""
-    votes = torch.zeros_like(gaussians.features)
-    views = votes.new_zeros(len(gaussians))
-    for keyframe in keyframes:
+class _Ballot:
+    """Votes for the features of Gaussians; counting is linear, so votes can be taken back.
+
+    Attributes:
+        views: [N] how many views told of each Gaussian.
+    """
+
+    def __init__(self, gaussians: GaussianCloud, semantics: SemanticMapping, draw: Draw) -> None:
+        self._gaussians, self._semantics, self._draw = gaussians, semantics, draw
+        self._votes = torch.zeros_like(gaussians.features)
+        self.views = gaussians.features.new_zeros(len(gaussians))
+
+    def count(self, keyframe: Keyframe, sign: float = 1.0) -> None:
+        """Add a keyframe's votes, or take them back."""
         labels = keyframe.labels
         assert labels is not None
-        ids, part, share = semantics.votes(draw(gaussians, keyframe), labels)
+        view = self._draw(self._gaussians, keyframe)
+        ids, part, share = self._semantics.votes(view, labels)
         # One view, one vote: a close look shall not outvote two from afar.
-        weight = 1.0 / share.clamp(min=1.0)
-        votes[ids] += part * weight[:, None]
-        views[ids] += share * weight
-    told = views > 0
-    features = gaussians.features.clone()
-    features[told] = semantics.from_votes(votes[told], views[told])
-    return replace(gaussians, features=features), views
+        weight = sign / share.clamp(min=1.0)
+        self._votes[ids] += part * weight[:, None]
+        self.views[ids] += share * weight
+
+    def elected(self) -> GaussianCloud:
+        """The Gaussians with the features that the votes ask for."""
+        told = self.views > 1e-6
+        features = self._gaussians.features.clone()
+        votes = self._votes[told].clamp(min=0.0)
+        features[told] = self._semantics.from_votes(votes, self.views[told])
+        return replace(self._gaussians, features=features)
 
 
-def _correct(
+def _corrected(
     gaussians: GaussianCloud,
     views: Tensor,
     keyframe: Keyframe,
     semantics: SemanticMapping,
     draw: Draw,
     options: ConsensusOptions,
-) -> int:
-    """Overrule segments of one keyframe; returns how many."""
+) -> Tensor | None:
+    """A keyframe's labels with the overruled segments renamed, or None if there are none."""
     # The number of views is drawn in the place of red.
     counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
     view = draw(counted, keyframe)
@@ -116,10 +138,10 @@ def _correct(
     overruled = evidence > np.maximum(options.least_share * area, 1.0)
     overruled &= means[likeliest, np.arange(count)] > said + options.margin
     overruled &= own > 0
-    if overruled.any():
-        better = np.where(overruled, class_ids[likeliest], own)
-        keyframe.class_ids = torch.from_numpy(better[segments].astype(np.int16))
-    return int(overruled.sum())
+    if not overruled.any():
+        return None
+    better = np.where(overruled, class_ids[likeliest], own)
+    return torch.from_numpy(better[segments].astype(np.int16))
 
 
 def segments_of(labels: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
