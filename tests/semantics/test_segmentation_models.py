@@ -210,14 +210,16 @@ def test_a_device_that_is_not_there_is_named(monkeypatch):
 
 
 def test_features_cover_the_whole_image_patch_by_patch(dinov2):
-    encoder = PatchEncoder(dinov2, device="cpu")
+    encoder = PatchEncoder(dinov2, 64, "cpu")
     assert encoder.features(coloured_frame(0).rgb).shape == (6, 8, 16)
-    small = PatchEncoder(dinov2, longest_side=32, device="cpu")
+    large = PatchEncoder(dinov2, 128, "cpu")
+    assert large.features(coloured_frame(0).rgb).shape == (12, 16, 16)
+    small = PatchEncoder(dinov2, 32, "cpu")
     assert small.features(coloured_frame(0).rgb).shape == (3, 4, 16)
 
 
 def test_a_change_of_one_patch_shows_most_in_its_own_features(dinov2):
-    encoder = PatchEncoder(dinov2, device="cpu")
+    encoder = PatchEncoder(dinov2, 64, "cpu")
     rgb = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
     changed = rgb.copy()
     changed[16:24, 40:48] = COLOURS[0]
@@ -253,7 +255,7 @@ def test_a_fit_does_not_mind_features_of_very_different_scale():
 @pytest.fixture(scope="module")
 def trained(dinov2):
     """A head trained on six frames, and its encoder."""
-    encoder = PatchEncoder(dinov2, device="cpu")
+    encoder = PatchEncoder(dinov2, 64, "cpu")
     frames = [coloured_frame(i) for i in range(6)]
     generator = np.random.default_rng(0)
     return encoder, train_head(encoder, frames, NAMES | {11: "never seen"}, generator)
@@ -280,7 +282,7 @@ def test_a_saved_head_labels_as_before(trained, tmp_path):
     encoder, head = trained
     head.save(tmp_path / "head.safetensors")
     loaded = LinearHead.load(tmp_path / "head.safetensors")
-    assert loaded.class_names == head.class_names
+    assert (loaded.class_names, loaded.longest_side) == (head.class_names, 64)
     frame = coloured_frame(30)
     np.testing.assert_array_equal(
         HeadSegmenter(encoder, loaded).segment(frame), HeadSegmenter(encoder, head).segment(frame)
@@ -296,7 +298,14 @@ def test_a_head_of_another_encoder_is_refused(trained, dinov2, broken):
         model.layernorm.bias[0] += 1.0
     model.save_pretrained(folder)
     with pytest.raises(FormatError, match="trained on another encoder"):
-        HeadSegmenter(PatchEncoder(folder, device="cpu"), head)
+        HeadSegmenter(PatchEncoder(folder, 64, "cpu"), head)
+
+
+def test_a_head_keeps_the_size_it_was_trained_at(trained, dinov2):
+    _, head = trained
+    assert head.longest_side == 64
+    with pytest.raises(ValueError, match="must see 64 pixels, got 128"):
+        HeadSegmenter(PatchEncoder(dinov2, 128, "cpu"), head)
 
 
 def test_files_that_are_no_heads_are_named(tmp_path, segformer):
@@ -310,7 +319,7 @@ def test_files_that_are_no_heads_are_named(tmp_path, segformer):
 
 
 def test_nothing_can_be_learned_without_labels(dinov2):
-    encoder = PatchEncoder(dinov2, device="cpu")
+    encoder = PatchEncoder(dinov2, 64, "cpu")
     generator = np.random.default_rng(0)
     with pytest.raises(DatasetError, match="no frame has a labelled pixel"):
         train_head(encoder, [], NAMES, generator)

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -47,13 +48,13 @@ class TrainHeadOptions:
     image_size: tuple[int, int] | None = None
     """Width and height in pixels, as a run would resize; native size without it."""
     longest_side: int = 518
-    """Pixels of the longer side of what the encoder sees."""
+    """Pixels of the longer side of what the encoder sees; images are scaled to it."""
     patches_per_frame: int = 400
     """Most patches of a frame that take part."""
     seed: int = 0
     """Of the choice of patches."""
-    device: str = "auto"
-    """cpu, cuda, or auto."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the encoder runs."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -110,8 +111,6 @@ def _check(options: TrainHeadOptions) -> None:
             raise SettingsError(f"--{word} must be at least {bound}, got {value}")
     if options.out.suffix != ".safetensors":
         raise SettingsError(f"--out must end in .safetensors, got {options.out}")
-    if options.device not in ("auto", "cpu", "cuda"):
-        raise SettingsError(f"--device must be auto, cpu or cuda, got {options.device!r}")
 
 
 def _frames(dataset: Dataset, indices: Sequence[int], purpose: str) -> Iterator[Frame]:

@@ -152,5 +152,5 @@ def _model(settings: ModelSettings) -> Segmenter:
     if settings.head is None:
         return TransformersSegmenter(settings.folder, settings.least_confidence, settings.device)
     head = LinearHead.load(settings.head)
-    encoder = PatchEncoder(settings.folder, settings.longest_side, settings.device)
+    encoder = PatchEncoder(settings.folder, head.longest_side, settings.device)
     return HeadSegmenter(encoder, head, settings.least_confidence)

@@ -28,7 +28,6 @@ class ModelSettings(Settings):
     folder: Path | None = Field(None, description="config.json, weights, image processor")
     head: Path | None = Field(None, description="of `semsplat train-head`; then an encoder's")
     least_confidence: float = Field(0.5, ge=0, le=1, description="void below it, a probability")
-    longest_side: int = Field(518, ge=14, description="of what an encoder sees, pixels")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where it runs")
 
 

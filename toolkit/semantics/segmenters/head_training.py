@@ -88,7 +88,7 @@ def train_head(
     present = all_targets.sum(dim=0) > 0
     weights, bias = _fit(torch.cat(features), all_targets[:, present], options)
     kept = tuple(names[int(i)] for i in ids[present.numpy()])
-    return LinearHead(weights, bias, kept, encoder.digest)
+    return LinearHead(weights, bias, kept, encoder.digest, encoder.longest_side)
 
 
 def score_head(

@@ -30,12 +30,14 @@ class LinearHead:
         bias: [C] float32.
         class_names: C names; class i + 1 is the i-th.
         encoder_digest: which encoder's features it takes (`PatchEncoder.digest`).
+        longest_side: at which size (`PatchEncoder.longest_side`).
     """
 
     weights: torch.Tensor
     bias: torch.Tensor
     class_names: tuple[str, ...]
     encoder_digest: str
+    longest_side: int
 
     def __post_init__(self) -> None:
         count = len(self.class_names)
@@ -62,6 +64,7 @@ class LinearHead:
             "format": _FORMAT,
             "classes": json.dumps(self.class_names),
             "encoder": self.encoder_digest,
+            "longest_side": str(self.longest_side),
         }
         with replacing(path) as temporary:
             save_file({"weights": self.weights, "bias": self.bias}, temporary, metadata=header)
@@ -86,7 +89,8 @@ class LinearHead:
                     raise ValueError(f"its format is {header.get('format')!r}, not {_FORMAT!r}")
                 weights, bias = file.get_tensor("weights"), file.get_tensor("bias")
             names = tuple(str(name) for name in json.loads(header["classes"]))
-            return cls(weights.float(), bias.float(), names, header["encoder"])
+            side = int(header["longest_side"])
+            return cls(weights.float(), bias.float(), names, header["encoder"], side)
         except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
             raise FormatError(
                 f"{path} is no head of semsplat: {error}; train one with: semsplat train-head"
@@ -97,13 +101,14 @@ class HeadSegmenter:
     """Labels frames by a linear head on an encoder's patch features.
 
     Args:
-        encoder: of the features.
+        encoder: of the features, at the head's `longest_side`.
         head: trained on this very encoder.
         least_confidence: probability of the likeliest class, 0 to 1, below which a pixel is
             void.
 
     Raises:
         FormatError: the head was trained on another encoder.
+        ValueError: or at another size.
     """
 
     def __init__(
@@ -113,6 +118,10 @@ class HeadSegmenter:
             raise FormatError(
                 "the head was trained on another encoder (model folder); give that one, or "
                 "train a head for this one with: semsplat train-head"
+            )
+        if head.longest_side != encoder.longest_side:
+            raise ValueError(
+                f"the encoder must see {head.longest_side} pixels, got {encoder.longest_side}"
             )
         self._encoder, self._head = encoder, head
         self._least_confidence = least_confidence

@@ -24,11 +24,13 @@ class PatchEncoder:
 
     Args:
         folder: a local folder with a vision transformer that `AutoModel` reads.
-        longest_side: images are scaled to at most so many pixels, whole patches.
+        longest_side: images are scaled to about so many pixels, whole patches; small ones are
+            enlarged, for finer features.
         device: "cpu", "cuda", or "auto".
 
     Attributes:
         channels: length D of a feature vector.
+        longest_side: as given.
 
     Raises:
         DependencyError: transformers cannot be loaded, or the device is not there.
@@ -48,7 +50,7 @@ class PatchEncoder:
                 "vision transformer such as DINOv2"
             )
         self.channels = channels
-        self._patch, self._longest_side = patch, longest_side
+        self.longest_side, self._patch = longest_side, patch
         self._mean, self._std = _normalisation(folder)
         # Models made for one size stretch their positions only if told so.
         parameters = inspect.signature(self._model.forward).parameters
@@ -72,7 +74,7 @@ class PatchEncoder:
             rgb: [H, W, 3] in [0, 1]; it is scaled as a whole, so that patches cover all of it.
         """
         height, width = rgb.shape[:2]
-        scale = min(1.0, self._longest_side / max(height, width))
+        scale = self.longest_side / max(height, width)
         rows, columns = (max(1, round(n * scale / self._patch)) for n in (height, width))
         image = torch.from_numpy(np.ascontiguousarray(rgb)).to(self._device)
         image = image.permute(2, 0, 1)[None]
