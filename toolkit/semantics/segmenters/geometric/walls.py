@@ -31,6 +31,7 @@ _TELLING_EDGE = 0.04
 # Columns of the table.
 _NORMAL, _OFFSET, _SPAN, _HEIGHTS = slice(0, 3), 3, slice(4, 6), slice(6, 8)
 _TOPS, _CELLS, _BACKED, _SEEN, _WALL = slice(8, 12), 12, 13, 14, 15
+_EVIDENCE = slice(8, 14)
 _FREE, _CEILING, _ENDED, _CUT = range(8, 12)
 _COLUMNS = 16
 
@@ -69,7 +70,7 @@ class WallMemory:
     def walls(self) -> list[Wall]:
         """Those that are walls."""
         return [
-            Wall(row[_NORMAL].copy(), float(row[_OFFSET]), (float(row[4]), float(row[5])))
+            Wall(row[_NORMAL].copy(), float(row[_OFFSET]), tuple(row[_SPAN].tolist()))
             for row in self._table
             if row[_WALL]
         ]
@@ -94,9 +95,10 @@ class WallMemory:
     def _merge(row: Array, plane: PlaneSighting) -> None:
         """Take a sighting into the row of its plane, in place."""
         new = _row(plane)
-        if plane.heights_m[1] > row[7] + _HIGHER_M:
+        highest = row[_HEIGHTS][1]
+        if plane.heights_m[1] > highest + _HIGHER_M:
             row[_TOPS] = 0.0
-        elif plane.heights_m[1] < row[7] - _HIGHER_M:
+        elif plane.heights_m[1] < highest - _HIGHER_M:
             new[_TOPS] = 0.0
         row[_SEEN] += 1
         rate = max(_RATE, 1 / row[_SEEN])
@@ -106,7 +108,7 @@ class WallMemory:
         for ends in (_SPAN, _HEIGHTS):
             low, high = row[ends]
             row[ends] = min(low, new[ends][0]), max(high, new[ends][1])
-        row[8:14] = _KEEP * row[8:14] + new[8:14]
+        row[_EVIDENCE] = _KEEP * row[_EVIDENCE] + new[_EVIDENCE]
 
     def state(self) -> Array:
         """The table that `restore` takes."""
@@ -132,8 +134,9 @@ def _log_odds(row: Array, floor_m: float | None, ceiling_m: float | None) -> flo
 
     The weights were chosen by eye and by the scores of `benchmarks/segmenters.py`.
     """
-    width, height = row[5] - row[4], row[7] - row[6]
-    odds = float(np.clip(math.log(max(width * height, 1e-6) / _WALL_AREA_M2), -2.0, 1.0))
+    (left, right), (bottom, top) = row[_SPAN], row[_HEIGHTS]
+    area_m2 = max((right - left) * (top - bottom), 1e-6)
+    odds = float(np.clip(math.log(area_m2 / _WALL_AREA_M2), -2.0, 1.0))
 
     # A little of an edge that is mostly cut off, or mostly not free, may be noise.
     known = row[_ENDED] + 0.5 * row[_CUT]
@@ -143,10 +146,10 @@ def _log_odds(row: Array, floor_m: float | None, ceiling_m: float | None) -> flo
     backed = row[_BACKED] / (row[_BACKED] + row[_CELLS])
     odds -= 2.5 * float(np.clip((backed - 0.03) / 0.2, 0.0, 1.0))
 
-    if ceiling_m is not None and row[7] > ceiling_m - _AT_CEILING_M:
+    if ceiling_m is not None and top > ceiling_m - _AT_CEILING_M:
         odds += 2.5
     if floor_m is not None:
-        reach = row[7] - floor_m
+        reach = top - floor_m
         if reach > _WALL_HEIGHT_M:
             odds += 1.0
         if reach < _FURNITURE_HEIGHT_M:
