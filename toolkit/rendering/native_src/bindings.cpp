@@ -12,6 +12,7 @@
 #include "optimisation.hpp"
 #include "semantics.hpp"
 #include "splats.hpp"
+#include "ssim.hpp"
 
 namespace py = pybind11;
 

@@ -19,8 +19,4 @@ struct RgbdLoss {
 double rgbd_loss(const float* images, const float* rgb, const float* depth, const float* surface, int height,
                  int width, const RgbdLoss& loss, float* gradient);
 
-// Mean SSIM (11x11 Gaussian window, sigma 1.5, zero beyond the border) of planar images
-// [C, H, W]. Where `gradient` is not null, d(weight * sum over pixels of SSIM)/dx is added.
-double ssim(const float* x, const float* y, int channels, int height, int width, float weight, float* gradient);
-
 }  // namespace semsplat
