@@ -66,9 +66,8 @@ def agree(
         for keyframe in labelled:
             better = _corrected(gaussians, ballot.views, keyframe, semantics, draw, options)
             if better is not None:
-                ballot.count(keyframe, -1.0)
+                ballot.recount(keyframe, better)
                 keyframe.class_ids = better
-                ballot.count(keyframe)
                 changed = True
         if not changed:
             return gaussians
@@ -87,16 +86,26 @@ class _Ballot:
         self._votes = torch.zeros_like(gaussians.features)
         self.views = gaussians.features.new_zeros(len(gaussians))
 
-    def count(self, keyframe: Keyframe, sign: float = 1.0) -> None:
-        """Add a keyframe's votes, or take them back."""
+    def count(self, keyframe: Keyframe) -> None:
+        """Add a keyframe's votes."""
         labels = keyframe.labels
         assert labels is not None
-        view = self._draw(self._gaussians, keyframe)
-        ids, part, share = self._semantics.votes(view, labels)
-        # One view, one vote: a close look shall not outvote two from afar.
-        weight = sign / share.clamp(min=1.0)
-        self._votes[ids] += part * weight[:, None]
+        words = self._semantics.codewords(labels)
+        ids, votes, share = self._semantics.votes(self._view(keyframe), words, labels > 0)
+        weight = _one_vote(share)
+        self._votes[ids] += votes * weight[:, None]
         self.views[ids] += share * weight
+
+    def recount(self, keyframe: Keyframe, better: Tensor) -> None:
+        """Change a counted keyframe's votes to those of better labels, void where it was void."""
+        labels = keyframe.labels
+        assert labels is not None
+        change = self._semantics.codewords(better) - self._semantics.codewords(labels)
+        ids, votes, share = self._semantics.votes(self._view(keyframe), change, labels > 0)
+        self._votes[ids] += votes * _one_vote(share)[:, None]
+
+    def _view(self, keyframe: Keyframe) -> SurfaceView:
+        return self._draw(self._gaussians, keyframe)
 
     def elected(self) -> GaussianCloud:
         """The Gaussians with the features that the votes ask for."""
@@ -105,6 +114,11 @@ class _Ballot:
         votes = self._votes[told].clamp(min=0.0)
         features[told] = self._semantics.from_votes(votes, self.views[told])
         return replace(self._gaussians, features=features)
+
+
+def _one_vote(share: Tensor) -> Tensor:
+    """One view, one vote: a close look shall not outvote two from afar."""
+    return 1.0 / share.clamp(min=1.0)
 
 
 def _corrected(

@@ -57,21 +57,29 @@ class SemanticMapping:
             ids = np.unique(labels)
             self._told[torch.from_numpy(ids[ids > 0].astype(np.int64)) - 1] = True
 
-    def votes(self, view: SurfaceView, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What the labelled pixels of a view say of the Gaussians it shows.
+    def codewords(self, labels: Tensor) -> Tensor:
+        """What each pixel of class ids [H, W] asks the features for, [S, H, W]."""
+        assert self._loss is not None
+        words = self._loss.code.codewords.index_select(0, labels.reshape(-1).long())
+        return words.T.reshape(-1, *labels.shape)
 
-        Each pixel gives a Gaussian its codeword, as far as the Gaussian shows in it: that is
-        the derivative of the composited features, with the codewords in the gradient's place.
+    def votes(
+        self, view: SurfaceView, words: Tensor, counted: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What the pixels of a view say of the Gaussians it shows.
+
+        Each pixel gives a Gaussian its words, as far as the Gaussian shows in it: that is the
+        derivative of the composited features, with the words in the gradient's place.
+
+        Args:
+            words: [S, H, W]. counted: [H, W] bool, the pixels that have a say.
 
         Returns:
             Gaussians [V], their votes [V, S] and the sums of their shares [V].
         """
-        assert self._loss is not None
-        height, width = labels.shape
-        by_images = torch.zeros(BASE_CHANNELS + self.channels, height, width)
-        by_images[0] = labels > 0
-        words = self._loss.code.codewords.index_select(0, labels.view(-1).long())
-        by_images[BASE_CHANNELS:] = words.T.view(-1, height, width)
+        by_images = torch.zeros(BASE_CHANNELS + self.channels, *counted.shape)
+        by_images[0] = counted
+        by_images[BASE_CHANNELS:] = words
         found = view.drawn.backward(by_images, detached=True)
         assert found.colours is not None
         return found.ids, found.features, found.colours[:, 0]
