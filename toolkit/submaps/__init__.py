@@ -1,0 +1,1 @@
+"""Submaps: pieces of bounded size, each in a frame of its own."""
