@@ -1,7 +1,7 @@
 """What a run leaves on disk: outputs, and checkpoints from which it continues.
 
     config.yaml  trajectory.txt  map.ply  frames.json  renders/  metrics.json  report.html
-    taxonomy.yaml  semantics/  loops.jsonl  log.txt  checkpoint/{0,1}
+    taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
 
 Checkpoints come in two generations: the older one is replaced, so a whole one exists at any
 moment. They fall on frame boundaries and change no state.
@@ -63,6 +63,7 @@ class RunFolder:
         self.renders = path / "renders"
         self.taxonomy = path / "taxonomy.yaml"
         self.semantics = path / "semantics"
+        self.submaps = path / "submaps"
         self.metrics = path / "metrics.json"
         self.report = path / "report.html"
         self.loops = path / "loops.jsonl"
@@ -195,9 +196,21 @@ class RunFolder:
                 "begun with another one: give that file as --semantics.taxonomy, or start anew"
             )
 
-    def write_map(self, gaussians: GaussianCloud, labels: SplatLabels | None = None) -> None:
-        """`map.ply`, a standard 3DGS file, with labels where the map has semantics."""
-        write_splat_ply(self.map, gaussians, labels.columns() if labels else None)
+    def write_map(
+        self,
+        gaussians: GaussianCloud,
+        labels: SplatLabels | None = None,
+        submap: Tensor | None = None,
+    ) -> None:
+        """`map.ply`, a standard 3DGS file, with labels where the map has semantics.
+
+        Args:
+            submap: [N] int32, the submap that each Gaussian is of.
+        """
+        columns = labels.columns() if labels else {}
+        if submap is not None:
+            columns["submap"] = submap.numpy()
+        write_splat_ply(self.map, gaussians, columns or None)
 
     def read_map(self) -> GaussianCloud:
         """The Gaussians of `map.ply`, with their features where the run left any."""

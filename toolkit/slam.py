@@ -1,7 +1,8 @@
-"""The method on one page: track each frame, map the keyframes, refine at the end."""
+"""The method on one page: track each frame, map the keyframes, join submaps, refine at the end."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,13 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.refinement.fusion import FusedMap, fuse
+from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import Tracker
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -42,10 +49,15 @@ class FrameResult:
 
 @dataclass(frozen=True)
 class _TrackedFrame:
-    """A frame's place, relative to the keyframe before it so that it moves with the map."""
+    """A frame's place, relative to the keyframe before it so that it moves with the map.
+
+    Attributes:
+        keyframe: frame index of that keyframe, one of `submap`.
+    """
 
     index: int
     timestamp_s: float
+    submap: int
     keyframe: int
     gain: float
     bias: float
@@ -60,9 +72,12 @@ class Slam:
         mapper: Mapper,
         recorder: Recorder | None = None,
         labeller: Labeller | None = None,
+        atlas: Atlas | None = None,
     ) -> None:
         self.tracker = tracker
         self.mapper = mapper
+        self.atlas = atlas or Atlas(mapper)
+        self.fused: FusedMap | None = None
         self._labeller = labeller
         self._recorder = recorder or NullRecorder()
         self._tracked: list[_TrackedFrame] = []
@@ -95,9 +110,22 @@ class Slam:
                 frame = self._labelled(frame, T_map_camera)
             with self._recorder.timed("mapping"):
                 mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
+                T_map_camera = self._allocate(frame, T_map_camera)
 
         self._remember(frame, T_map_camera, tracking)
         return FrameResult(frame.index, T_map_camera, tracking, mapping)
+
+    def _allocate(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Begin the next submap where it is time; the newest keyframe's pose in the active one."""
+        verdict = self.atlas.judge()
+        if verdict is None or not verdict.begins:
+            return T_map_camera
+        T_new_old = self.atlas.begin_next(frame)
+        self.tracker.change_frame(T_new_old)
+        _log.info(
+            "submap %d begins at frame %d: %s", self.atlas.active, frame.index, verdict.reason
+        )
+        return T_new_old @ T_map_camera
 
     @property
     def _labels_first(self) -> bool:
@@ -107,22 +135,43 @@ class Slam:
 
     def _labelled(self, frame: Frame, T_map_camera: NDArray[np.float64] | None) -> Frame:
         assert self._labeller is not None
+        # Segmenters know one world, whichever submap is active.
+        T_world_map = self.atlas.T_world_submap(self.atlas.active)
+        T_world_camera = None if T_map_camera is None else T_world_map @ T_map_camera
         with self._recorder.timed("labelling"):
-            return self._labeller.label(frame, T_map_camera)
+            return self._labeller.label(frame, T_world_camera)
 
     def finish(self) -> None:
-        """Refine the map over all keyframes."""
+        """Refine every submap over its keyframes and join them."""
         with self._recorder.timed("refinement"):
-            self.mapper.refine()
+            refine_submaps(self.atlas)
+            self.fused = fuse(self.atlas)
 
     def _remember(
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
     ) -> None:
-        last = len(self.mapper.keyframes) - 1
-        T_map_keyframe = self.mapper.keyframes[last].T_map_camera
+        last = self.mapper.keyframes[-1]
         gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
-        self._tracked.append(_TrackedFrame(frame.index, frame.timestamp_s, last, gain, bias))
-        self._T_keyframe_camera.append(se3.inverse(T_map_keyframe) @ T_map_camera)
+        self._tracked.append(
+            _TrackedFrame(frame.index, frame.timestamp_s, self.atlas.active, last.index, gain, bias)
+        )
+        self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_map_camera)
+
+    @property
+    def gaussians(self) -> GaussianCloud:
+        """The whole map in the world's frame, once finished; until then the active submap."""
+        return self.mapper.gaussians if self.fused is None else self.fused.gaussians
+
+    @property
+    def keyframe_indices(self) -> list[int]:
+        """Frame indices of all keyframes, in order; one on a boundary counts once."""
+        atlas = self.atlas
+        return sorted({i for n in range(len(atlas)) for i in atlas.keyframe_poses(n)})
+
+    @property
+    def keyframe_count(self) -> int:
+        """How many keyframes there are."""
+        return len(self.keyframe_indices)
 
     @property
     def taxonomy(self) -> Taxonomy | None:
@@ -141,10 +190,14 @@ class Slam:
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of the tracked frames, in the map's frame."""
-        keyframes = self.mapper.keyframes
+        """Poses of the tracked frames in the world, the first submap's frame."""
+        atlas = self.atlas
+        keyframes = [
+            {index: atlas.T_world_submap(n) @ T for index, T in atlas.keyframe_poses(n).items()}
+            for n in range(len(atlas))
+        ]
         poses = [
-            se3.orthonormalise(keyframes[f.keyframe].T_map_camera @ T)
+            se3.orthonormalise(keyframes[f.submap][f.keyframe] @ T)
             for f, T in zip(self._tracked, self._T_keyframe_camera, strict=True)
         ]
         times = np.array([f.timestamp_s for f in self._tracked])
@@ -157,9 +210,12 @@ class Slam:
         arrays |= {f"tracker/{k}": a for k, a in self.tracker.state().items()}
         if self._labeller is not None:
             arrays |= {f"segmenter/{k}": a for k, a in self._labeller.segmenter.state().items()}
+        atlas_arrays, atlas_values = self.atlas.state()
+        arrays |= {f"atlas/{k}": a for k, a in atlas_arrays.items()}
         arrays["T_keyframe_camera"] = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
         return arrays, {
             "mapper": values,
+            "atlas": atlas_values,
             "tracked": [asdict(f) for f in self._tracked],
             "lost_frames": self.lost_frames,
         }
@@ -171,6 +227,7 @@ class Slam:
             return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
 
         self.mapper.restore(below("mapper/"), values["mapper"])
+        self.atlas.restore(below("atlas/"), values["atlas"])
         self.tracker.restore(below("tracker/"))
         if self._labeller is not None:
             self._labeller.segmenter.restore(below("segmenter/"))

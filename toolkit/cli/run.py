@@ -27,6 +27,7 @@ from toolkit.semantics.factory import build_code, build_labeller
 from toolkit.settings.files import dump, load
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
+from toolkit.submaps.factory import build_atlas
 from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.given import GivenPoses
 
@@ -64,15 +65,21 @@ def main(argv: Sequence[str]) -> int:
         folder = RunFolder.create(program.out, config)
     _log_to(folder.log)
     watch = StageRecorder()
-    slam = build_slam(settings, dataset, watch)
+    slam = build_slam(settings, dataset, watch, folder.submaps)
     folder.check_taxonomy(slam.taxonomy)
     _process(slam, dataset, folder, settings, watch)
     write_results(slam, dataset, folder, settings, watch)
     return 0
 
 
-def build_slam(settings: RunSettings, dataset: Dataset, watch: StageRecorder) -> Slam:
-    """The system that the settings describe."""
+def build_slam(
+    settings: RunSettings, dataset: Dataset, watch: StageRecorder, submaps: Path | None = None
+) -> Slam:
+    """The system that the settings describe.
+
+    Args:
+        submaps: folder in which submaps rest; None keeps them in memory.
+    """
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
     labeller = build_labeller(settings.semantics, dataset.label_names, stems)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
@@ -83,14 +90,16 @@ def build_slam(settings: RunSettings, dataset: Dataset, watch: StageRecorder) ->
         watch,
         build_semantic_mapping(settings.semantics, code, settings.seed),
     )
+    classes = len(labeller.taxonomy) if labeller else 0
+    atlas = build_atlas(settings.submaps, mapper, classes, submaps)
     if settings.poses == "slam":
         tracker = build_tracker(settings.tracking, settings.backend, watch, code)
-        return Slam(tracker, mapper, watch, labeller)
+        return Slam(tracker, mapper, watch, labeller, atlas)
     if dataset.ground_truth is None:
         raise DatasetError(
             f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"
         )
-    return Slam(GivenPoses(dataset.ground_truth), mapper, watch, labeller)
+    return Slam(GivenPoses(dataset.ground_truth), mapper, watch, labeller, atlas)
 
 
 def _parse(argv: list[str]) -> RunProgram:
@@ -133,7 +142,7 @@ def _process(
         slam.restore(checkpoint.arrays, checkpoint.values)
         start = checkpoint.next_frame
         _log.info("resumed %s at frame %d of %d", folder.path, start, len(dataset))
-    saved_at, saved_keyframes = time.monotonic(), len(slam.mapper.keyframes)
+    saved_at, saved_keyframes = time.monotonic(), slam.keyframe_count
     for frame in _with_progress(
         prefetched(dataset, range(start, len(dataset))), start, len(dataset)
     ):
@@ -143,15 +152,19 @@ def _process(
             reason = result.tracking.reason if result.tracking else "the map has not begun"
             _log.warning("frame %d is lost: %s", frame.index, reason)
         due = time.monotonic() - saved_at > settings.checkpoint.every_s
-        keyframes = len(slam.mapper.keyframes)
+        keyframes = slam.keyframe_count
         due |= keyframes - saved_keyframes >= settings.checkpoint.every_keyframes
         if due:
             folder.save_checkpoint(frame.index + 1, *slam.state())
             saved_at, saved_keyframes = time.monotonic(), keyframes
-    if not slam.mapper.keyframes:
+    if not slam.keyframe_count:
         raise DatasetError(f"no frame of {settings.dataset.path} could start a map; see the log")
     folder.save_checkpoint(len(dataset), *slam.state())
-    _log.info("refining the map over %d keyframes", len(slam.mapper.keyframes))
+    _log.info(
+        "refining the map over %d keyframes in %s",
+        slam.keyframe_count,
+        "one submap" if len(slam.atlas) == 1 else f"{len(slam.atlas)} submaps",
+    )
     slam.finish()
 
 

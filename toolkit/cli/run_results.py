@@ -34,6 +34,7 @@ from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
+from toolkit.submaps.atlas import Atlas
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +56,7 @@ def write_results(
 ) -> None:
     """Trajectory, map, renders, figures and report of a finished run."""
     trajectory = slam.trajectory
-    gaussians, semantics = slam.mapper.gaussians, slam.mapper.semantics
+    gaussians, semantics = slam.gaussians, slam.mapper.semantics
     labels = None
     if slam.taxonomy is not None:
         folder.write_semantics(gaussians.features, semantics.state(), slam.taxonomy)
@@ -74,7 +75,7 @@ def write_results(
         )
     ]
     folder.write_trajectory(trajectory)
-    folder.write_map(gaussians, labels)
+    folder.write_map(gaussians, labels, None if slam.fused is None else slam.fused.submap)
     folder.write_json(folder.frames, _frames(slam, tracked))
     # Before evaluation, which has memory needs of its own.
     costs = _costs(slam, dataset, watch)
@@ -104,12 +105,29 @@ def _frames(slam: Slam, tracked: list[TrackedFrame]) -> dict[str, Any]:
         }
         for f in tracked
     ]
-    keyframes = [keyframe.index for keyframe in slam.mapper.keyframes]
-    return {"frames": rows, "lost": slam.lost_frames, "keyframes": keyframes}
+    return {
+        "frames": rows,
+        "lost": slam.lost_frames,
+        "keyframes": slam.keyframe_indices,
+        "submaps": _submaps(slam.atlas),
+        "allocation": [verdict.values() for verdict in slam.atlas.verdicts],
+    }
+
+
+def _submaps(atlas: Atlas) -> list[dict[str, Any]]:
+    return [
+        {
+            "number": number,
+            "T_world_submap": atlas.T_world_submap(number).tolist(),
+            "keyframes": list(atlas.keyframe_poses(number)),
+            "lost": number in atlas.lost,
+        }
+        for number in range(len(atlas))
+    ]
 
 
 def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
-    gaussians = slam.mapper.gaussians
+    gaussians = slam.gaussians
     floats = sum(
         t.numel()
         for t in (
@@ -123,7 +141,7 @@ def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
     return RunCosts(
         frames=len(dataset),
         frames_lost=len(slam.lost_frames),
-        keyframes=len(slam.mapper.keyframes),
+        keyframes=slam.keyframe_count,
         gaussians=len(gaussians),
         tracking_ms=watch.total_ms("tracking"),
         labelling_ms=watch.total_ms("labelling"),

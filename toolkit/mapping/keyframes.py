@@ -19,6 +19,10 @@ from toolkit.tracking.pose_adam import MOMENTS
 # Covisibility is judged on every n-th pixel in each direction.
 _STRIDE = 16
 
+_NEAREST_M = 0.05
+# A point so much beyond the measured depth is still on the surface.
+_REACH = 1.05
+
 
 @dataclass
 class Keyframe:
@@ -123,17 +127,37 @@ class Keyframe:
         """Class ids [H, W] int32, as the losses take them."""
         return None if self.class_ids is None else self.class_ids.to(torch.int32)
 
+    def points_in_map(self) -> NDArray[np.float64]:
+        """The sparse observed points [P, 3] in the map's frame."""
+        return se3.transform_points(self.T_map_camera, self.points.astype(np.float64))
+
+    def reaches(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points [P, 3] of the map lie in the volume between camera and measured depth."""
+        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
+        inside, uv = self._projected(points)
+        column, row = np.rint(uv[inside]).astype(np.intp).T
+        depth_m = self.depth_m.numpy()[row, column]
+        # Where nothing was measured the view may end anywhere.
+        inside[inside] = (depth_m == 0) | (points[inside, 2] <= _REACH * depth_m)
+        return inside
+
+    def _projected(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Which points [P, 3] in camera coordinates are in the image, and the pixels [P, 2]."""
+        ahead = points[:, 2] > _NEAREST_M
+        uv = self.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+        inside = ahead & (uv >= 0).all(axis=1)
+        inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
+        return inside, uv
+
     def share_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
         """Share of this keyframe's points inside the image of a camera at another pose."""
         if len(self.points) == 0:
             return 0.0
         T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
         points = se3.transform_points(T_other_self, self.points)
-        ahead = points[:, 2] > 0.05
-        uv = self.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
-        inside = ahead & (uv >= 0).all(axis=1)
-        inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
-        return float(inside.mean())
+        return float(self._projected(points)[0].mean())
 
 
 def _tensor(array: NDArray | None) -> Tensor | None:

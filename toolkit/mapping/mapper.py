@@ -86,6 +86,22 @@ class MappingResult:
     loss: float
 
 
+@dataclass(frozen=True)
+class MapContent:
+    """A map without the optimiser's moments.
+
+    Attributes:
+        gaussians: N Gaussians. keyframes: in order.
+        seeded_by: [N] int32, the frame index of the keyframe each Gaussian came from.
+        steps: [N] int32, optimisation steps each Gaussian has had.
+    """
+
+    gaussians: GaussianCloud
+    keyframes: list[Keyframe]
+    seeded_by: Tensor
+    steps: Tensor
+
+
 class Mapper:
     """Owns the Gaussians, the keyframes and the optimiser of one map."""
 
@@ -104,6 +120,7 @@ class Mapper:
         rates = self.options.rates
         rates = replace(rates, features=rates.features * self.semantics.unit)
         self.optimiser = SparseAdam(rates, self.semantics.channels)
+        self.seeded_by = torch.zeros(0, dtype=torch.int32)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -136,15 +153,37 @@ class Mapper:
         self.semantics.observe(frame.labels)
         with self._recorder.timed("seeding"):
             seeded = self._seed(frame, keyframe)
-        first = len(self.keyframes) == 1
-        steps = self.options.first_iterations if first else self.options.iterations
+        all_new = seeded == len(self.gaussians)
+        loss = self._optimise(self.options.first_iterations if all_new else self.options.iterations)
+        return MappingResult(seeded, self._prune(), loss)
+
+    def settle(self, steps: int) -> None:
+        """Optimise further around the newest keyframe (G: at a boundary between submaps)."""
+        self._optimise(steps)
+        self._prune()
+
+    def take(self, content: MapContent) -> None:
+        """Work on other content from now on, with an optimiser that knows only its steps."""
+        self.gaussians, self.keyframes = content.gaussians, content.keyframes
+        self.seeded_by = content.seeded_by
+        self.optimiser = SparseAdam(self.optimiser.rates, self.semantics.channels)
+        self.optimiser.extend(len(self.gaussians))
+        self.optimiser.steps = content.steps.clone()
+
+    @property
+    def content(self) -> MapContent:
+        """What the mapper works on; shared, not copied."""
+        return MapContent(self.gaussians, self.keyframes, self.seeded_by, self.optimiser.steps)
+
+    def _optimise(self, steps: int) -> float:
+        """Steps over the window of the newest keyframe; the last one's loss."""
         window = choose_window(
             self.keyframes, self.options.window, self.options.least_overlap, self._generator
         )
         loss, focus = float("nan"), TileFocus(self.options.tile_share)
         for step in range(steps):
             loss = self._step(self._pick(window), (step, steps), focus)
-        return MappingResult(seeded, self._prune(), loss)
+        return loss
 
     def refine(self) -> None:
         """Optimise over all keyframes, each equally often, in random order."""
@@ -170,6 +209,7 @@ class Mapper:
         """Arrays and JSON values from which `restore` continues identically."""
         arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
         arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
+        arrays["seeded_by"] = self.seeded_by.numpy()
         # Copies: the next step changes the map in place.
         arrays = {name: array.copy() for name, array in arrays.items()}
         arrays |= {f"semantics/{name}": a for name, a in self.semantics.state().items()}
@@ -186,6 +226,7 @@ class Mapper:
         tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
         self.gaussians = GaussianCloud(**tensors)
         self.optimiser.restore(_below(arrays, "optimiser/"))
+        self.seeded_by = torch.from_numpy(np.array(arrays["seeded_by"]))
         self.semantics.restore(_below(arrays, "semantics/"))
         self.keyframes = [
             Keyframe.from_state(_below(arrays, f"keyframes/{number}/"), value)
@@ -266,6 +307,8 @@ class Mapper:
             return 0
         self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
         self.optimiser.extend(len(seeds))
+        origin = torch.full((len(seeds),), keyframe.index, dtype=torch.int32)
+        self.seeded_by = torch.cat([self.seeded_by, origin])
         return len(seeds)
 
     def _missing(self, view: SurfaceView, depth_m: Tensor) -> Tensor:
@@ -290,6 +333,7 @@ class Mapper:
         if count:
             self.gaussians = cloud.select(~bad)
             self.optimiser.keep(~bad)
+            self.seeded_by = self.seeded_by[~bad]
         return count
 
 

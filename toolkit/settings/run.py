@@ -10,6 +10,7 @@ from pydantic import Field
 from toolkit.settings.base import Settings
 from toolkit.settings.mapping import MappingSettings
 from toolkit.settings.semantics import SemanticsSettings
+from toolkit.settings.submaps import SubmapSettings
 from toolkit.settings.tracking import TrackingSettings
 
 DatasetKind = Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
@@ -42,4 +43,5 @@ class RunSettings(Settings):
     tracking: TrackingSettings = TrackingSettings()
     mapping: MappingSettings = MappingSettings()
     semantics: SemanticsSettings = SemanticsSettings()
+    submaps: SubmapSettings = SubmapSettings()
     checkpoint: CheckpointSettings = CheckpointSettings()

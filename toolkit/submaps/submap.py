@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +12,12 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.mapping.keyframes import Keyframe
+from toolkit.mapping.mapper import MapContent
+from toolkit.mapping.sparse_adam import PARAMETERS
+
+
+def _none() -> Tensor:
+    return torch.zeros(0, dtype=torch.int32)
 
 
 @dataclass
@@ -24,15 +31,66 @@ class Submap:
         keyframes: their `T_map_camera` is `T_submap_camera`.
         seeded_by: [N] int32, for each Gaussian the frame index of the keyframe it came from.
         descriptors: [K, D] float32 of unit length, one row a keyframe; D may be 0.
+        steps: [N] int32, optimisation steps each Gaussian has had.
     """
 
     number: int
     T_world_submap: NDArray[np.float64]
     gaussians: GaussianCloud
     keyframes: list[Keyframe]
-    seeded_by: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int32))
+    seeded_by: Tensor = field(default_factory=_none)
     descriptors: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    steps: Tensor = field(default_factory=_none)
 
     def T_world_camera(self, keyframe: Keyframe) -> NDArray[np.float64]:
         """[4, 4] pose of one of its keyframes in the world."""
         return self.T_world_submap @ keyframe.T_map_camera
+
+    @property
+    def content(self) -> MapContent:
+        """What a mapper works on; shared, not copied."""
+        return MapContent(self.gaussians, self.keyframes, self.seeded_by, self.steps)
+
+    @property
+    def megabytes(self) -> float:
+        """Memory of its arrays."""
+        arrays, _ = self.state()
+        return sum(array.nbytes for array in arrays.values()) / 1e6
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values that `from_state` takes; shared, not copied."""
+        arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
+        arrays |= {
+            "T_world_submap": self.T_world_submap,
+            "seeded_by": self.seeded_by.numpy(),
+            "descriptors": self.descriptors,
+            "steps": self.steps.numpy(),
+        }
+        for number, keyframe in enumerate(self.keyframes):
+            arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
+        values = {"number": self.number, "keyframes": [k.values() for k in self.keyframes]}
+        return arrays, values
+
+    @classmethod
+    def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Submap:
+        """The submap that `state` came from."""
+
+        def tensor(name: str) -> Tensor:
+            return torch.from_numpy(np.array(arrays[name]))
+
+        def below(prefix: str) -> dict[str, NDArray]:
+            return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
+
+        keyframes = [
+            Keyframe.from_state(below(f"keyframes/{number}/"), value)
+            for number, value in enumerate(values["keyframes"])
+        ]
+        return cls(
+            number=int(values["number"]),
+            T_world_submap=np.array(arrays["T_world_submap"]),
+            gaussians=GaussianCloud(**{n: tensor(f"gaussians/{n}") for n in PARAMETERS}),
+            keyframes=keyframes,
+            seeded_by=tensor("seeded_by"),
+            descriptors=np.array(arrays["descriptors"]),
+            steps=tensor("steps"),
+        )

@@ -147,6 +147,10 @@ class DenseTracker:
         self.motion.update(frame.timestamp_s, np.eye(4))
         return np.eye(4)
 
+    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
+        """Go on in another frame of the map."""
+        self.motion.change_frame(T_new_old)
+
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         scales = np.array([self._scales.intensity, self._scales.depth_m])

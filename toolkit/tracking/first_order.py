@@ -124,6 +124,10 @@ class FirstOrderTracker:
         self.motion.update(frame.timestamp_s, np.eye(4))
         return np.eye(4)
 
+    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
+        """Go on in another frame of the map."""
+        self.motion.change_frame(T_new_old)
+
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         return dict(self.motion.state())

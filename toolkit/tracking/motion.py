@@ -40,6 +40,10 @@ class ConstantVelocity:
         """Keep the place but not the motion, as after a lost frame."""
         self._times, self._poses = self._times[-1:], self._poses[-1:]
 
+    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
+        """Express the poses in another frame of the map."""
+        self._poses = [T_new_old @ T for T in self._poses]
+
     def state(self) -> dict[str, NDArray[np.float64]]:
         """Arrays that `from_state` restores."""
         return {

@@ -28,6 +28,10 @@ class Tracker(Protocol):
         """The pose of a frame against the Gaussians, with a verdict on it."""
         ...
 
+    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
+        """Go on in another frame of the map: all poses become T_new_old @ T_old_camera."""
+        ...
+
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         ...

@@ -1,0 +1,334 @@
+"""Submaps: when one begins, where it rests, and what its neighbour takes over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.errors import FormatError, RunFolderError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.rendering import render
+from toolkit.slam import Slam
+from toolkit.submaps.allocation import (
+    Allocation,
+    AllocationOptions,
+    path_length_m,
+    share_inside,
+)
+from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.submaps.store import SubmapStore
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.given import GivenPoses
+
+FEW = MapperOptions(iterations=3, first_iterations=10, final_iterations=2)
+
+
+@pytest.fixture(scope="module")
+def room():
+    return tiny_room(14, 96, 72)
+
+
+@pytest.fixture(scope="module")
+def keyframes(room):
+    frames, truth = room
+    return [Keyframe.from_frame(f, T) for f, T in zip(frames, truth.T_world_camera, strict=True)]
+
+
+def turned(keyframe, degrees):
+    """The keyframe as if its camera had looked elsewhere."""
+    T_self_other = se3.exp(np.array([0, 0, 0, 0, np.radians(degrees), 0]))
+    return replace(keyframe, T_map_camera=keyframe.T_map_camera @ T_self_other)
+
+
+def labelled(keyframe, class_id):
+    ids = torch.full(keyframe.depth_m.shape, class_id, dtype=torch.int16)
+    return replace(keyframe, class_ids=ids)
+
+
+class TestAllocation:
+    def test_a_view_lies_inside_its_own_volume(self, keyframes):
+        assert share_inside(keyframes[0], [keyframes[0]]) == 1.0
+
+    def test_a_view_to_the_other_side_does_not(self, keyframes):
+        assert share_inside(turned(keyframes[0], 180), [keyframes[0]]) < 0.2
+
+    def test_a_volume_ends_at_the_wall(self, keyframes):
+        near = replace(keyframes[0], depth_m=keyframes[0].depth_m * 0.5)
+        assert share_inside(keyframes[0], [near]) < 0.1
+
+    def test_the_union_counts(self, keyframes):
+        first, other = keyframes[0], turned(keyframes[0], 40)
+        half = turned(first, 20)
+        both = share_inside(half, [first, other])
+        assert both >= max(share_inside(half, [first]), share_inside(half, [other]))
+
+    def judge(self, keyframes, classes=0, gaussians=0, **options):
+        values = {"fewest_keyframes": 2, "recent": 1} | options
+        return Allocation(AllocationOptions(**values), classes).judge(3, keyframes, gaussians)
+
+    def test_elsewhere_without_labels_is_enough(self, keyframes):
+        verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])
+        assert verdict.begins and "overlap" in verdict.reason
+        assert np.isnan(verdict.divergence) and verdict.submap == 3
+
+    def test_elsewhere_among_the_same_things_is_not(self, keyframes):
+        views = [labelled(k, 1) for k in (keyframes[0], turned(keyframes[0], 180))]
+        verdict = self.judge(views, classes=4)
+        assert not verdict.begins and verdict.divergence == 0.0
+
+    def test_elsewhere_among_other_things_is(self, keyframes):
+        views = [labelled(keyframes[0], 1), labelled(turned(keyframes[0], 180), 2)]
+        assert self.judge(views, classes=4).divergence > 0.4
+        assert self.judge(views, classes=4).begins
+
+    def test_other_things_at_the_same_place_are_not(self, keyframes):
+        views = [labelled(keyframes[0], 1), labelled(keyframes[0], 2)]
+        assert not self.judge(views, classes=4).begins
+
+    def test_small_submaps_go_on(self, keyframes):
+        views = [keyframes[0], turned(keyframes[0], 180)]
+        assert not self.judge(views, fewest_keyframes=3).begins
+
+    @pytest.mark.parametrize(
+        ("options", "gaussians", "word"),
+        [
+            ({"most_keyframes": 2}, 0, "keyframes"),
+            ({"most_gaussians": 10}, 10, "Gaussians"),
+            ({"most_path_m": 1e-4}, 0, "path"),
+        ],
+    )
+    def test_caps_act_alone(self, keyframes, options, gaussians, word):
+        verdict = self.judge(keyframes[:2], gaussians=gaussians, **options)
+        assert verdict.begins and word in verdict.reason
+
+    def test_verdicts_survive_json(self, keyframes):
+        verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])
+        again = type(verdict).from_values(verdict.values())
+        assert verdict.values()["divergence"] is None and np.isnan(again.divergence)
+        assert replace(again, divergence=0.0) == replace(verdict, divergence=0.0)
+
+    def test_the_path_is_what_the_camera_went(self, keyframes):
+        steps = [np.eye(4) for _ in range(3)]
+        steps[1][0, 3] = steps[2][0, 3] = 1.0
+        steps[2][1, 3] = 2.0
+        views = [replace(keyframes[0], T_map_camera=T) for T in steps]
+        assert path_length_m(views) == pytest.approx(3.0)
+
+
+def some_submap(number, count=50, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    cloud = GaussianCloud.from_values(
+        torch.rand(count, 3, generator=g),
+        torch.full((count,), 0.01),
+        torch.full((count,), 0.8),
+        torch.rand(count, 3, generator=g),
+        torch.rand(count, 4, generator=g),
+    )
+    ids = torch.arange(count, dtype=torch.int32)
+    return Submap(number, se3.exp(np.arange(6) * 0.1), cloud, [], ids, steps=ids + 1)
+
+
+def same(a, b):
+    arrays, values = a.state()
+    others, other_values = b.state()
+    return values == other_values and all(
+        np.array_equal(arrays[k], others[k]) for k in arrays | others
+    )
+
+
+class TestStore:
+    def test_what_is_read_is_what_was_put(self, tmp_path, keyframes):
+        submap = replace(some_submap(0), keyframes=keyframes[:2])
+        store = SubmapStore(tmp_path, budget_mb=0)
+        store.put(submap)
+        store.put(some_submap(1))
+        found = store.get(0)
+        assert found is not submap and same(found, submap)
+
+    def test_within_the_budget_nothing_is_read(self, tmp_path):
+        store = SubmapStore(tmp_path)
+        submap = some_submap(0)
+        store.put(submap)
+        store.put(some_submap(1))
+        assert store.get(0) is submap
+
+    def test_without_a_folder_everything_stays(self):
+        store = SubmapStore(None, budget_mb=0)
+        submaps = [some_submap(n) for n in range(3)]
+        for submap in submaps:
+            store.put(submap)
+        assert all(store.get(n) is submap for n, submap in enumerate(submaps))
+
+    def test_an_older_state_finds_what_it_knew(self, tmp_path):
+        store = SubmapStore(tmp_path)
+        store.put(some_submap(0, seed=1))
+        before = store.state()
+        store.put(some_submap(0, seed=2))
+        again = SubmapStore(tmp_path)
+        assert again.restore(before) == []
+        assert same(again.get(0), some_submap(0, seed=1))
+
+    def test_pruning_keeps_what_states_know(self, tmp_path):
+        store = SubmapStore(tmp_path)
+        states = []
+        for seed in range(3):
+            store.put(some_submap(0, seed=seed))
+            states.append(store.state())
+        store.prune(states[1])
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["0000_1", "0000_2"]
+
+    @pytest.mark.parametrize("damage", ["missing", "cut"])
+    def test_a_lost_submap_is_named_and_the_rest_kept(self, tmp_path, caplog, damage):
+        store = SubmapStore(tmp_path)
+        for number in range(3):
+            store.put(some_submap(number))
+        arrays = tmp_path / "0001_0" / "arrays.npz"
+        if damage == "missing":
+            arrays.unlink()
+        else:
+            arrays.write_bytes(arrays.read_bytes()[:100])
+        again = SubmapStore(tmp_path, budget_mb=0)
+        assert again.restore(store.state()) == [1]
+        assert "submap 1 is lost" in caplog.text and "0001_0" in caplog.text
+        assert same(again.get(2), some_submap(2))
+        with pytest.raises((FormatError, RunFolderError)):
+            again.get(1)
+
+    @given(st.lists(st.integers(0, 4), min_size=1, max_size=12))
+    def test_any_order_of_reading_gives_the_same(self, tmp_path_factory, order):
+        store = SubmapStore(tmp_path_factory.mktemp("store"), budget_mb=0.01)
+        for number in range(5):
+            store.put(some_submap(number, seed=number))
+        assert all(same(store.get(n), some_submap(n, seed=n)) for n in order)
+
+
+def cut_slam(room, folder=None, every=2, inherit=True):
+    """Maps with given poses, a new submap at every second keyframe."""
+    _, truth = room
+    mapper = Mapper(FEW, np.random.default_rng(0))
+    allocation = Allocation(AllocationOptions(most_keyframes=every), 0)
+    boundary = BoundaryOptions(steps=2, inherit=inherit)
+    atlas = Atlas(mapper, allocation, SubmapStore(folder, 0.0), boundary)
+    return Slam(GivenPoses(truth), mapper, atlas=atlas)
+
+
+@pytest.fixture
+def cut(room, tmp_path):
+    slam = cut_slam(room, tmp_path)
+    for frame in room[0]:
+        slam.process_frame(frame)
+    return slam
+
+
+class TestAtlas:
+    def test_the_path_goes_through(self, cut, room):
+        assert len(cut.atlas) > 1
+        assert np.allclose(cut.trajectory.T_world_camera, room[1].T_world_camera, atol=1e-9)
+
+    def test_the_boundary_belongs_to_both(self, cut):
+        atlas = cut.atlas
+        for number in range(1, len(atlas)):
+            old, new = atlas.keyframe_poses(number - 1), atlas.keyframe_poses(number)
+            boundary = next(iter(new))
+            assert boundary == list(old)[-1]
+            assert np.array_equal(new[boundary], np.eye(4))
+            T_world_boundary = atlas.T_world_submap(number - 1) @ old[boundary]
+            assert np.allclose(T_world_boundary, atlas.T_world_submap(number))
+        assert len(cut.keyframe_indices) == len(set(cut.keyframe_indices))
+
+    def test_the_new_one_shows_what_its_anchor_saw(self, room, tmp_path):
+        frames, _ = room
+        slam = cut_slam(room, tmp_path)
+        for frame in frames:
+            before = len(slam.atlas)
+            slam.process_frame(frame)
+            if len(slam.atlas) > before:
+                break
+        keyframe = slam.mapper.keyframes[0]
+        shown = render(slam.mapper.gaussians, frame.camera, se3.inverse(keyframe.T_map_camera))
+        assert float(shown.silhouette.mean()) > 0.9
+        assert set(slam.mapper.seeded_by.tolist()) == {frame.index}
+
+    def test_without_inheritance_the_anchor_alone_seeds(self, room):
+        slam = cut_slam(room, inherit=False)
+        for frame in room[0][:6]:
+            slam.process_frame(frame)
+        assert len(slam.atlas) > 1 and len(slam.mapper.gaussians) > 0
+
+    def test_a_moved_anchor_moves_its_frames_alone(self, cut):
+        before, atlas = cut.trajectory.T_world_camera, cut.atlas
+        content = atlas.submap(1).state()[0]["gaussians/means"].copy()
+        move = se3.exp(np.array([0.1, 0.0, 0.2, 0.0, 0.1, 0.0]))
+        atlas.move(1, move @ atlas.T_world_submap(1))
+        after = cut.trajectory.T_world_camera
+        moved = [not np.allclose(a, b) for a, b in zip(after, before, strict=True)]
+        assert any(moved) and not all(moved)
+        assert np.allclose(after[moved], move @ before[moved])
+        assert np.array_equal(atlas.submap(1).state()[0]["gaussians/means"], content)
+
+    def test_a_single_submap_is_the_map_itself(self, room):
+        slam = Slam(GivenPoses(room[1]), Mapper(FEW, np.random.default_rng(0)))
+        for frame in room[0][:4]:
+            slam.process_frame(frame)
+        slam.finish()
+        assert slam.gaussians is slam.mapper.gaussians
+        assert slam.fused.submap.unique().tolist() == [0]
+
+    def test_it_goes_on_from_a_checkpoint_to_the_same_bits(self, room, tmp_path):
+        frames, _ = room
+
+        def ended(cut_at):
+            folder = tmp_path / str(cut_at)
+            slam = cut_slam(room, folder)
+            for frame in frames[:cut_at]:
+                slam.process_frame(frame)
+            arrays, values = slam.state()
+            slam = cut_slam(room, folder)
+            slam.restore(arrays, values)
+            for frame in frames[cut_at:]:
+                slam.process_frame(frame)
+            slam.finish()
+            return slam
+
+        a, b = ended(4), ended(11)
+        assert np.array_equal(a.trajectory.T_world_camera, b.trajectory.T_world_camera)
+        assert torch.equal(a.gaussians.means, b.gaussians.means)
+        assert a.atlas.verdicts == b.atlas.verdicts or len(a.atlas.verdicts) == len(
+            b.atlas.verdicts
+        )
+
+
+class TestFusion:
+    def test_the_joined_map_shows_the_room(self, cut, room):
+        frames, truth = room
+        cut.finish()
+        assert cut.fused.submap.unique().numel() == len(cut.atlas)
+        errors = []
+        for frame, T in zip(frames, truth.T_world_camera, strict=True):
+            drawn = render(cut.gaussians, frame.camera, se3.inverse(T))
+            errors.append(((drawn.colour.numpy() - frame.rgb) ** 2).mean())
+        assert -10 * np.log10(np.mean(errors)) > 22.0
+
+    def test_overlaps_are_told_once(self, cut, room):
+        whole = Slam(GivenPoses(room[1]), Mapper(FEW, np.random.default_rng(0)))
+        for frame in room[0]:
+            whole.process_frame(frame)
+        whole.finish()
+        cut.finish()
+        parts = sum(len(cut.atlas.submap(n).gaussians) for n in range(len(cut.atlas)))
+        assert len(cut.gaussians) < 0.9 * parts
+        assert len(cut.gaussians) < 1.25 * len(whole.gaussians)
+
+    def test_a_lost_submap_is_left_out(self, cut):
+        cut.atlas.lost.append(0)
+        cut.finish()
+        assert 0 not in cut.fused.submap.unique().tolist()

@@ -1,0 +1,97 @@
+"""All submaps as one map, with what overlaps told once.
+
+Space is cut into voxels. Where several submaps have a surface in one voxel, it belongs to the
+one that was optimised most there, and the others give up their Gaussians in it: a wall seen by
+two submaps stays one wall, and nothing is averaged away. Voxels, and not single Gaussians,
+since two samplings of one surface hardly ever have their centres in the same places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.submap import Submap
+
+# Voxel edge in metres: well above what registration leaves, well below furniture.
+VOXEL_M = 0.05
+# A submap shows a surface in a voxel where its Gaussians' opacities sum to so much.
+_LEAST_OPACITY = 2.0
+
+
+@dataclass(frozen=True)
+class FusedMap:
+    """One map in the world's frame.
+
+    Attributes:
+        gaussians: N Gaussians. submap: [N] int32, where each came from.
+    """
+
+    gaussians: GaussianCloud
+    submap: Tensor
+
+
+def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
+    """Join the submaps that can be read. A single one passes unchanged."""
+    if len(atlas) == 1:
+        cloud = atlas.mapper.gaussians
+        return FusedMap(cloud, torch.zeros(len(cloud), dtype=torch.int32))
+    owners = _owners(atlas, voxel_m)
+    clouds, origin = [], []
+    for submap in _readable(atlas):
+        voxels = _voxels(submap, voxel_m)
+        place = np.searchsorted(owners.voxels, voxels)
+        kept = torch.from_numpy(owners.submap[place] == submap.number)
+        cloud = submap.gaussians.select(kept).transformed(submap.T_world_submap)
+        clouds.append(cloud)
+        origin.append(torch.full((len(cloud),), submap.number, dtype=torch.int32))
+    return FusedMap(GaussianCloud.concatenate(clouds), torch.cat(origin))
+
+
+@dataclass(frozen=True)
+class _Owners:
+    """voxels: [V] int64 keys, ascending. submap: [V] the number of each one's owner."""
+
+    voxels: NDArray[np.int64]
+    submap: NDArray[np.int32]
+
+
+def _owners(atlas: Atlas, voxel_m: float) -> _Owners:
+    keys, weights, numbers = [], [], []
+    for submap in _readable(atlas):
+        voxels, inverse = np.unique(_voxels(submap, voxel_m), return_inverse=True)
+        opacity = submap.gaussians.opacities.double().numpy()
+        solid = np.bincount(inverse, opacity)
+        steps = np.bincount(inverse, opacity * submap.steps.double().numpy())
+        # A submap with a surface there goes before one with a stray Gaussian; then the number
+        # of optimisation steps decides, that is, how often and how long the place was looked at.
+        keys.append(voxels)
+        weights.append(np.where(solid >= _LEAST_OPACITY, 1e12, 0.0) + steps)
+        numbers.append(np.full(len(voxels), submap.number, np.int32))
+    key: NDArray[np.int64] = np.concatenate(keys)
+    number: NDArray[np.int32] = np.concatenate(numbers)
+    weight: NDArray[np.float64] = np.concatenate(weights)
+    order = np.lexsort((number, -weight, key))
+    key, number = key[order], number[order]
+    first = np.ones(len(key), bool)
+    first[1:] = key[1:] != key[:-1]
+    return _Owners(key[first], number[first])
+
+
+def _readable(atlas: Atlas) -> Iterator[Submap]:
+    for number in atlas.readable():
+        yield atlas.submap(number)
+
+
+def _voxels(submap: Submap, voxel_m: float) -> NDArray[np.int64]:
+    """A key [N] for the voxel of the world that each Gaussian lies in."""
+    means = submap.gaussians.transformed(submap.T_world_submap).means.double().numpy()
+    cell = np.floor(means / voxel_m).astype(np.int64) + (1 << 20)
+    return (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]

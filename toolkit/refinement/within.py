@@ -1,0 +1,21 @@
+"""Stage 1 of global refinement: each submap over all its keyframes (G, end of III.C)."""
+
+from __future__ import annotations
+
+from toolkit.submaps.atlas import Atlas
+
+
+def refine_submaps(atlas: Atlas) -> None:
+    """Optimise every submap that can be read, the active one last."""
+    mapper, active = atlas.mapper, atlas.active
+    if active == 0:
+        mapper.refine()
+        return
+    atlas.rest()
+    for number in atlas.readable():
+        submap = atlas.submap(number)
+        mapper.take(submap.content)
+        mapper.refine()
+        submap.gaussians, submap.keyframes = mapper.gaussians, mapper.keyframes
+        submap.seeded_by, submap.steps = mapper.seeded_by, mapper.optimiser.steps
+        atlas.put(submap)

@@ -1,0 +1,138 @@
+"""When the next submap begins (G-III.A): elsewhere, among other things, or full."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.semantics.histograms import class_histogram, smoothed_kl
+
+
+@dataclass(frozen=True)
+class AllocationOptions:
+    """Bounds of a submap.
+
+    Attributes:
+        least_overlap: spatially new below this share of the view inside the submap (G: 0.5).
+        least_divergence: semantically new above this KL divergence from the anchor's classes,
+            in nats (G: 0.4, for a rich set of classes).
+        recent: newest keyframes that do not count as the submap's volume. With them the last
+            view's neighbour always would, and the paper's criterion could never fire.
+        fewest_keyframes: a smaller submap takes whatever comes.
+        most_keyframes, most_gaussians, most_path_m: caps that act alone.
+    """
+
+    least_overlap: float = 0.5
+    least_divergence: float = 0.4
+    recent: int = 10
+    fewest_keyframes: int = 25
+    most_keyframes: int = 150
+    most_gaussians: int = 1_000_000
+    most_path_m: float = 30.0
+
+
+@dataclass(frozen=True)
+class AllocationVerdict:
+    """What was found at one keyframe.
+
+    Attributes:
+        index: the keyframe's frame index.
+        submap: number of the submap it was held against.
+        overlap: share of what it sees that the submap's volume holds.
+        divergence: KL divergence from the anchor's classes, nan without labels.
+        reason: why a new submap begins here, empty where none does.
+    """
+
+    index: int
+    submap: int
+    overlap: float
+    divergence: float
+    reason: str
+
+    @property
+    def begins(self) -> bool:
+        """Whether a new submap begins at this keyframe."""
+        return bool(self.reason)
+
+    def values(self) -> dict[str, Any]:
+        """As JSON holds it, which knows no nan."""
+        known = not math.isnan(self.divergence)
+        return {**asdict(self), "divergence": self.divergence if known else None}
+
+    @classmethod
+    def from_values(cls, values: dict[str, Any]) -> AllocationVerdict:
+        """The verdict that `values` came from."""
+        divergence = values["divergence"]
+        return cls(**{**values, "divergence": math.nan if divergence is None else divergence})
+
+
+class Allocation:
+    """Spatial and semantic allocation with hard caps.
+
+    Args:
+        classes: of the taxonomy, 0 for a map without labels.
+    """
+
+    def __init__(self, options: AllocationOptions, classes: int) -> None:
+        self.options = options
+        self._classes = classes
+
+    def judge(self, number: int, keyframes: list[Keyframe], gaussians: int) -> AllocationVerdict:
+        """Hold the newest keyframe of a submap against the others.
+
+        Args:
+            number: the submap's. keyframes: the submap's, the anchor first. gaussians: how many.
+        """
+        newest, options = keyframes[-1], self.options
+        established = keyframes[: max(1, len(keyframes) - options.recent)]
+        overlap = share_inside(newest, established)
+        divergence = self._divergence(newest, keyframes[0])
+        elsewhere = overlap < options.least_overlap
+        # Without labels the place alone decides.
+        other = not divergence <= options.least_divergence
+        reason = ""
+        if len(keyframes) >= options.most_keyframes:
+            reason = f"{len(keyframes)} keyframes"
+        elif gaussians >= options.most_gaussians:
+            reason = f"{gaussians} Gaussians"
+        elif path_length_m(keyframes) >= options.most_path_m:
+            reason = f"a path of {path_length_m(keyframes):.1f} m"
+        elif len(keyframes) >= options.fewest_keyframes and elsewhere and other:
+            reason = f"overlap {overlap:.2f} and divergence {divergence:.2f}"
+        return AllocationVerdict(newest.index, number, overlap, divergence, reason)
+
+    def _divergence(self, newest: Keyframe, anchor: Keyframe) -> float:
+        if not self._classes or newest.class_ids is None or anchor.class_ids is None:
+            return float("nan")
+        current, first = (
+            class_histogram(keyframe.class_ids.numpy(), self._classes)  # type: ignore[union-attr]
+            for keyframe in (newest, anchor)
+        )
+        return smoothed_kl(current, first)
+
+
+def share_inside(keyframe: Keyframe, others: list[Keyframe]) -> float:
+    """Share of a keyframe's observed points inside the union of the others' viewing volumes.
+
+    A volume ends at the depth that its keyframe measured, so it does not reach through walls.
+    """
+    if len(keyframe.points) == 0:
+        return 0.0
+    points = keyframe.points_in_map()
+    inside = np.zeros(len(points), bool)
+    for other in others:
+        inside[~inside] = other.reaches(points[~inside])
+        if inside.all():
+            break
+    return float(inside.mean())
+
+
+def path_length_m(keyframes: list[Keyframe]) -> float:
+    """Length of the way through the keyframes' places, in metres."""
+    places: NDArray[np.float64] = np.array([k.T_map_camera[:3, 3] for k in keyframes])
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())

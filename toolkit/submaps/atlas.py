@@ -1,0 +1,224 @@
+"""All submaps and their anchors: one is active, in the mapper's hands, the others rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.mapping.mapper import MapContent, Mapper
+from toolkit.rendering import SurfaceView
+from toolkit.submaps.allocation import Allocation, AllocationVerdict
+from toolkit.submaps.store import SubmapStore
+from toolkit.submaps.submap import Submap
+
+# An inherited Gaussian lies on the drawn surface or so much behind it, as a share of depth.
+_BEHIND = 0.05
+
+
+@dataclass(frozen=True)
+class BoundaryOptions:
+    """What happens where one submap ends and the next begins.
+
+    Attributes:
+        steps: optimisation steps around the boundary before the old submap rests.
+        inherit: the new submap begins with copies of what its anchor sees of the old one,
+            so that tracking goes on against a settled map; fusion takes the copies out.
+    """
+
+    steps: int = 24
+    inherit: bool = True
+
+
+class Atlas:
+    """Owns the anchors and hands submaps out.
+
+    Args:
+        mapper: works on the active submap.
+        allocation: when the next one begins; None keeps a single one.
+    """
+
+    def __init__(
+        self,
+        mapper: Mapper,
+        allocation: Allocation | None = None,
+        store: SubmapStore | None = None,
+        boundary: BoundaryOptions | None = None,
+    ) -> None:
+        self.mapper = mapper
+        self.verdicts: list[AllocationVerdict] = []
+        self.lost: list[int] = []
+        self._allocation = allocation
+        self._store = store or SubmapStore()
+        self._boundary = boundary or BoundaryOptions()
+        self._anchors = [np.eye(4)]
+        # Frame indices and poses of each resting submap's keyframes: small, and asked for often.
+        self._keyframes: list[dict[int, NDArray[np.float64]]] = []
+        self._descriptors: list[NDArray[np.float32]] = [np.zeros((0, 0), np.float32)]
+
+    @property
+    def active(self) -> int:
+        """Number of the active submap, the newest one."""
+        return len(self._anchors) - 1
+
+    def __len__(self) -> int:
+        return len(self._anchors)
+
+    def T_world_submap(self, number: int) -> NDArray[np.float64]:
+        """[4, 4] pose of an anchor."""
+        return self._anchors[number]
+
+    def move(self, number: int, T_world_submap: NDArray[np.float64]) -> None:
+        """Correct an anchor; nothing inside the submap changes."""
+        self._anchors[number] = T_world_submap.copy()
+
+    def keyframe_poses(self, number: int) -> dict[int, NDArray[np.float64]]:
+        """T_submap_camera of a submap's keyframes by frame index, in order."""
+        if self._in_mapper(number):
+            return {k.index: k.T_map_camera for k in self.mapper.keyframes}
+        return self._keyframes[number]
+
+    def _in_mapper(self, number: int) -> bool:
+        """Whether a submap is active; after `rest` none is."""
+        return number == len(self._keyframes)
+
+    def descriptors(self, number: int) -> NDArray[np.float32]:
+        """[K, D] of a submap's keyframes so far."""
+        return self._descriptors[number]
+
+    def describe(self, descriptor: NDArray[np.float32]) -> None:
+        """Append the descriptor [D] of the active submap's newest keyframe."""
+        rows = self._descriptors[-1].reshape(-1, len(descriptor))
+        self._descriptors[-1] = np.concatenate([rows, descriptor[None]]).astype(np.float32)
+
+    def submap(self, number: int) -> Submap:
+        """A submap; the active one shares the mapper's arrays.
+
+        Raises:
+            ToolkitError: it rested on disk and cannot be read.
+        """
+        if self._in_mapper(number):
+            content = self.mapper.content
+            return Submap(
+                number,
+                self._anchors[number],
+                content.gaussians,
+                content.keyframes,
+                content.seeded_by,
+                self._descriptors[number],
+                content.steps,
+            )
+        submap = self._store.get(number)
+        submap.T_world_submap = self._anchors[number]
+        return submap
+
+    def put(self, submap: Submap) -> None:
+        """Take a submap's new content."""
+        number = submap.number
+        self._anchors[number] = submap.T_world_submap
+        self._descriptors[number] = submap.descriptors
+        if self._in_mapper(number):
+            self.mapper.take(submap.content)
+            return
+        self._keyframes[number] = {k.index: k.T_map_camera for k in submap.keyframes}
+        self._store.put(submap)
+
+    def judge(self) -> AllocationVerdict | None:
+        """Whether the newest keyframe shall begin a submap; None with a single submap."""
+        if self._allocation is None:
+            return None
+        mapper = self.mapper
+        verdict = self._allocation.judge(self.active, mapper.keyframes, len(mapper.gaussians))
+        self.verdicts.append(verdict)
+        return verdict
+
+    def begin_next(self, frame: Frame) -> NDArray[np.float64]:
+        """Let the active submap rest and begin one at its newest keyframe.
+
+        The keyframe is the boundary of both.
+
+        Args:
+            frame: what the newest keyframe was made of.
+
+        Returns:
+            T_new_old [4, 4].
+        """
+        mapper = self.mapper
+        mapper.settle(self._boundary.steps)
+        old, last = self.submap(self.active), mapper.keyframes[-1]
+        T_new_old = se3.inverse(last.T_map_camera)
+        content = self._inherited(old, last)
+        self._keyframes.append({k.index: k.T_map_camera for k in old.keyframes})
+        self._store.put(old)
+        self._anchors.append(old.T_world_submap @ last.T_map_camera)
+        self._descriptors.append(old.descriptors[-1:].copy())
+        mapper.take(content)
+        mapper.add_keyframe(frame, np.eye(4), last.gain, last.bias)
+        return T_new_old
+
+    def rest(self) -> None:
+        """Put the active submap beside the others, before all of them are worked on in turn."""
+        active = self.submap(self.active)
+        self._keyframes.append({k.index: k.T_map_camera for k in active.keyframes})
+        self._store.put(active)
+
+    def readable(self) -> list[int]:
+        """Numbers of the submaps whose content is there."""
+        return [number for number in range(len(self)) if number not in self.lost]
+
+    def _inherited(self, old: Submap, last: Keyframe) -> MapContent:
+        """What a new submap begins with: copies of what its anchor sees, in its frame."""
+        cloud = old.gaussians
+        index = torch.zeros(0, dtype=torch.int64)
+        if self._boundary.inherit:
+            index = shown_by(self.mapper.view(last), cloud, last)
+        moved = cloud.select(index).transformed(se3.inverse(last.T_map_camera))
+        origin = torch.full((len(index),), last.index, dtype=torch.int32)
+        return MapContent(moved, [], origin, old.steps.index_select(0, index))
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values; the active submap's content is the mapper's state."""
+        arrays: dict[str, NDArray] = {"anchors": np.array(self._anchors)}
+        for number, descriptors in enumerate(self._descriptors):
+            arrays[f"descriptors/{number}"] = descriptors
+        for number, poses in enumerate(self._keyframes):
+            arrays[f"indices/{number}"] = np.array(list(poses), np.int64)
+            arrays[f"poses/{number}"] = np.array(list(poses.values())).reshape(-1, 4, 4)
+        verdicts = [verdict.values() for verdict in self.verdicts]
+        return arrays, {"store": self._store.state(), "verdicts": verdicts}
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Take over an earlier `state`; submaps that cannot be read are named and left out."""
+        self._anchors = [np.array(T) for T in arrays["anchors"]]
+        count = len(self._anchors)
+        self._descriptors = [np.array(arrays[f"descriptors/{n}"]) for n in range(count)]
+        self._keyframes = [
+            {
+                int(index): np.array(T)
+                for index, T in zip(arrays[f"indices/{n}"], arrays[f"poses/{n}"], strict=True)
+            }
+            for n in range(count - 1)
+        ]
+        self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
+        self.lost = self._store.restore(values["store"])
+
+
+def shown_by(view: SurfaceView, cloud: GaussianCloud, keyframe: Keyframe) -> Tensor:
+    """Indices [V] of the Gaussians on the surface that a keyframe's view of the map shows."""
+    points = cloud.transformed(se3.inverse(keyframe.T_map_camera)).means.double().numpy()
+    height, width = view.depth_m.shape
+    ahead = points[:, 2] > 0
+    uv = keyframe.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+    column, row = np.rint(uv).astype(np.int64).T
+    inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    depth_m = view.depth_m.numpy()[row[inside], column[inside]]
+    inside[inside] = points[inside, 2] <= (1.0 + _BEHIND) * depth_m
+    return torch.from_numpy(inside.nonzero()[0])
