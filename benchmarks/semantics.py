@@ -1,10 +1,10 @@
 """What semantics cost and what they are worth, code by code.
 
-    SEMSPLAT_DATA=DATA python benchmarks/semantics.py cost quality trees noise ablation room \
+    SEMSPLAT_DATA=DATA python benchmarks/semantics.py cost quality noise ablation room \
         [--room DIR]
 
 Each part prints a table; each run is a process of its own with the default settings but for
-what its row names. `quality`, `trees`, `noise` and `ablation` map replica_office0 with its poses
+what its row names. `quality`, `noise` and `ablation` map replica_office0 with its poses
 given and every fifth view held back; `room` tracks and maps a synthetic room (`semsplat
 make-room --out DIR`); `cost` times one mapping step on a map of replica_office0, codes in turn.
 """
@@ -40,13 +40,11 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import backend
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.settings.run import RunSettings
 
-Part = Literal["cost", "quality", "trees", "noise", "ablation", "room"]
+Part = Literal["cost", "quality", "noise", "ablation", "room"]
 CODES = ("none", "flat", "one-hot", "binary")
-LEVELS = tuple(f"miou_level_{i}_percent" for i in range(5))
 GEOMETRY = ("ate_rmse_cm", "psnr_db", "psnr_unseen_db", "ssim", "depth_l1_cm")
 SEMANTIC = ("miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent")
 COSTS = (
@@ -64,7 +62,7 @@ WRONG_SHARE = 0.2  # of the segments of each frame
 class Options:
     """Measure semantics."""
 
-    parts: tyro.conf.Positional[tuple[Part, ...]] = ("cost", "quality", "trees", "noise")
+    parts: tyro.conf.Positional[tuple[Part, ...]] = ("cost", "quality", "noise")
     room: Path | None = None
     """A noise-free synthetic room, for the part `room`."""
     seeds: int = 1
@@ -88,7 +86,6 @@ def main() -> None:
     parts: dict[Part, Callable[[Options], None]] = {
         "cost": cost,
         "quality": quality,
-        "trees": trees,
         "noise": noise,
         "ablation": ablation,
         "room": room,
@@ -128,24 +125,6 @@ def room(options: Options) -> None:
     rows = {kind: [*place, *code(kind)] for kind in CODES}
     columns = (*GEOMETRY, *SEMANTIC, "miou_unseen_refined_percent", "classes_scored", *COSTS)
     show(Table(columns, rows), options)
-
-
-def trees(options: Options) -> None:
-    """Trees of the same widths with and without meaning, and a tree of one level."""
-    ours = shipped_taxonomy("replica")
-    made = {
-        "ours": ours,
-        "random": random_taxonomy(ours),
-        "alphabetical": alphabetical_taxonomy(ours),
-    }
-    columns = ("miou_percent", "miou_unseen_percent", *LEVELS)
-    with tempfile.TemporaryDirectory() as folder:
-        rows = {}
-        for name, taxonomy in made.items():
-            path = Path(folder) / f"{name}.yaml"
-            taxonomy.save(path)
-            rows[name] = [*office(), "--semantics.taxonomy", str(path)]
-        show(Table(columns, rows), options)
 
 
 def noise(options: Options) -> None:
@@ -318,7 +297,7 @@ class Subject:
         times["renderer"] = times["forward"] + times["backward"]
         del drawn
         start = time.perf_counter()
-        mapper._step(keyframe, (1, 4), self._focus)
+        mapper._step(keyframe, (0, 4), self._focus)  # of a call's steps one with semantics
         times["step"] = time.perf_counter() - start
         return times
 
