@@ -136,7 +136,10 @@ def measured(
     """
     path = settings.dataset.path
     unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
-    options = MeasureOptions(settings.backend, alignment_of(settings), max_views, reading)
+    mesh = path / "mesh.ply" if path and settings.dataset.kind == "synthetic" else None
+    if mesh is not None and not mesh.is_file():
+        mesh = None
+    options = MeasureOptions(settings.backend, alignment_of(settings), max_views, reading, mesh)
     return measure_run(gaussians, tracked, dataset, unseen, options)
 
 

@@ -29,6 +29,7 @@ from toolkit.evaluation.metrics import (
 )
 from toolkit.evaluation.semantic_views import SemanticReading, SemanticScores
 from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.evaluation.walls import wall_thickness
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -82,12 +83,14 @@ class MeasureOptions:
             from given poses, whose world it shares.
         max_views: most views scored of each group (mapped, held out, unseen), evenly spaced.
         semantics: how the map's features are read, None for a map without any.
+        mesh: file of the true surface in the world of the truth, or None.
     """
 
     backend_name: str = "auto"
     alignment: Literal["none", "se3"] = "se3"
     max_views: int = 100
     semantics: SemanticReading | None = None
+    mesh: Path | None = None
 
 
 def measure_run(
@@ -145,6 +148,7 @@ def measure_run(
         **image_metrics(unseen_quality, "_unseen"),
         **image_metrics(refined_quality, "_unseen_refined"),
         **{name: value for score in scores for name, value in score.metrics().items()},
+        **_wall_metrics(gaussians, options.mesh, T_map_world),
         **IMAGE_CONVENTIONS,
         **_view_conventions(options),
     }
@@ -224,6 +228,14 @@ def _map_from_world(
         return None
     error = absolute_trajectory_error(estimate, truth, alignment)
     return se3.inverse(error.alignment.T_world_map)
+
+
+def _wall_metrics(
+    gaussians: GaussianCloud, mesh: Path | None, T_map_world: NDArray[np.float64] | None
+) -> Metrics:
+    if mesh is None or T_map_world is None:
+        return {}
+    return wall_thickness(gaussians, mesh, se3.inverse(T_map_world)).metrics()
 
 
 def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> View:
