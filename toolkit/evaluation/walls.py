@@ -28,8 +28,8 @@ _MOST_OFFSET_M = 0.5
 
 WALL_CONVENTION = (
     f"of patches of {100 * PATCH_M:.0f} cm of the true mesh with at least {_FEWEST} solid "
-    "Gaussians: the spread of their offsets along the normal, 5th to 95th percentile; median of the patches, "
-    "and the 95th percentile of the patches"
+    "Gaussians: the spread of their offsets along the normal, 5th to 95th percentile; the "
+    "median and the 95th percentile of the patches"
 )
 
 
