@@ -13,7 +13,7 @@ class AllocationSettings(Settings):
     least_overlap: float = Field(0.5, ge=0, le=1, description="of the view, spatially new below")
     least_divergence: float = Field(0.4, ge=0, description="KL from the anchor's classes, nats")
     recent: int = Field(10, ge=0, description="newest keyframes that are not the volume")
-    fewest_keyframes: int = Field(25, ge=2, description="a smaller submap takes what comes")
+    fewest_keyframes: int = Field(60, ge=2, description="a smaller submap takes what comes")
     most_keyframes: int = Field(150, ge=2, description="cap that acts alone")
     most_gaussians: int = Field(1_000_000, ge=1, description="cap that acts alone")
     most_path_m: float = Field(30.0, gt=0, description="cap that acts alone, m")

@@ -23,14 +23,15 @@ class AllocationOptions:
             in nats (G: 0.4, for a rich set of classes).
         recent: newest keyframes that do not count as the submap's volume. With them the last
             view's neighbour always would, and the paper's criterion could never fire.
-        fewest_keyframes: a smaller submap takes whatever comes.
+        fewest_keyframes: a smaller submap takes whatever comes. While a camera explores, any
+            view is new and other things are in it: only size tells a turn from a new room.
         most_keyframes, most_gaussians, most_path_m: caps that act alone.
     """
 
     least_overlap: float = 0.5
     least_divergence: float = 0.4
     recent: int = 10
-    fewest_keyframes: int = 25
+    fewest_keyframes: int = 60
     most_keyframes: int = 150
     most_gaussians: int = 1_000_000
     most_path_m: float = 30.0
