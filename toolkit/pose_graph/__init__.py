@@ -1,0 +1,1 @@
+"""Pose graphs: odometry and loops made consistent, and what that moves."""

@@ -1,0 +1,196 @@
+"""Pose graphs solved by GTSAM: this module alone imports it.
+
+GTSAM's tangent is (rotation, translation), perturbations are on the right as ours, and
+`BetweenFactorPose3(i, j, Z)` means Z = inverse(X_i) X_j. It runs on one thread and gives
+the same bits each time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import DependencyError, ToolkitError
+from toolkit.geometry import se3
+from toolkit.pose_graph.graph import PoseGraph
+
+Array = NDArray[np.float64]
+Kernel = Literal["none", "huber", "cauchy", "geman-mcclure"]
+
+# (translation, rotation) <-> (rotation, translation); its own inverse.
+_SWAP = np.array([3, 4, 5, 0, 1, 2])
+# The prior on the fixed node only removes the freedom of the whole: at the optimum it costs
+# nothing, and its width (m, rad) shows in the covariances alone.
+_FIXED_SIGMA = 1e-6
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """How a pose graph is solved.
+
+    Attributes:
+        kernel: of robust edges.
+        kernel_width: residual, in standard deviations, where the kernel begins to doubt; a
+            good edge of 6 degrees of freedom has 2.4 on the average.
+        initialise: start from GTSAM's chordal initialisation, not from the graph's poses;
+            for graphs whose poses are far off. It ignores kernels: not for wrong loops.
+        iterations: most Levenberg-Marquardt steps.
+        tolerance: relative and absolute fall of the error that ends them.
+    """
+
+    kernel: Kernel = "cauchy"
+    kernel_width: float = 3.0
+    initialise: bool = False
+    iterations: int = 100
+    tolerance: float = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraphSolution:
+    """The poses that agree best with all edges.
+
+    Attributes:
+        T_world_node: [4, 4] float64 of each node; the fixed one's bits are the graph's.
+        chi2: [E] of each edge of the graph that was asked for, those taken back as well.
+        weights: [E] in [0, 1], what the kernel left of each edge; 0 for those taken back.
+        covariances: [N, 6, 6] of x in T_world_node exp(x), x = (translation m, rotation
+            rad), nodes ascending; zero at the fixed node. None where not asked for.
+        error_before, error_after: half the sum of the (robust) chi-squares of the edges
+            that were used, at the graph's poses and at the optimum: GTSAM's error.
+        iterations: Levenberg-Marquardt steps.
+        converged: the steps ended by the tolerance.
+        retracted: places, in the graph's edges, of loops that were taken back, in order.
+    """
+
+    T_world_node: dict[int, Array] = field(repr=False)
+    chi2: Array = field(repr=False)
+    weights: Array = field(repr=False)
+    covariances: Array | None = field(repr=False)
+    error_before: float
+    error_after: float
+    iterations: int
+    converged: bool
+    retracted: tuple[int, ...] = ()
+
+
+def solve(
+    graph: PoseGraph, options: SolverOptions | None = None, covariances: bool = True
+) -> PoseGraphSolution:
+    """Minimise the chi-squares of all edges by Levenberg-Marquardt.
+
+    Args:
+        covariances: whether to compute them; on thousands of nodes they take seconds.
+
+    Raises:
+        DependencyError: GTSAM is missing.
+        ToolkitError: the system is singular to working precision.
+    """
+    gtsam = _gtsam()
+    options = options or SolverOptions()
+    factors = _factors(gtsam, graph, options)
+    given = _values(gtsam, graph)
+    try:
+        start = gtsam.InitializePose3.initialize(factors) if options.initialise else given
+        optimizer = gtsam.LevenbergMarquardtOptimizer(factors, start, _parameters(gtsam, options))
+        values = optimizer.optimize()
+        spread = _covariances(gtsam, graph, factors, values) if covariances else None
+    except RuntimeError as error:
+        raise ToolkitError(
+            f"the pose graph ({graph}) is singular to working precision; raise the smallest "
+            f"variances of its edges, or lower the largest"
+        ) from error
+
+    poses = {node: np.array(values.atPose3(node).matrix()) for node in graph.nodes}
+    poses[graph.anchor] = graph.T_world_node[graph.anchor].copy()
+    chi2 = graph.chi2(poses)
+    robust = np.array([edge.robust for edge in graph.edges], dtype=bool)
+    steps = int(optimizer.iterations())
+    return PoseGraphSolution(
+        T_world_node=poses,
+        chi2=chi2,
+        weights=np.where(robust, kernel_weights(chi2, options), 1.0),
+        covariances=spread,
+        error_before=float(factors.error(given)),
+        error_after=float(factors.error(values)),
+        iterations=steps,
+        converged=steps < options.iterations,
+    )
+
+
+def kernel_weights(chi2: Array, options: SolverOptions) -> Array:
+    """[E] weight that the kernel gives to edges of some chi-square."""
+    width2 = options.kernel_width**2
+    if options.kernel == "huber":
+        return np.minimum(1.0, options.kernel_width / np.sqrt(np.maximum(chi2, 1e-300)))
+    if options.kernel == "cauchy":
+        return width2 / (width2 + chi2)
+    if options.kernel == "geman-mcclure":
+        return (width2 / (width2 + chi2)) ** 2
+    return np.ones_like(chi2)
+
+
+def _gtsam() -> ModuleType:
+    try:
+        import gtsam
+    except ImportError as error:
+        raise DependencyError(
+            f"pose graphs need GTSAM, which cannot be loaded ({error}); mend it with: "
+            f"pip install 'gtsam>=4.3'"
+        ) from error
+    return gtsam
+
+
+def _factors(gtsam: ModuleType, graph: PoseGraph, options: SolverOptions) -> Any:
+    factors = gtsam.NonlinearFactorGraph()
+    fixed = gtsam.noiseModel.Isotropic.Sigma(6, _FIXED_SIGMA)
+    pose = gtsam.Pose3(graph.T_world_node[graph.anchor])
+    factors.add(gtsam.PriorFactorPose3(graph.anchor, pose, fixed))
+    kernel = _kernel(gtsam, options)
+    for edge in graph.edges:
+        swapped = edge.information[np.ix_(_SWAP, _SWAP)]
+        noise = gtsam.noiseModel.Gaussian.Information(swapped)
+        if edge.robust and kernel is not None:
+            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        measured = gtsam.Pose3(se3.orthonormalise(edge.T_first_second))
+        factors.add(gtsam.BetweenFactorPose3(edge.first, edge.second, measured, noise))
+    return factors
+
+
+def _kernel(gtsam: ModuleType, options: SolverOptions) -> Any | None:
+    estimators = gtsam.noiseModel.mEstimator
+    kinds = {
+        "huber": estimators.Huber,
+        "cauchy": estimators.Cauchy,
+        "geman-mcclure": estimators.GemanMcClure,
+    }
+    if options.kernel == "none":
+        return None
+    return kinds[options.kernel].Create(options.kernel_width)
+
+
+def _values(gtsam: ModuleType, graph: PoseGraph) -> Any:
+    values = gtsam.Values()
+    for node, T in graph.T_world_node.items():
+        values.insert(node, gtsam.Pose3(se3.orthonormalise(T)))
+    return values
+
+
+def _parameters(gtsam: ModuleType, options: SolverOptions) -> Any:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(options.iterations)
+    parameters.setRelativeErrorTol(options.tolerance)
+    parameters.setAbsoluteErrorTol(options.tolerance)
+    return parameters
+
+
+def _covariances(gtsam: ModuleType, graph: PoseGraph, factors: Any, values: Any) -> Array:
+    marginals = gtsam.Marginals(factors, values)
+    out = np.zeros((len(graph.nodes), 6, 6))
+    for row, node in enumerate(graph.nodes):
+        if node != graph.anchor:
+            out[row] = marginals.marginalCovariance(node)[np.ix_(_SWAP, _SWAP)]
+    return 0.5 * (out + out.transpose(0, 2, 1))
