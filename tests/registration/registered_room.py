@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -65,6 +65,13 @@ def submap_of(
         keyframes=mapper.keyframes,
         descriptors=np.array([thumbnail(keyframe) for keyframe in mapper.keyframes]),
     )
+
+
+def moved(submap: Submap, T_new_old: NDArray[np.float64]) -> Submap:
+    """The same submap, told in another frame."""
+    keyframes = [replace(k, T_map_camera=T_new_old @ k.T_map_camera) for k in submap.keyframes]
+    gaussians = submap.gaussians.transformed(T_new_old)
+    return replace(submap, gaussians=gaussians, keyframes=keyframes)
 
 
 def thumbnail(keyframe: Keyframe) -> NDArray[np.float32]:

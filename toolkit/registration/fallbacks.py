@@ -160,20 +160,20 @@ class CloudRegistration:
         """Open3D's result from wide to narrow, and the information matrix [6, 6]."""
         registration = o3d.pipelines.registration
         criteria = registration.ICPConvergenceCriteria(max_iteration=_ICP_STEPS)
-        T = np.array(start, dtype=np.float64)
-        for voxels in (2.0, 1.0, 0.5):
+        plane = registration.TransformationEstimationPointToPlane()
+        coloured = registration.TransformationEstimationForColoredICP()
+        T, distance = np.array(start, dtype=np.float64), 0.0
+        for voxels, widest in ((2.0, True), (1.0, False), (0.5, False)):
             distance = voxels * self.options.voxel_m
-            if self.options.icp == "coloured":
-                method = registration.TransformationEstimationForColoredICP()
-                try:
-                    found = registration.registration_colored_icp(
-                        source, target, distance, T, method, criteria
-                    )
-                except RuntimeError:  # no correspondence left
-                    break
+            # Colour leads astray from afar: planes come first.
+            if self.options.icp == "coloured" and not widest:
+                align, method = registration.registration_colored_icp, coloured
             else:
-                plane = registration.TransformationEstimationPointToPlane()
-                found = registration.registration_icp(source, target, distance, T, plane, criteria)
+                align, method = registration.registration_icp, plane
+            try:
+                found = align(source, target, distance, T, method, criteria)
+            except RuntimeError:  # no point of one cloud is near the other
+                break
             T = np.asarray(found.transformation, dtype=np.float64)
         found = registration.evaluate_registration(source, target, distance, T)
         count = registration.get_information_matrix_from_point_clouds(source, target, distance, T)

@@ -30,18 +30,21 @@ class FirstOrderFineOptions:
         semantic, feature: weights of the two terms beside colour (G: 1.0 and 0.5).
         iterations: most Adam steps.
         translation_rate, rotation_rate: step sizes in metres and radians.
-        patience: stop when so many steps brought nothing.
+        patience: a round ends when so many steps brought nothing.
         least_gain: what counts as something, a share of the loss.
+        rounds: each begins at the best motion so far, with rates shorter by `rate_decay`.
         least_silhouette: pixels count where both maps are more opaque.
     """
 
     semantic: float = 1.0
     feature: float = 0.5
-    iterations: int = 100
-    translation_rate: float = 0.004
-    rotation_rate: float = 0.002
-    patience: int = 15
+    iterations: int = 150
+    translation_rate: float = 0.005
+    rotation_rate: float = 0.003
+    patience: int = 8
     least_gain: float = 0.001
+    rounds: int = 3
+    rate_decay: float = 0.2
     least_silhouette: float = 0.9
 
 
@@ -82,23 +85,25 @@ def descend(
             for camera, T in zip(cameras, T_source_camera, strict=True)
         ]
     objective = _Objective(target, cameras, T_source_camera, shown, options, backend_name, encoder)
-    adam = PoseAdam(options.translation_rate, options.rotation_rate)
-    T, best_T, best, best_step = start.copy(), start.copy(), float("inf"), 0
-    threshold, step = float("inf"), 0
-    while True:
-        loss, gradient = objective(T)
-        if loss < best:
-            best, best_T = loss, T
-        if loss < threshold * (1.0 - options.least_gain) or not np.isfinite(threshold):
-            threshold, best_step = loss, step
-        if step == options.iterations or step - best_step >= options.patience:
-            break
-        if not np.isfinite(loss):
-            break
-        T = se3.orthonormalise(T @ se3.exp(adam.step(gradient)))
-        step += 1
-    renders = len(cameras) * (step + 2)
-    return Descent(best_T, best, step, renders, bool(step < options.iterations and best < np.inf))
+    best, best_T, steps, judged = float("inf"), start.copy(), 0, 0
+    for round_ in range(options.rounds):
+        share = options.rate_decay**round_
+        adam = PoseAdam(options.translation_rate * share, options.rotation_rate * share)
+        T, since, threshold = best_T, 0, float("inf")
+        while since <= options.patience:
+            # A motion is judged after its step, so there is one drawing more than steps.
+            loss, gradient = objective(T)
+            judged += 1
+            since = 0 if loss < threshold * (1.0 - options.least_gain) else since + 1
+            threshold = loss if since == 0 else threshold
+            if loss < best:
+                best, best_T = loss, T
+            if steps == options.iterations or not np.isfinite(loss):
+                break
+            T = se3.orthonormalise(T @ se3.exp(adam.step(gradient)))
+            steps += 1
+    at_rest = bool(steps < options.iterations and np.isfinite(best))
+    return Descent(best_T, best, steps, len(cameras) * (judged + 1), at_rest)
 
 
 class _Objective:

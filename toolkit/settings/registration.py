@@ -63,11 +63,13 @@ class FirstOrderFineSettings(Settings):
 
     semantic: float = Field(1.0, ge=0, description="weight of the semantic term")
     feature: float = Field(0.5, ge=0, description="weight of the feature term")
-    iterations: int = Field(100, ge=1, description="most Adam steps")
-    translation_rate: float = Field(0.004, gt=0, description="learning rate, m")
-    rotation_rate: float = Field(0.002, gt=0, description="learning rate, rad")
-    patience: int = Field(15, ge=1, description="steps without gain that end it")
+    iterations: int = Field(150, ge=1, description="most Adam steps")
+    translation_rate: float = Field(0.005, gt=0, description="learning rate, m")
+    rotation_rate: float = Field(0.003, gt=0, description="learning rate, rad")
+    patience: int = Field(8, ge=1, description="steps without gain that end a round")
     least_gain: float = Field(0.001, ge=0, lt=1, description="gain that counts, a share")
+    rounds: int = Field(3, ge=1, description="with ever shorter steps")
+    rate_decay: float = Field(0.2, gt=0, le=1, description="of the rates, from round to round")
     least_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")
 
 
