@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion
 
@@ -24,6 +24,7 @@ from toolkit.registration.matching import (
 )
 
 seeds = st.integers(0, 10_000)
+few = settings(max_examples=15)
 
 
 def true_offset(room: Scene, i: int, j: int) -> np.ndarray:
@@ -74,6 +75,7 @@ def test_a_blank_or_blind_image_has_no_offset(room: Scene):
     assert measure_offset(keyframe, blind) is None
 
 
+@few
 @given(seeds)
 def test_fits_are_exact_and_never_mirror(seed):
     generator = np.random.default_rng(seed)
@@ -86,6 +88,7 @@ def test_fits_are_exact_and_never_mirror(seed):
     np.testing.assert_allclose(moved, first, atol=1e-9)
 
 
+@few
 @given(seeds)
 def test_wrong_matches_are_left_out(seed):
     camera, generator = Camera(262.0, 262.0, 159.5, 119.5, 320, 240), np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import error, motion
 
@@ -16,6 +16,7 @@ from toolkit.registration.motion_average import (
 )
 
 seeds = st.integers(0, 10_000)
+few = settings(max_examples=15)
 
 
 def hypotheses(seed: int, right: int, wrong: int, noise: float = 0.0) -> tuple:
@@ -29,6 +30,7 @@ def hypotheses(seed: int, right: int, wrong: int, noise: float = 0.0) -> tuple:
     return T, np.array(target), np.array(source)
 
 
+@few
 @given(seeds)
 def test_a_minority_that_agrees_outvotes_those_that_do_not(seed):
     T, target, source = hypotheses(seed, right=4, wrong=6)
@@ -40,6 +42,7 @@ def test_a_minority_that_agrees_outvotes_those_that_do_not(seed):
     assert not found.agree[4:].any()
 
 
+@few
 @given(seeds)
 def test_the_mean_is_better_than_its_parts(seed):
     T, target, source = hypotheses(seed, right=8, wrong=2, noise=0.01)
@@ -50,6 +53,7 @@ def test_the_mean_is_better_than_its_parts(seed):
     assert found.converged
 
 
+@few
 @given(seeds)
 def test_the_jacobian_is_that_of_the_logarithm(seed):
     generator = np.random.default_rng(seed)

@@ -50,7 +50,7 @@ class KeyframePair:
 
 @dataclass(frozen=True)
 class CoarseRegistration:
-    """A coarse result and the source's keyframes that it rests on, the surest first."""
+    """A coarse result and the source's keyframes that agree with it, the surest first."""
 
     result: RegistrationResult
     views: list[int]
@@ -108,7 +108,11 @@ def register_coarse(
     agreement = average_motion(T_target_camera, T_source_camera, options.average, start)
     return CoarseRegistration(
         _result(agreement, [offset for _, offset in usable], len(pairs), options),
-        [usable[i][0].source for i in np.argsort(-agreement.weights, kind="stable")],
+        [
+            usable[i][0].source
+            for i in np.argsort(-agreement.weights, kind="stable")
+            if agreement.agree[i]
+        ],
     )
 
 

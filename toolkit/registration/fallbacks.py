@@ -74,9 +74,12 @@ class CloudRegistration:
     ) -> RegistrationResult:
         """See Registrar; a start spares the search."""
         o3d = open3d()
+        method = f"{self.options.icp} ICP"
+        if T_target_source is None:
+            method = f"FPFH {self.options.search} + {method}"
         points, other = self._cloud(o3d, target), self._cloud(o3d, source)
         if min(len(points.points), len(other.points)) < _FEWEST_POINTS:
-            return failed(self._method, "a submap has too few solid Gaussians", T_target_source)
+            return failed(method, "a submap has too few solid Gaussians", T_target_source)
         start = T_target_source
         if start is None:
             start = self._searched(o3d, points, other)
@@ -84,7 +87,7 @@ class CloudRegistration:
         found, information = self._icp(o3d, points, other, start)
         T = se3.orthonormalise(np.asarray(found.transformation))
         if len(found.correspondence_set) == 0:
-            return failed(self._method, "the clouds have no point in common", T_target_source)
+            return failed(method, "the clouds have no point in common", T_target_source)
         check = check_alignment(target, source, T, self.drawer, self.options.views)
         enough = found.fitness >= self.options.least_fitness
         return RegistrationResult(
@@ -95,15 +98,11 @@ class CloudRegistration:
             overlap=check.overlap,
             class_agreement=check.class_agreement,
             information=information,
-            iterations=_ICP_STEPS,
+            iterations=0,
             renders=self.drawer.renders - before,
-            method=self._method,
+            method=method,
             reason="" if enough else f"only {100 * found.fitness:.0f} % of the points fit",
         )
-
-    @property
-    def _method(self) -> str:
-        return f"FPFH {self.options.search} + {self.options.icp} ICP"
 
     def _cloud(self, o3d: ModuleType, submap: Submap) -> Any:
         """Solid Gaussians' centres with colours, and normals towards the cameras."""

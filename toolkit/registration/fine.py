@@ -78,6 +78,8 @@ class _TargetView:
 _FIRST_WINDOW = 0.025
 _LAST_WINDOW_PIXELS = 2
 
+_ROUNDS = 8  # of the residual scales' fixed point
+
 
 class FineRegistration:
     """Registers submaps that nearly fit; a Registrar that needs a start.
@@ -258,9 +260,6 @@ class FineRegistration:
             method=self._method,
             reason=reason,
         )
-
-
-_ROUNDS = 8  # of the residual scales' fixed point
 
 
 def classes_clash(

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 # A differentiable descriptor [D] of an image [3, H, W].
 Encoder = Callable[[Tensor], Tensor]
 
+# A view with fewer common pixels does not count.
+_FEWEST_PIXELS = 50
+
 
 @dataclass(frozen=True)
 class FirstOrderFineOptions:
@@ -171,6 +174,3 @@ class _Objective:
             masked = torch.where(mask, drawn.images[:3], shown.images[:3])
             loss = loss + options.feature * ((self._encoder(masked) - words) ** 2).sum()
         return loss
-
-
-_FEWEST_PIXELS = 50

@@ -22,6 +22,11 @@ from toolkit.tracking.result import Health
 
 Array = NDArray[np.float64]
 
+_NEAREST_M = 0.05
+# Dense alignment may correct features by this share of the image's width, but at least by so
+# many pixels; where it goes farther, one of the two is wrong.
+_MOST_CORRECTION, _MOST_CORRECTION_PIXELS = 0.02, 3.0
+
 
 @dataclass(frozen=True)
 class MatchingOptions:
@@ -125,10 +130,6 @@ def _refined(
     )
 
 
-# Dense alignment may correct features by so many pixels; farther off, one of them is wrong.
-_MOST_CORRECTION_PIXELS = 12.0
-
-
 def _parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
     """Whether dense alignment left the place where the features had put the camera."""
     points = second.points.astype(np.float64)
@@ -139,10 +140,8 @@ def _parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
     if not ahead.any():
         return True
     shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
-    return bool(np.median(shift) > _MOST_CORRECTION_PIXELS * max(1.0, camera.width / 640))
-
-
-_NEAREST_M = 0.05
+    most = max(_MOST_CORRECTION * camera.width, _MOST_CORRECTION_PIXELS)
+    return bool(np.median(shift) > most)
 
 
 def _shrunk(level: FrameLevel, largest_width: int) -> FrameLevel:

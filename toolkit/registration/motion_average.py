@@ -15,6 +15,10 @@ from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
 
+# Geman-McClure: a squared residual of so many units has a quarter of its weight.
+_REACH = 9.0
+_SMALL_STEP = 1e-8
+
 
 @dataclass(frozen=True)
 class AverageOptions:
@@ -49,9 +53,6 @@ class Agreement:
     information: Array
     iterations: int
     converged: bool
-
-
-_SMALL_STEP = 1e-8
 
 
 def average_motion(
@@ -118,10 +119,6 @@ def _cost(residuals: Array) -> float:
 def _weights(residuals: Array) -> Array:
     squares = (residuals**2).sum(axis=1)
     return 1.0 / (1.0 + squares / _REACH) ** 2
-
-
-# Geman-McClure: squared residuals beyond this many units lose most of their weight.
-_REACH = 9.0
 
 
 def _inverse_right_jacobian(tangent: Array) -> Array:

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 # Surfaces agree when their depths differ by less than this share.
 MAX_DISTANCE = 0.05
+_NEAREST_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -137,9 +138,6 @@ def compare(target: View, source: View, T_view_frame: Array | None = None) -> Al
         same_class=same,
         views=1,
     )
-
-
-_NEAREST_M = 0.05
 
 
 def _classes(

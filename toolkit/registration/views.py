@@ -15,6 +15,9 @@ from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.alignment import FrameLevel, halved, intensity_of, view_of
 
+# A view that shares less than this is not looked from.
+_LEAST_SHARE = 0.1
+
 
 @dataclass(frozen=True)
 class View:
@@ -109,8 +112,8 @@ def views_of_overlap(
 ) -> list[int]:
     """The source's keyframes that some target keyframe sees most of, the best first.
 
-    Views that a target keyframe shares less than a tenth of are left out, unless no other is
-    left. What stands in between is not considered.
+    Views that share next to nothing are left out, unless there are no others. What stands in
+    between is not considered.
     """
     T_source_target = se3.inverse(T_target_source)
     cameras = [T_source_target @ keyframe.T_map_camera for keyframe in target.keyframes]
@@ -118,6 +121,3 @@ def views_of_overlap(
     best = np.argsort(-shares, kind="stable")
     useful = [int(i) for i in best if shares[i] >= _LEAST_SHARE]
     return useful[:count] or [int(best[0])]
-
-
-_LEAST_SHARE = 0.1
