@@ -1,0 +1,40 @@
+"""Two submaps of a small room, without semantics and with it, and Open3D on one thread."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from registered_room import Scene, scene
+
+from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.registration.views import ViewDrawer
+from toolkit.semantics.codes import flat_code
+from toolkit.semantics.taxonomy import Taxonomy
+
+
+@pytest.fixture(scope="session")
+def room() -> Scene:
+    return scene()
+
+
+@pytest.fixture(scope="session")
+def semantics() -> SemanticMapping:
+    tree = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
+    return SemanticMapping(SemanticLoss(flat_code(tree), SemanticLossWeights()))
+
+
+@pytest.fixture(scope="session")
+def labelled_room(semantics: SemanticMapping) -> Scene:
+    return scene((0, 8), (12, 4), semantics)
+
+
+@pytest.fixture
+def drawer() -> ViewDrawer:
+    return ViewDrawer()
+
+
+@pytest.fixture
+def generator() -> np.random.Generator:
+    return np.random.default_rng(0)

@@ -1,0 +1,116 @@
+"""Registration by rendering from nearby."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from registered_room import Scene, error, motion
+
+from toolkit.geometry import se3
+from toolkit.registration.fine import FineOptions, FineRegistration, classes_clash
+from toolkit.registration.fine_first_order import FirstOrderFineOptions, _Objective
+from toolkit.registration.views import ViewDrawer
+from toolkit.rendering import render
+
+
+@pytest.mark.parametrize(("metres", "degrees"), [(0.0, 0.0), (0.05, 3.0), (0.1, 6.0)])
+def test_dense_finds_the_motion_from_nearby(room: Scene, drawer, metres, degrees):
+    start = room.T_target_source @ motion(1, metres, degrees)
+    result = FineRegistration(drawer=drawer).register(room.target, room.source, start)
+    mm, deg = error(result.T_target_source, room.T_target_source)
+    assert result.converged, result.reason
+    assert mm < 2.0
+    assert deg < 0.05
+    assert result.overlap > 0.8
+    assert result.inliers > 0.95
+    assert result.renders == drawer.renders
+    assert np.linalg.eigvalsh(result.information)[0] > 0
+
+
+def test_both_maps_stay_as_they_are(room: Scene):
+    before = [s.gaussians.means.clone() for s in (room.target, room.source)]
+    FineRegistration().register(room.target, room.source, room.T_target_source)
+    for submap, means in zip((room.target, room.source), before, strict=True):
+        assert torch.equal(submap.gaussians.means, means)
+
+
+def test_a_start_that_shows_nothing_in_common_does_not_converge(room: Scene):
+    away = room.T_target_source @ se3.exp(np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]))
+    result = FineRegistration().register(room.target, room.source, away)
+    assert not result.converged
+    assert "share only" in result.reason
+
+
+def test_the_papers_optimiser_comes_near(room: Scene, drawer):
+    options = FineOptions(optimiser="first-order", views=2)
+    start = room.T_target_source @ motion(1, 0.04, 2.0)
+    result = FineRegistration(options, drawer).register(room.target, room.source, start)
+    mm, deg = error(result.T_target_source, room.T_target_source)
+    assert mm < 15.0
+    assert deg < 0.5
+    assert result.renders == drawer.renders
+    assert result.inliers > 0.9
+
+
+def thumbnails(image: torch.Tensor) -> torch.Tensor:
+    """A smooth stand-in for an image descriptor."""
+    return torch.nn.functional.avg_pool2d(image[None], 20).reshape(-1)
+
+
+@pytest.mark.parametrize("encoder", [None, thumbnails])
+def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, encoder):
+    scene = labelled_room
+    keyframe = scene.source.keyframes[0]
+    camera, T_source_camera = keyframe.camera, keyframe.T_map_camera
+    shown = render(
+        scene.source.gaussians,
+        camera,
+        se3.inverse(T_source_camera),
+        features=scene.source.gaussians.features,
+    )
+    options = FirstOrderFineOptions()
+    views = [camera], [T_source_camera]
+    objective = _Objective(scene.target.gaussians, *views, [shown], options, "auto", encoder)
+    T = scene.T_target_source @ motion(2, 0.03, 1.5)
+    _, gradient = objective(T)
+    direction = gradient / np.linalg.norm(gradient)
+    h = 2e-4
+    ahead, behind = (objective(T @ se3.exp(s * h * direction))[0] for s in (1.0, -1.0))
+    assert (ahead - behind) / (2 * h) == pytest.approx(np.linalg.norm(gradient), rel=0.1)
+
+
+def test_classes_clash_beyond_the_window_only():
+    source, target = np.zeros((9, 9), np.int32), np.zeros((9, 9), np.int32)
+    source[:, :4], source[:, 4:] = 1, 2
+    target[:, :6], target[:, 6:] = 1, 2
+    clash = classes_clash(source, target, 1)
+    assert clash is not None
+    assert clash[:, 4].all()  # two pixels from the nearest 2
+    assert not clash[:, 5:].any()
+    assert not clash[:, :4].any()
+    assert not classes_clash(source, target, 2).any()
+
+
+def test_void_and_missing_classes_clash_with_nothing():
+    seen, void = np.ones((5, 5), np.int32), np.zeros((5, 5), np.int32)
+    assert not classes_clash(seen, void, 0).any()
+    assert classes_clash(seen, None, 0) is None
+
+
+def test_pixels_of_other_classes_have_no_say(labelled_room: Scene, semantics):
+    """A source whose labels are nonsense leaves nothing to align."""
+    scene = labelled_room
+    drawer = ViewDrawer(semantics=semantics)
+    start = scene.T_target_source
+    gated = FineRegistration(drawer=drawer)
+    right = gated.register(scene.target, scene.source, start)
+    assert right.converged
+    assert right.class_agreement > 0.8
+    nonsense = scene.source.gaussians.features.roll(7, dims=1)
+    clouds = replace(scene.source.gaussians, features=nonsense)
+    wrong = gated.register(scene.target, replace(scene.source, gaussians=clouds), start)
+    assert wrong.class_agreement < 0.3
+    assert np.trace(wrong.information) < 0.5 * np.trace(right.information)

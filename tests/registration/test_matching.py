@@ -1,0 +1,118 @@
+"""Offsets between the observed images of two keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from registered_room import Scene, error, motion
+
+from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.registration.matching import (
+    MatchingOptions,
+    _Matched,
+    _rigid_fits,
+    measure_offset,
+)
+
+seeds = st.integers(0, 10_000)
+few = settings(max_examples=15)
+
+
+def true_offset(room: Scene, i: int, j: int) -> np.ndarray:
+    T_camera_target = se3.inverse(room.target.keyframes[i].T_map_camera)
+    return T_camera_target @ room.T_target_source @ room.source.keyframes[j].T_map_camera
+
+
+@pytest.mark.parametrize(("i", "j"), [(0, 0), (1, 1), (3, 2)])
+def test_an_offset_is_measured_to_a_fraction_of_a_millimetre(room: Scene, i, j):
+    offset = measure_offset(room.target.keyframes[i], room.source.keyframes[j])
+    assert offset is not None
+    mm, deg = error(offset.T_first_second, true_offset(room, i, j))
+    assert mm < 1.0
+    assert deg < 0.03
+    assert offset.matches >= 12
+    assert np.linalg.eigvalsh(offset.information)[0] > 0
+
+
+def test_poses_play_no_part(room: Scene):
+    first, second = room.target.keyframes[1], room.source.keyframes[1]
+    lost = replace(second, T_map_camera=motion(3, 5.0, 90.0))
+    a, b = measure_offset(first, second), measure_offset(first, lost)
+    assert a is not None
+    assert b is not None
+    np.testing.assert_array_equal(a.T_first_second, b.T_first_second)
+
+
+def test_the_same_seed_gives_the_same_bits(room: Scene):
+    first, second = room.target.keyframes[0], room.source.keyframes[2]
+    a, b = (measure_offset(first, second, generator=np.random.default_rng(7)) for _ in range(2))
+    assert a is not None
+    assert b is not None
+    assert a.T_first_second.tobytes() == b.T_first_second.tobytes()
+    assert a.information.tobytes() == b.information.tobytes()
+
+
+def test_another_place_has_no_offset(room: Scene):
+    frames, _ = tiny_room(1, 160, 120, seed=5)
+    elsewhere = Keyframe.from_frame(frames[0], np.eye(4))
+    assert measure_offset(room.target.keyframes[0], elsewhere) is None
+
+
+def test_a_blank_or_blind_image_has_no_offset(room: Scene):
+    keyframe = room.target.keyframes[0]
+    blank = replace(keyframe, rgb=torch.full_like(keyframe.rgb, 128))
+    blind = replace(keyframe, depth_m=torch.zeros_like(keyframe.depth_m))
+    assert measure_offset(keyframe, blank) is None
+    assert measure_offset(keyframe, blind) is None
+
+
+@few
+@given(seeds)
+def test_fits_are_exact_and_never_mirror(seed):
+    generator = np.random.default_rng(seed)
+    second = generator.normal(size=(4, 3, 3))
+    truth = np.array([motion(seed + k, 2.0, 170.0) for k in range(4)])
+    first = np.array([se3.transform_points(T, p) for T, p in zip(truth, second, strict=True)])
+    found = _rigid_fits(first, second)
+    np.testing.assert_allclose(np.linalg.det(found[:, :3, :3]), 1.0)
+    moved = np.einsum("hij,hnj->hni", found[:, :3, :3], second) + found[:, None, :3, 3]
+    np.testing.assert_allclose(moved, first, atol=1e-9)
+
+
+@few
+@given(seeds)
+def test_wrong_matches_are_left_out(seed):
+    camera, generator = Camera(262.0, 262.0, 159.5, 119.5, 320, 240), np.random.default_rng(seed)
+    T = motion(seed, 0.3, 15.0)
+    second = generator.uniform([-1.0, -0.7, 2.0], [1.0, 0.7, 4.0], (80, 3))
+    first = se3.transform_points(T, second)
+    first[:40] = generator.permutation(first[:40])
+    matched = _Matched(first, second, camera.project(first), camera)
+    found = matched.motion(MatchingOptions(), generator)
+    assert found is not None
+    np.testing.assert_allclose(found[0], T, atol=1e-2)
+    assert 38 <= found[1] <= 50
+
+
+def test_an_offset_across_a_real_recording(real_data):
+    """Out and back along a kitchen: views of one place, a hundred frames apart."""
+    dataset = open_dataset("seven-scenes", real_data("7scenes_redkitchen"), (320, 240), 200)
+    truth = dataset.ground_truth.T_world_camera
+    last = len(dataset) - 1
+    T_last_world = se3.inverse(truth[last])
+    near = min(range(80), key=lambda i: float(np.linalg.norm(se3.log(T_last_world @ truth[i]))))
+    first, second = (Keyframe.from_frame(dataset[i], np.eye(4)) for i in (near, last))
+    offset = measure_offset(first, second)
+    assert offset is not None
+    mm, deg = error(offset.T_first_second, se3.inverse(truth[near]) @ truth[last])
+    assert mm < 40.0  # the truth itself is good to one or two centimetres
+    assert deg < 1.5

@@ -1,0 +1,90 @@
+"""What an alignment is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from registered_room import Scene, motion
+
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.registration.quality import check_alignment, check_keyframe, compare
+from toolkit.registration.views import View, ViewDrawer, views_of_overlap
+from toolkit.tracking.alignment import FrameLevel
+
+CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
+
+
+def wall(depth_m: float, class_id: int = 1) -> View:
+    flat = torch.full((16, 20), depth_m)
+    return View(FrameLevel(CAMERA, torch.zeros(16, 20), flat), np.full((16, 20), class_id))
+
+
+def test_a_wall_fits_itself():
+    check = compare(wall(2.0), wall(2.0))
+    assert check.pixels == 320
+    assert check.overlap == check.inliers == check.fitness == check.class_agreement == 1.0
+    assert check.rmse_m == 0.0
+
+
+def test_a_wall_in_front_is_a_contradiction():
+    check = compare(wall(1.5), wall(2.0))
+    assert check.overlap == 1.0
+    assert check.inliers == 0.0
+    assert np.isnan(check.rmse_m)
+    assert np.isnan(check.class_agreement)
+
+
+def test_depth_and_class_are_judged_apart():
+    check = compare(wall(2.0, class_id=1), wall(2.04, class_id=2))
+    assert check.inliers == 1.0
+    assert check.rmse_m == pytest.approx(0.04, rel=1e-5)
+    assert check.class_agreement == 0.0
+
+
+def test_half_a_view_aside_is_half_an_overlap():
+    half = 2.0 * 10.0 / 20.0  # ten of twenty pixels at two metres
+    aside = se3.exp(np.array([half, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert compare(wall(2.0), wall(2.0), aside).overlap == pytest.approx(0.5)
+
+
+def test_counts_add_up():
+    one, two = compare(wall(2.0), wall(2.0)), compare(wall(1.5), wall(2.0))
+    both = one + two
+    assert both.views == 2
+    assert both.inliers == 0.5
+
+
+def test_the_truth_fits_and_other_places_do_not(room: Scene, drawer):
+    right = check_alignment(room.target, room.source, room.T_target_source, drawer)
+    assert right.fitness > 0.85
+    assert right.rmse_m < 0.03
+    off = room.T_target_source @ motion(1, 0.4, 15.0)
+    wrong = check_alignment(room.target, room.source, off, drawer)
+    assert wrong.fitness < 0.6 * right.fitness
+
+
+def test_a_keyframe_s_own_observation_fits_the_other_submap(labelled_room: Scene, semantics):
+    scene = labelled_room
+    keyframe = scene.source.keyframes[0]
+    drawer = ViewDrawer(semantics=semantics)
+    T_target_camera = scene.T_target_source @ keyframe.T_map_camera
+    check = check_keyframe(scene.target, keyframe, T_target_camera, drawer)
+    assert check.fitness > 0.7
+    assert check.class_agreement > 0.8
+    assert drawer.renders == 1
+
+
+def test_large_images_are_drawn_smaller(room: Scene):
+    drawer = ViewDrawer(largest_width=100)
+    keyframe = room.source.keyframes[0]
+    assert drawer.camera_of(keyframe).size == (80, 60)
+    assert drawer.observed(keyframe).camera == drawer.camera_of(keyframe)
+
+
+def test_views_are_those_that_overlap(room: Scene):
+    views = views_of_overlap(room.target, room.source, room.T_target_source, 2)
+    assert len(views) == 2
+    turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0]))
+    assert len(views_of_overlap(room.target, room.source, turned, 5)) == 1

@@ -1,0 +1,157 @@
+"""Coarse registration: a motion from the pairs of keyframes that look most alike (G-5).
+
+The paper takes alike views to stand at equal poses. They do not, so every pair brings its own
+measured offset Z: `T T_source = T_target Z`. A pair of look-alikes that measures a wrong
+offset, or none, is outvoted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.registration.matching import MatchingOptions, Offset, measure_offset
+from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
+from toolkit.registration.result import UNKNOWN, RegistrationResult, failed
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.alignment import Scales
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CoarseOptions:
+    """Values of the coarse stage.
+
+    Attributes:
+        pairs: most pairs of keyframes (G: k).
+        offsets: "measured" between the observed images; "none" is the paper's form, Z = I.
+        least_agreeing: fewest pairs that must agree.
+    """
+
+    pairs: int = 10
+    offsets: Literal["measured", "none"] = "measured"
+    least_agreeing: int = 2
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    average: AverageOptions = field(default_factory=AverageOptions)
+
+
+@dataclass(frozen=True)
+class KeyframePair:
+    """Two keyframes that look alike, by their places in their submaps."""
+
+    target: int
+    source: int
+    distance: float
+
+
+@dataclass(frozen=True)
+class CoarseRegistration:
+    """A coarse result and the source's keyframes that agree with it, the surest first."""
+
+    result: RegistrationResult
+    views: list[int]
+
+
+def descriptor_pairs(target: Submap, source: Submap, count: int) -> list[KeyframePair]:
+    """The pairs of keyframes with the nearest descriptors, one-to-one, nearest first.
+
+    Each is mutual among the keyframes that no nearer pair has taken. None without descriptors.
+    """
+    a, b = target.descriptors, source.descriptors
+    if 0 in (*a.shape, *b.shape):
+        return []
+    squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None] - 2.0 * a @ b.T
+    distances = np.sqrt(np.maximum(squares, 0.0))
+    order = np.argsort(distances, axis=None, kind="stable")
+    pairs: list[KeyframePair] = []
+    taken: tuple[set[int], set[int]] = set(), set()
+    for place in order:
+        i, j = (int(n) for n in divmod(int(place), distances.shape[1]))
+        if i in taken[0] or j in taken[1]:
+            continue
+        pairs.append(KeyframePair(i, j, float(distances[i, j])))
+        taken[0].add(i)
+        taken[1].add(j)
+        if len(pairs) == count:
+            break
+    return pairs
+
+
+def register_coarse(
+    target: Submap,
+    source: Submap,
+    options: CoarseOptions,
+    generator: np.random.Generator,
+    start: Array | None = None,
+) -> CoarseRegistration:
+    """T_target_source from alike keyframes, wherever it lies.
+
+    Args:
+        start: T_target_source [4, 4], one more place to begin.
+    """
+    pairs = descriptor_pairs(target, source, options.pairs)
+    if not pairs:
+        return CoarseRegistration(failed("coarse", "no keyframe has a descriptor", start), [])
+    measured = [(pair, _offset(pair, target, source, options, generator)) for pair in pairs]
+    usable = [(pair, offset) for pair, offset in measured if offset is not None]
+    if not usable:
+        reason = f"none of {len(pairs)} alike pairs of keyframes fixes an offset"
+        return CoarseRegistration(failed("coarse", reason, start), [])
+    T_target_camera = np.array(
+        [target.keyframes[p.target].T_map_camera @ z.T_first_second for p, z in usable]
+    )
+    T_source_camera = np.array([source.keyframes[p.source].T_map_camera for p, _ in usable])
+    agreement = average_motion(T_target_camera, T_source_camera, options.average, start)
+    return CoarseRegistration(
+        _result(agreement, [offset for _, offset in usable], len(pairs), options),
+        [
+            usable[i][0].source
+            for i in np.argsort(-agreement.weights, kind="stable")
+            if agreement.agree[i]
+        ],
+    )
+
+
+def _offset(
+    pair: KeyframePair,
+    target: Submap,
+    source: Submap,
+    options: CoarseOptions,
+    generator: np.random.Generator,
+) -> Offset | None:
+    if options.offsets == "none":
+        return Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
+    first, second = target.keyframes[pair.target], source.keyframes[pair.source]
+    return measure_offset(first, second, options.matching, generator)
+
+
+def _result(
+    agreement: Agreement, offsets: list[Offset], tried: int, options: CoarseOptions
+) -> RegistrationResult:
+    agreeing = int(agreement.agree.sum())
+    enough = agreeing >= options.least_agreeing
+    kept = [offset for offset, agrees in zip(offsets, agreement.agree, strict=True) if agrees]
+    return RegistrationResult(
+        T_target_source=agreement.T_target_source,
+        converged=enough and agreement.converged,
+        inliers=agreeing / tried,
+        residual=Scales(
+            _median([offset.residual.intensity for offset in kept]),
+            _median([offset.residual.depth_m for offset in kept]),
+        ),
+        overlap=_median([offset.visible for offset in kept]),
+        class_agreement=float("nan"),
+        information=agreement.information,
+        iterations=agreement.iterations,
+        renders=0,
+        method="coarse",
+        reason="" if enough else f"only {agreeing} of {tried} alike pairs of keyframes agree",
+    )
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else float("nan")

@@ -1,0 +1,84 @@
+"""Registration from settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.registration.coarse import CoarseOptions
+from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
+from toolkit.registration.fine import FineOptions
+from toolkit.registration.fine_first_order import Encoder, FirstOrderFineOptions
+from toolkit.registration.joint_alignment import JointOptions
+from toolkit.registration.matching import MatchingOptions
+from toolkit.registration.motion_average import AverageOptions
+from toolkit.registration.result import Registrar
+from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
+from toolkit.registration.two_way import TwoWayRegistration
+from toolkit.registration.views import ViewDrawer
+from toolkit.settings.registration import (
+    CoarseSettings,
+    FineSettings,
+    MatchingSettings,
+    RegistrationSettings,
+)
+from toolkit.tracking.health import HealthLimits
+
+
+def build_registrar(
+    settings: RegistrationSettings,
+    seed: int,
+    drawer: ViewDrawer,
+    encoder: Encoder | None = None,
+) -> Registrar:
+    """The registrar that the settings name.
+
+    Args:
+        seed: of its random choices.
+        drawer: as `build_drawer` makes it.
+        encoder: of the papers' feature term, for the first-order optimiser.
+    """
+    if settings.kind == "clouds":
+        return CloudRegistration(CloudOptions(**settings.clouds.model_dump(), seed=seed), drawer)
+    fine = fine_options(settings.fine)
+    if settings.kind == "two-way":
+        average = AverageOptions(**settings.coarse.average.model_dump())
+        return TwoWayRegistration(fine, drawer, average)
+    options = SgrOptions(coarse_options(settings.coarse), fine, seed)
+    return SemanticGuidedRegistration(options, drawer, encoder)
+
+
+def build_drawer(
+    settings: RegistrationSettings,
+    semantics: SemanticMapping | None = None,
+    backend_name: str = "auto",
+) -> ViewDrawer:
+    """What draws submaps for registration and for its checks."""
+    return ViewDrawer(backend_name, semantics, **settings.drawing.model_dump())
+
+
+def matching_options(settings: MatchingSettings) -> MatchingOptions:
+    """Values of `measure_offset`."""
+    values: dict[str, Any] = settings.model_dump()
+    values["dense"] = JointOptions(**values["dense"])
+    values["limits"] = HealthLimits(**values["limits"])
+    return MatchingOptions(**values)
+
+
+def coarse_options(settings: CoarseSettings) -> CoarseOptions:
+    """Values of the coarse stage."""
+    return CoarseOptions(
+        pairs=settings.pairs,
+        offsets=settings.offsets,
+        least_agreeing=settings.least_agreeing,
+        matching=matching_options(settings.matching),
+        average=AverageOptions(**settings.average.model_dump()),
+    )
+
+
+def fine_options(settings: FineSettings) -> FineOptions:
+    """Values of the fine stage."""
+    values: dict[str, Any] = settings.model_dump()
+    values["dense"] = JointOptions(**values["dense"])
+    values["first_order"] = FirstOrderFineOptions(**values["first_order"])
+    return FineOptions(**values)

@@ -1,0 +1,194 @@
+"""Registration of bare point clouds by Open3D, for submaps without alike views.
+
+The clouds are the Gaussians' centres. Repeatable: the bridge holds Open3D to one thread, and
+its generator is seeded before every use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.registration.quality import check_alignment
+from toolkit.registration.result import RegistrationResult, failed
+from toolkit.registration.views import ViewDrawer
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.alignment import Scales
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """Values of registration by clouds.
+
+    Attributes:
+        search: from nothing, FPFH features matched by "ransac" or by "fast" global registration.
+        icp: then "point-to-plane", or "coloured" where colour must fix what planes leave free.
+        voxel_m: clouds are thinned to one point a voxel for the features, half that for ICP.
+        least_opacity: more transparent Gaussians are left out.
+        hypotheses: of RANSAC.
+        least_fitness: fewer of the source's points on the target's surface are no overlap.
+        views: of the source, from which the result is judged.
+        seed: of RANSAC and fast global registration.
+    """
+
+    search: Literal["ransac", "fast"] = "ransac"
+    icp: Literal["point-to-plane", "coloured"] = "point-to-plane"
+    voxel_m: float = 0.05
+    least_opacity: float = 0.5
+    hypotheses: int = 50000
+    least_fitness: float = 0.1
+    views: int = 5
+    seed: int = 0
+
+
+# Fewer points than this are no shape.
+_FEWEST_POINTS = 100
+# Radii in voxels, as Open3D's own examples have them.
+_NORMAL_RADIUS, _FEATURE_RADIUS, _MATCH_DISTANCE = 2.0, 5.0, 1.5
+_ICP_STEPS = 50
+
+
+class CloudRegistration:
+    """A Registrar from clouds alone.
+
+    Raises (from `register`):
+        DependencyError: Open3D cannot be loaded.
+    """
+
+    def __init__(
+        self, options: CloudOptions | None = None, drawer: ViewDrawer | None = None
+    ) -> None:
+        self.options = options or CloudOptions()
+        self.drawer = drawer or ViewDrawer()
+
+    def register(
+        self, target: Submap, source: Submap, T_target_source: Array | None = None
+    ) -> RegistrationResult:
+        """See Registrar; a start spares the search."""
+        o3d = open3d()
+        method = f"{self.options.icp} ICP"
+        if T_target_source is None:
+            method = f"FPFH {self.options.search} + {method}"
+        points, other = self._cloud(o3d, target), self._cloud(o3d, source)
+        if min(len(points.points), len(other.points)) < _FEWEST_POINTS:
+            return failed(method, "a submap has too few solid Gaussians", T_target_source)
+        start = T_target_source
+        if start is None:
+            start = self._searched(o3d, points, other)
+        before = self.drawer.renders
+        found, information = self._icp(o3d, points, other, start)
+        T = se3.orthonormalise(np.asarray(found.transformation))
+        if len(found.correspondence_set) == 0:
+            return failed(method, "the clouds have no point in common", T_target_source)
+        check = check_alignment(target, source, T, self.drawer, self.options.views)
+        enough = found.fitness >= self.options.least_fitness
+        return RegistrationResult(
+            T_target_source=T,
+            converged=bool(enough),
+            inliers=check.inliers,
+            residual=Scales(float("nan"), float(found.inlier_rmse)),
+            overlap=check.overlap,
+            class_agreement=check.class_agreement,
+            information=information,
+            iterations=0,
+            renders=self.drawer.renders - before,
+            method=method,
+            reason="" if enough else f"only {100 * found.fitness:.0f} % of the points fit",
+        )
+
+    def _cloud(self, o3d: ModuleType, submap: Submap) -> Any:
+        """Solid Gaussians' centres with colours, and normals towards the cameras."""
+        solid = submap.gaussians.opacities >= self.options.least_opacity
+        kept = submap.gaussians.select(solid)
+        cloud = o3d.geometry.PointCloud(
+            o3d.utility.Vector3dVector(kept.means.detach().numpy().astype(np.float64))
+        )
+        colours = kept.colours.detach().clamp(0.0, 1.0).numpy().astype(np.float64)
+        cloud.colors = o3d.utility.Vector3dVector(colours)
+        cloud = cloud.voxel_down_sample(self.options.voxel_m / 2.0)
+        centres = [keyframe.T_map_camera[:3, 3] for keyframe in submap.keyframes]
+        return self._with_normals(o3d, cloud, np.mean(centres, axis=0))
+
+    def _with_normals(self, o3d: ModuleType, cloud: Any, seen_from: Array) -> Any:
+        radius = _NORMAL_RADIUS * self.options.voxel_m
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius, 30))
+        if len(cloud.points):
+            cloud.orient_normals_towards_camera_location(seen_from)
+        return cloud
+
+    def _searched(self, o3d: ModuleType, target: Any, source: Any) -> Array:
+        """T_target_source [4, 4] from features alone."""
+        registration, voxel_m = o3d.pipelines.registration, self.options.voxel_m
+        thin = [cloud.voxel_down_sample(voxel_m) for cloud in (source, target)]
+        near = o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_RADIUS * voxel_m, 100)
+        features = [registration.compute_fpfh_feature(cloud, near) for cloud in thin]
+        distance = _MATCH_DISTANCE * voxel_m
+        o3d.utility.random.seed(self.options.seed)
+        if self.options.search == "fast":
+            option = registration.FastGlobalRegistrationOption(
+                use_absolute_scale=True, maximum_correspondence_distance=distance
+            )
+            found = registration.registration_fgr_based_on_feature_matching(
+                *thin, *features, option
+            )
+        else:
+            found = registration.registration_ransac_based_on_feature_matching(
+                *thin,
+                *features,
+                True,
+                distance,
+                registration.TransformationEstimationPointToPoint(False),
+                3,
+                [
+                    registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+                    registration.CorrespondenceCheckerBasedOnDistance(distance),
+                ],
+                registration.RANSACConvergenceCriteria(self.options.hypotheses, 0.999),
+            )
+        return np.asarray(found.transformation, dtype=np.float64)
+
+    def _icp(self, o3d: ModuleType, target: Any, source: Any, start: Array) -> tuple[Any, Array]:
+        """Open3D's result from wide to narrow, and the information matrix [6, 6]."""
+        registration = o3d.pipelines.registration
+        criteria = registration.ICPConvergenceCriteria(max_iteration=_ICP_STEPS)
+        plane = registration.TransformationEstimationPointToPlane()
+        coloured = registration.TransformationEstimationForColoredICP()
+        T, distance = np.array(start, dtype=np.float64), 0.0
+        for voxels, widest in ((2.0, True), (1.0, False), (0.5, False)):
+            distance = voxels * self.options.voxel_m
+            # Colour leads astray from afar: planes come first.
+            if self.options.icp == "coloured" and not widest:
+                align, method = registration.registration_colored_icp, coloured
+            else:
+                align, method = registration.registration_icp, plane
+            try:
+                found = align(source, target, distance, T, method, criteria)
+            except RuntimeError:  # no point of one cloud is near the other
+                break
+            T = np.asarray(found.transformation, dtype=np.float64)
+        found = registration.evaluate_registration(source, target, distance, T)
+        count = registration.get_information_matrix_from_point_clouds(source, target, distance, T)
+        return found, scaled_information(np.asarray(count), T, float(found.inlier_rmse))
+
+
+def scaled_information(
+    count: NDArray[np.float64], T_target_source: Array, rmse_m: float
+) -> NDArray[np.float64]:
+    """Inverse covariance of x in T exp(x), translation first, from Open3D's matrix.
+
+    Open3D sums J^T J over matched points: rotation first, the perturbation on the left, and
+    every point good to one metre. `rmse_m` is of distances, three coordinates together.
+    """
+    if not rmse_m > 0:
+        return np.zeros((6, 6))
+    order = [3, 4, 5, 0, 1, 2]
+    A = se3.adjoint(T_target_source)
+    return A.T @ count[np.ix_(order, order)] @ A * (3.0 / rmse_m**2)

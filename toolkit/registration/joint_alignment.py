@@ -1,0 +1,240 @@
+"""One rigid motion from many pairs of views: joint dense Gauss-Newton.
+
+The tracker's normal equations, summed over pairs that share `T_target_source`. Each pair has
+an exposure of its own, which is eliminated before the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.tracking import exposure
+from toolkit.tracking.alignment import (
+    START_SCALES,
+    FrameLevel,
+    Linearisation,
+    ModelLevel,
+    Scales,
+    linearise,
+    rescaled,
+)
+
+Array = NDArray[np.float64]
+
+# Fewer residuals than this fix no pose.
+_FEWEST_PIXELS = 50
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two views of one place, fine to coarse.
+
+    Attributes:
+        model: the target's view. frame: the source's.
+        T_model_target: [4, 4], the target's frame in the model view's camera.
+        T_source_frame: [4, 4], pose of the source view's camera.
+    """
+
+    model: list[ModelLevel]
+    frame: list[FrameLevel]
+    T_model_target: Array
+    T_source_frame: Array
+
+
+@dataclass(frozen=True)
+class JointOptions:
+    """Values of the optimiser.
+
+    Attributes:
+        levels: pyramid levels of the first pass.
+        iterations: most steps a level.
+        max_distance: gate on depth differences at the finest level, as a share of depth;
+            doubled at every coarser level.
+        exposure: estimate gain and bias of each pair at the finest level.
+        most_translation_m, most_rotation_rad: longest step.
+        small_translation_m, small_rotation_rad: a step below both ends the finest level.
+    """
+
+    levels: int = 4
+    iterations: int = 12
+    max_distance: float = 0.05
+    exposure: bool = True
+    most_translation_m: float = 0.2
+    most_rotation_rad: float = 0.2
+    small_translation_m: float = 5e-5
+    small_rotation_rad: float = 2e-5
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The state of an alignment.
+
+    Attributes:
+        T_target_source: [4, 4].
+        scales: of the residuals of all pairs.
+        exposures: [K, 2] gain and bias of each pair.
+        information: [6, 6] of x in T_target_source exp(x).
+        pixels: [K] depth residuals of each pair that took part.
+        iterations: steps so far. converged: the last one was small.
+    """
+
+    T_target_source: Array
+    scales: Scales = START_SCALES
+    exposures: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    information: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    pixels: Array = field(default_factory=lambda: np.zeros(0))
+    iterations: int = 0
+    converged: bool = False
+
+
+def align(
+    pairs: Sequence[Pair], start: Estimate, options: JointOptions, finest_only: bool = False
+) -> Estimate:
+    """Move T_target_source to where the pairs agree, coarse to fine.
+
+    Args:
+        finest_only: leave the coarse levels out; for pairs drawn anew near the answer.
+    """
+    estimate = start
+    if len(start.exposures) != len(pairs):
+        estimate = replace(start, exposures=np.tile([1.0, 0.0], (len(pairs), 1)))
+    coarsest = 0 if finest_only else min(options.levels, len(pairs[0].model)) - 1
+    for level in range(coarsest, -1, -1):
+        estimate = replace(estimate, converged=False)
+        for _ in range(options.iterations):
+            estimate, usable = _stepped(pairs, level, estimate, options)
+            if not usable:
+                return estimate
+            if estimate.converged:
+                break
+    return estimate
+
+
+def _stepped(
+    pairs: Sequence[Pair], level: int, estimate: Estimate, options: JointOptions
+) -> tuple[Estimate, bool]:
+    """One Gauss-Newton step, and whether the equations could be solved."""
+    linears = _linearised(pairs, level, estimate, options)
+    with_exposure = options.exposure and level == 0
+    parts = [
+        _Eliminated.of(pair, linear, estimate, k, with_exposure)
+        for k, (pair, linear) in enumerate(zip(pairs, linears, strict=True))
+    ]
+    H = np.sum([part.H for part in parts], axis=0)
+    g = np.sum([part.g for part in parts], axis=0)
+    pixels = np.array([linear.depth_pixels for linear in linears])
+    estimate = replace(estimate, information=H, pixels=pixels, iterations=estimate.iterations + 1)
+    step = _solved(H, g)
+    if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < _FEWEST_PIXELS:
+        return replace(estimate, converged=False), False
+    step = _limited(step, options)
+    # Levels differ in what a pixel is, and so in what is a small step.
+    small = np.linalg.norm(step[:3]) < options.small_translation_m * 4**level
+    small &= np.linalg.norm(step[3:]) < options.small_rotation_rad * 4**level
+    exposures = estimate.exposures + np.array([part.exposure_step(step) for part in parts])
+    return replace(
+        estimate,
+        T_target_source=se3.orthonormalise(estimate.T_target_source @ se3.exp(step)),
+        scales=_rescaled(estimate.scales, linears),
+        exposures=exposures,
+        converged=bool(small),
+    ), True
+
+
+def _linearised(
+    pairs: Sequence[Pair], level: int, estimate: Estimate, options: JointOptions
+) -> list[Linearisation]:
+    gate = options.max_distance * 2**level
+    return [
+        linearise(
+            pair.model[level],
+            pair.frame[level],
+            pair.T_model_target @ estimate.T_target_source @ pair.T_source_frame,
+            estimate.scales,
+            (float(estimate.exposures[k, 0]), float(estimate.exposures[k, 1])),
+            gate,
+        )
+        for k, pair in enumerate(pairs)
+    ]
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """A pair's equations in x of T_target_source exp(x), its exposure eliminated.
+
+    T_model_frame = T_model_target T T_source_frame, so x on the right of T is
+    Ad(T_model_target T) x on the left of T_model_frame, where `linearise` perturbs.
+    """
+
+    H: Array
+    g: Array
+    by_exposure: Array  # [2, 6]: the exposure's step is constant - by_exposure @ x
+    constant: Array  # [2]
+
+    @classmethod
+    def of(
+        cls, pair: Pair, linear: Linearisation, estimate: Estimate, k: int, with_exposure: bool
+    ) -> _Eliminated:
+        A = se3.adjoint(pair.T_model_target @ estimate.T_target_source)
+        H, g = linear.H.copy(), linear.g.copy()
+        if with_exposure and linear.intensity_pixels > 0:
+            information = linear.intensity_pixels / estimate.scales.intensity**2
+            exposure.hold(H, g, information, estimate.exposures[k] - [1.0, 0.0])
+        else:
+            exposure.fix(H, g)
+        cross = H[6:, :6] @ A
+        solved: Array = np.asarray(
+            np.linalg.solve(H[6:, 6:], np.column_stack([cross, g[6:]])), float
+        )
+        by_exposure, constant = solved[:, :6], -solved[:, 6]
+        return cls(
+            H=A.T @ H[:6, :6] @ A - cross.T @ by_exposure,
+            g=A.T @ g[:6] + cross.T @ constant,
+            by_exposure=by_exposure,
+            constant=constant,
+        )
+
+    def exposure_step(self, x: Array) -> Array:
+        """Change [2] of gain and bias that goes with a step x."""
+        return self.constant - self.by_exposure @ x
+
+
+def _solved(H: Array, g: Array) -> Array | None:
+    damped = H.copy()
+    damped[np.diag_indices(6)] *= 1.0 + 1e-6
+    try:
+        step = np.asarray(-np.linalg.solve(damped, g), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
+    return step if np.isfinite(step).all() else None
+
+
+def _limited(step: Array, options: JointOptions) -> Array:
+    """The step, shortened as a whole where it is too long."""
+    longest = max(
+        float(np.linalg.norm(step[:3])) / options.most_translation_m,
+        float(np.linalg.norm(step[3:])) / options.most_rotation_rad,
+        1.0,
+    )
+    return step / longest
+
+
+def _rescaled(scales: Scales, linears: Sequence[Linearisation]) -> Scales:
+    """The scales after a step, from the residuals of all pairs together."""
+    intensities = np.array([n.intensity_pixels for n in linears])
+    depths = np.array([n.depth_pixels for n in linears])
+    intensity_squares = intensities @ [n.intensity_variance for n in linears]
+    depth_squares = depths @ [n.depth_variance for n in linears]
+    together = replace(
+        linears[0],
+        intensity_pixels=float(intensities.sum()),
+        depth_pixels=float(depths.sum()),
+        intensity_variance=float(intensity_squares / max(intensities.sum(), 1.0)),
+        depth_variance=float(depth_squares / max(depths.sum(), 1.0)),
+    )
+    return rescaled(scales, together)

@@ -1,0 +1,265 @@
+"""The offset between two keyframes, measured between what their cameras observed.
+
+Nothing here looks at the map: two renders of one map agree whatever its drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.registration.joint_alignment import Estimate, JointOptions, Pair, align
+from toolkit.registration.views import observed_level
+from toolkit.tracking.alignment import FrameLevel, Scales, halved, model_level, pyramid
+from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.result import Health
+
+Array = NDArray[np.float64]
+
+_NEAREST_M = 0.05
+# Dense alignment may correct features by this share of the image's width, but at least by so
+# many pixels; where it goes farther, one of the two is wrong.
+_MOST_CORRECTION, _MOST_CORRECTION_PIXELS = 0.02, 3.0
+
+
+@dataclass(frozen=True)
+class MatchingOptions:
+    """Values of the measurement.
+
+    Attributes:
+        features: most SIFT features an image.
+        ratio: a match must be nearer than this share of the second nearest.
+        hypotheses: motions tried, each from three matches.
+        tolerance_rad: largest error of direction of a match, but at least 1.5 pixels.
+        tolerance_depth: largest error of depth, as a share of the depth.
+        least_matches: fewest matches that must agree.
+        largest_width: dense alignment halves images until they are no wider.
+        dense: of the dense alignment; a match is good to a pixel or two, so few levels do.
+        limits: bounds beyond which the dense alignment is not believed.
+    """
+
+    features: int = 1500
+    ratio: float = 0.8
+    hypotheses: int = 500
+    tolerance_rad: float = 0.008
+    tolerance_depth: float = 0.05
+    least_matches: int = 12
+    largest_width: int = 400
+    dense: JointOptions = field(default_factory=lambda: JointOptions(levels=3))
+    limits: HealthLimits = field(default_factory=HealthLimits)
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Where one keyframe's camera stands in another's.
+
+    Attributes:
+        T_first_second: [4, 4] float64.
+        matches: features that agree with it before dense alignment.
+        visible: share of the second image's measured pixels that the first explains.
+        residual: robust scales of intensity and of depth at 1 m (m).
+        information: [6, 6] inverse covariance of x in T_first_second exp(x), translation
+            first. Residuals count as independent, so it is sure of itself.
+        iterations: steps of the dense alignment.
+    """
+
+    T_first_second: Array
+    matches: int
+    visible: float
+    residual: Scales
+    information: Array = field(repr=False)
+    iterations: int = 0
+
+
+def measure_offset(
+    first: Keyframe,
+    second: Keyframe,
+    options: MatchingOptions | None = None,
+    generator: np.random.Generator | None = None,
+) -> Offset | None:
+    """Offset of two keyframes from their observed images alone.
+
+    SIFT features with depth in both images fix the motion by RANSAC; dense alignment of colour
+    and depth then refines it, with the first image in the map's place.
+
+    Args:
+        generator: draws the triples of matches; a fixed seed without one.
+
+    Returns:
+        The offset, or None where the images do not fix one.
+    """
+    options = options or MatchingOptions()
+    generator = generator or np.random.default_rng(0)
+    found = _by_features(first, second, options, generator)
+    if found is None:
+        return None
+    T_first_second, matches = found
+    return _refined(first, second, T_first_second, matches, options)
+
+
+def _refined(
+    first: Keyframe, second: Keyframe, start: Array, matches: int, options: MatchingOptions
+) -> Offset | None:
+    """The offset after dense alignment, or None where that cannot be believed."""
+    levels = options.dense.levels
+    model = [
+        model_level(level)
+        for level in pyramid(_shrunk(observed_level(first), options.largest_width), levels)
+    ]
+    frame = pyramid(_shrunk(observed_level(second), options.largest_width), levels)
+    pair = Pair(model, frame, np.eye(4), np.eye(4))
+    estimate = align([pair], Estimate(start), options.dense)
+    measured = float((frame[0].depth_m > 0).sum())
+    visible = float(estimate.pixels.sum()) / max(measured, 1.0)
+    health, _ = verdict(options.limits, estimate.scales, visible, estimate.information, measured)
+    if health is Health.LOST or _parted(start, estimate.T_target_source, first.camera, second):
+        return None
+    return Offset(
+        estimate.T_target_source,
+        matches,
+        visible,
+        estimate.scales,
+        estimate.information,
+        estimate.iterations,
+    )
+
+
+def _parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
+    """Whether dense alignment left the place where the features had put the camera."""
+    points = second.points.astype(np.float64)
+    if len(points) == 0:
+        return True
+    before, after = se3.transform_points(start, points), se3.transform_points(end, points)
+    ahead = (before[:, 2] > _NEAREST_M) & (after[:, 2] > _NEAREST_M)
+    if not ahead.any():
+        return True
+    shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
+    most = max(_MOST_CORRECTION * camera.width, _MOST_CORRECTION_PIXELS)
+    return bool(np.median(shift) > most)
+
+
+def _shrunk(level: FrameLevel, largest_width: int) -> FrameLevel:
+    while level.camera.width > largest_width:
+        level = halved(level)
+    return level
+
+
+def _by_features(
+    first: Keyframe,
+    second: Keyframe,
+    options: MatchingOptions,
+    generator: np.random.Generator,
+) -> tuple[Array, int] | None:
+    """T_first_second and how many matches agree with it; None below `least_matches`."""
+    pixels_a, words_a = _features(first, options.features)
+    pixels_b, words_b = _features(second, options.features)
+    matches = _mutual_matches(words_a, words_b, options.ratio)
+    if len(matches) < options.least_matches:
+        return None
+    pixels_a, pixels_b = pixels_a[matches[:, 0]], pixels_b[matches[:, 1]]
+    points_a = _points_at(first, pixels_a)
+    points_b = _points_at(second, pixels_b)
+    measured = (points_a[:, 2] > 0) & (points_b[:, 2] > 0)
+    if measured.sum() < options.least_matches:
+        return None
+    matched = _Matched(points_a[measured], points_b[measured], pixels_a[measured], first.camera)
+    return matched.motion(options, generator)
+
+
+def _features(keyframe: Keyframe, count: int) -> tuple[Array, NDArray[np.float32]]:
+    """Pixels [n, 2] and SIFT descriptors [n, 128] of a keyframe's image."""
+    grey = cv2.cvtColor(keyframe.rgb.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2GRAY)
+    points, words = cv2.SIFT_create(nfeatures=count).detectAndCompute(grey, None)
+    if words is None:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    return np.array([point.pt for point in points], dtype=np.float64), words
+
+
+def _mutual_matches(
+    words_a: NDArray[np.float32], words_b: NDArray[np.float32], ratio: float
+) -> NDArray[np.int64]:
+    """Pairs [m, 2] of features that chose each other, each well before its second choice."""
+    if min(len(words_a), len(words_b)) < 2:
+        return np.zeros((0, 2), np.int64)
+    there, back = _clear_choices(words_a, words_b, ratio), _clear_choices(words_b, words_a, ratio)
+    pairs = [(a, b) for a, b in there.items() if back.get(b) == a]
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def _clear_choices(
+    words: NDArray[np.float32], others: NDArray[np.float32], ratio: float
+) -> dict[int, int]:
+    choices = cv2.BFMatcher(cv2.NORM_L2).knnMatch(words, others, k=2)
+    return {
+        best.queryIdx: best.trainIdx
+        for best, second in choices
+        if best.distance < ratio * second.distance
+    }
+
+
+def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
+    """Observed points [n, 3] in the camera's frame at pixels [n, 2]; depth 0 where missing."""
+    x = np.clip(np.rint(pixels[:, 0]).astype(int), 0, keyframe.camera.width - 1)
+    y = np.clip(np.rint(pixels[:, 1]).astype(int), 0, keyframe.camera.height - 1)
+    depth = keyframe.depth_m.numpy()[y, x].astype(np.float64)
+    camera = keyframe.camera
+    rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], x * 0 + 1])
+    return rays * depth[:, None]
+
+
+@dataclass(frozen=True)
+class _Matched:
+    """n matched features: points [n, 3] in either camera, and the first one's pixels [n, 2]."""
+
+    first: Array
+    second: Array
+    pixels: Array
+    camera: Camera
+
+    def motion(
+        self, options: MatchingOptions, generator: np.random.Generator
+    ) -> tuple[Array, int] | None:
+        """The motion that most matches agree with, fitted to all of these."""
+        n = len(self.first)
+        triples = np.argsort(generator.random((options.hypotheses, n)), axis=1)[:, :3]
+        motions = _rigid_fits(self.first[triples], self.second[triples])
+        agree = self._agree(motions, options)
+        best = agree[int(np.argmax(agree.sum(axis=1)))]
+        T = np.eye(4)
+        for _ in range(3):
+            if best.sum() < options.least_matches:
+                return None
+            T = _rigid_fits(self.first[best][None], self.second[best][None])[0]
+            best = self._agree(T[None], options)[0]
+        count = int(best.sum())
+        return (T, count) if count >= options.least_matches else None
+
+    def _agree(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+        """Which matches [H, n] fit which motions [H, 4, 4]."""
+        moved = np.einsum("hij,nj->hni", motions[:, :3, :3], self.second)
+        moved += motions[:, None, :3, 3]
+        depth = moved[..., 2]
+        safe = np.where((depth > _NEAREST_M)[..., None], moved, [0.0, 0.0, 1.0])
+        error = np.linalg.norm(self.camera.project(safe) - self.pixels, axis=-1)
+        tolerance = max(options.tolerance_rad * self.camera.focal, 1.5)
+        near = np.abs(depth - self.first[:, 2]) < options.tolerance_depth * self.first[:, 2]
+        return (depth > _NEAREST_M) & (error < tolerance) & near
+
+
+def _rigid_fits(first: Array, second: Array) -> Array:
+    """Motions [H, 4, 4] that take points second [H, m, 3] nearest to first [H, m, 3]."""
+    centre_a, centre_b = first.mean(axis=1), second.mean(axis=1)
+    a, b = first - centre_a[:, None], second - centre_b[:, None]
+    U, _, Vt = np.linalg.svd(np.swapaxes(a, 1, 2) @ b)
+    flip = np.sign(np.linalg.det(U @ Vt))
+    U[:, :, 2] *= flip[:, None]  # no reflections
+    T = np.tile(np.eye(4), (len(first), 1, 1))
+    T[:, :3, :3] = U @ Vt
+    T[:, :3, 3] = centre_a - np.einsum("hij,hj->hi", T[:, :3, :3], centre_b)
+    return T

@@ -1,0 +1,97 @@
+"""Registration in both directions, view by view, as in LoopSplat: to be compared with.
+
+Each keyframe of the source is placed in the target on its own, and each of the target in the
+source; a robust mean makes one motion of them. Renderer, optimiser, stopping rule and start are
+those of the fine stage, so that only the scheme differs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
+from toolkit.registration.quality import check_alignment
+from toolkit.registration.result import RegistrationResult, failed
+from toolkit.registration.views import ViewDrawer, views_of_overlap
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.alignment import Scales
+
+Array = NDArray[np.float64]
+
+
+class TwoWayRegistration:
+    """Registers submaps that nearly fit; a Registrar that needs a start."""
+
+    def __init__(
+        self,
+        options: FineOptions | None = None,
+        drawer: ViewDrawer | None = None,
+        average: AverageOptions | None = None,
+    ) -> None:
+        self.options = options or FineOptions()
+        self.drawer = drawer or ViewDrawer()
+        self._fine = FineRegistration(self.options, self.drawer)
+        self._average = average or AverageOptions()
+
+    def register(
+        self, target: Submap, source: Submap, T_target_source: Array | None = None
+    ) -> RegistrationResult:
+        """See Registrar; without a start it begins at the identity."""
+        start = np.eye(4) if T_target_source is None else T_target_source
+        before = self.drawer.renders
+        there, poses = self._placed(target, source, start)
+        back, other_poses = self._placed(source, target, se3.inverse(start))
+        # A target view's pose, seen from the source, is where the inverse motion takes it.
+        placed = [r.T_target_source @ T for r, T in zip(there, poses, strict=True)]
+        placed += list(other_poses)
+        unplaced = list(poses)
+        unplaced += [r.T_target_source @ T for r, T in zip(back, other_poses, strict=True)]
+        if not placed:
+            return failed("two-way", "no view could be placed in the other submap", start)
+        agreement = average_motion(np.array(placed), np.array(unplaced), self._average)
+        check = check_alignment(
+            target, source, agreement.T_target_source, self.drawer, self.options.views
+        )
+        return replace(
+            self._result(agreement, [*there, *back]),
+            inliers=check.inliers,
+            overlap=check.overlap,
+            class_agreement=check.class_agreement,
+            renders=self.drawer.renders - before,
+        )
+
+    def _placed(
+        self, target: Submap, source: Submap, start: Array
+    ) -> tuple[list[RegistrationResult], list[Array]]:
+        """Each view of the source registered on its own, and its pose in the source."""
+        results, poses = [], []
+        for place in views_of_overlap(target, source, start, self.options.views):
+            result = self._fine.refine(target, source, start, [place])
+            if result.converged:
+                results.append(result)
+                poses.append(source.keyframes[place].T_map_camera)
+        return results, poses
+
+    def _result(self, agreement: Agreement, parts: list[RegistrationResult]) -> RegistrationResult:
+        enough = bool(agreement.agree.sum() * 2 >= len(parts))
+        return RegistrationResult(
+            T_target_source=agreement.T_target_source,
+            converged=agreement.converged and enough,
+            inliers=0.0,
+            residual=Scales(
+                float(np.median([part.residual.intensity for part in parts])),
+                float(np.median([part.residual.depth_m for part in parts])),
+            ),
+            overlap=0.0,
+            class_agreement=float("nan"),
+            information=agreement.information,
+            iterations=agreement.iterations + sum(part.iterations for part in parts),
+            renders=0,
+            method="two-way",
+            reason="" if enough else "the views disagree",
+        )

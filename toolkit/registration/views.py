@@ -1,0 +1,123 @@
+"""Views that registration compares: drawn from a submap, or observed by a keyframe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.alignment import FrameLevel, halved, intensity_of, view_of
+
+# A view that shares less than this is not looked from.
+_LEAST_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class View:
+    """What a camera sees of a submap.
+
+    Attributes:
+        level: intensity and depth; depth is 0 where there is no surface.
+        class_ids: [H, W] int32, 0 void, or None without semantics.
+    """
+
+    level: FrameLevel
+    class_ids: NDArray[np.int32] | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that sees it."""
+        return self.level.camera
+
+    @property
+    def depth_m(self) -> NDArray[np.float32]:
+        """[H, W], 0 where there is no surface."""
+        return self.level.depth_m.numpy()
+
+
+class ViewDrawer:
+    """Draws submaps, reads their classes, and counts what it drew.
+
+    Args:
+        semantics: reads the features of the submaps; None leaves classes out.
+        least_silhouette: thinner pixels have no surface.
+        largest_width: images are halved until they are no wider.
+    """
+
+    def __init__(
+        self,
+        backend_name: str = "auto",
+        semantics: SemanticMapping | None = None,
+        least_silhouette: float = 0.9,
+        largest_width: int = 400,
+    ) -> None:
+        self.renders = 0
+        self._backend = backend(backend_name)
+        self._semantics = semantics if semantics is not None and semantics.channels else None
+        self._least_silhouette = least_silhouette
+        self._largest_width = largest_width
+
+    @property
+    def backend_name(self) -> str:
+        """As `render` takes it."""
+        return self._backend.name
+
+    def camera_of(self, keyframe: Keyframe) -> Camera:
+        """The keyframe's camera at the size that is drawn."""
+        camera = keyframe.camera
+        while camera.width > self._largest_width:
+            camera = camera.halved()
+        return camera
+
+    def draw(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
+        """A submap as a camera sees it."""
+        self.renders += 1
+        options = DrawOptions(self._least_silhouette, features=self._semantics is not None)
+        T_camera_submap = se3.inverse(T_submap_camera)
+        surface = draw_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
+        level = view_of(surface, camera, self._least_silhouette)
+        if self._semantics is None:
+            return View(level)
+        class_ids = self._semantics.decode_view(surface).class_ids
+        return View(level, class_ids.reshape(camera.height, camera.width))
+
+    def observed(self, keyframe: Keyframe) -> View:
+        """What a keyframe observed itself, at the size that is drawn."""
+        level = observed_level(keyframe)
+        labels = None
+        if self._semantics is not None and keyframe.labels is not None:
+            labels = keyframe.labels.numpy()
+        while level.camera.width > self._largest_width:
+            level = halved(level)
+            if labels is not None:
+                labels = labels[::2, ::2][: level.camera.height, : level.camera.width]
+        return View(level, labels)
+
+
+def observed_level(keyframe: Keyframe) -> FrameLevel:
+    """A keyframe's own image at the map's exposure, and its depth."""
+    rgb = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
+    return FrameLevel(keyframe.camera, intensity_of(rgb), keyframe.depth_m)
+
+
+def views_of_overlap(
+    target: Submap, source: Submap, T_target_source: NDArray[np.float64], count: int
+) -> list[int]:
+    """The source's keyframes that some target keyframe sees most of, the best first.
+
+    Views that share next to nothing are left out, unless there are no others. What stands in
+    between is not considered.
+    """
+    T_source_target = se3.inverse(T_target_source)
+    cameras = [T_source_target @ keyframe.T_map_camera for keyframe in target.keyframes]
+    shares = np.array([max(k.share_seen_by(T) for T in cameras) for k in source.keyframes])
+    best = np.argsort(-shares, kind="stable")
+    useful = [int(i) for i in best if shares[i] >= _LEAST_SHARE]
+    return useful[:count] or [int(best[0])]
