@@ -14,6 +14,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.closing.closer import LoopCloser
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller
@@ -73,12 +74,14 @@ class Slam:
         recorder: Recorder | None = None,
         labeller: Labeller | None = None,
         atlas: Atlas | None = None,
+        closer: LoopCloser | None = None,
     ) -> None:
         self.tracker = tracker
         self.mapper = mapper
         self.atlas = atlas or Atlas(mapper)
         self.fused: FusedMap | None = None
         self._labeller = labeller
+        self._closer = closer
         self._recorder = recorder or NullRecorder()
         self._tracked: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[NDArray[np.float64]] = []
@@ -110,22 +113,37 @@ class Slam:
                 frame = self._labelled(frame, T_map_camera)
             with self._recorder.timed("mapping"):
                 mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
-                T_map_camera = self._allocate(frame, T_map_camera)
+            if self._closer is not None:
+                self._closer.observe(self.atlas)
+            T_map_camera = self._allocate(frame, tracking)
 
         self._remember(frame, T_map_camera, tracking)
         return FrameResult(frame.index, T_map_camera, tracking, mapping)
 
-    def _allocate(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _allocate(self, frame: Frame, tracking: TrackingResult | None) -> NDArray[np.float64]:
         """Begin the next submap where it is time; the newest keyframe's pose in the active one."""
         verdict = self.atlas.judge()
-        if verdict is None or not verdict.begins:
-            return T_map_camera
-        T_new_old = self.atlas.begin_next(frame)
-        self.tracker.change_frame(T_new_old)
-        _log.info(
-            "submap %d begins at frame %d: %s", self.atlas.active, frame.index, verdict.reason
-        )
-        return T_new_old @ T_map_camera
+        if verdict is not None and verdict.begins:
+            self._close_within()
+            with self._recorder.timed("mapping"):
+                self.tracker.change_frame(self.atlas.begin_next(frame))
+            _log.info(
+                "submap %d begins at frame %d: %s", self.atlas.active, frame.index, verdict.reason
+            )
+            if self._closer is not None:
+                information = np.zeros((6, 6)) if tracking is None else tracking.information
+                self._closer.link(self.atlas, information)
+                self._closer.close_between(self.atlas, self.atlas.active - 1)
+        return self.mapper.keyframes[-1].T_map_camera
+
+    def _close_within(self) -> None:
+        """Close the active submap's own loops; the tracker follows its newest keyframe."""
+        if self._closer is None:
+            return
+        before = self.mapper.keyframes[-1].T_map_camera
+        if self._closer.close_within(self.atlas):
+            after = self.mapper.keyframes[-1].T_map_camera
+            self.tracker.change_frame(after @ se3.inverse(before))
 
     @property
     def _labels_first(self) -> bool:
@@ -143,6 +161,9 @@ class Slam:
 
     def finish(self) -> None:
         """Refine every submap over its keyframes and join them."""
+        self._close_within()
+        if self._closer is not None:
+            self._closer.close_between(self.atlas, self.atlas.active)
         with self._recorder.timed("refinement"):
             refine_submaps(self.atlas)
             self.fused = fuse(self.atlas)
@@ -212,10 +233,15 @@ class Slam:
             arrays |= {f"segmenter/{k}": a for k, a in self._labeller.segmenter.state().items()}
         atlas_arrays, atlas_values = self.atlas.state()
         arrays |= {f"atlas/{k}": a for k, a in atlas_arrays.items()}
+        closer_values = None
+        if self._closer is not None:
+            closer_arrays, closer_values = self._closer.state()
+            arrays |= {f"closer/{k}": a for k, a in closer_arrays.items()}
         arrays["T_keyframe_camera"] = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
         return arrays, {
             "mapper": values,
             "atlas": atlas_values,
+            "closer": closer_values,
             "tracked": [asdict(f) for f in self._tracked],
             "lost_frames": self.lost_frames,
         }
@@ -228,6 +254,8 @@ class Slam:
 
         self.mapper.restore(below("mapper/"), values["mapper"])
         self.atlas.restore(below("atlas/"), values["atlas"])
+        if self._closer is not None:
+            self._closer.restore(below("closer/"), values["closer"])
         self.tracker.restore(below("tracker/"))
         if self._labeller is not None:
             self._labeller.segmenter.restore(below("segmenter/"))

@@ -21,7 +21,9 @@ from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
+from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.run_folder import RunFolder
 from toolkit.semantics.factory import build_code, build_labeller
 from toolkit.settings.files import dump, load
@@ -65,7 +67,7 @@ def main(argv: Sequence[str]) -> int:
         folder = RunFolder.create(program.out, config)
     _log_to(folder.log)
     watch = StageRecorder()
-    slam = build_slam(settings, dataset, watch, folder.submaps)
+    slam = build_slam(settings, dataset, watch, folder)
     folder.check_taxonomy(slam.taxonomy)
     _process(slam, dataset, folder, settings, watch)
     write_results(slam, dataset, folder, settings, watch)
@@ -73,12 +75,12 @@ def main(argv: Sequence[str]) -> int:
 
 
 def build_slam(
-    settings: RunSettings, dataset: Dataset, watch: StageRecorder, submaps: Path | None = None
+    settings: RunSettings, dataset: Dataset, watch: StageRecorder, folder: RunFolder | None = None
 ) -> Slam:
     """The system that the settings describe.
 
     Args:
-        submaps: folder in which submaps rest; None keeps them in memory.
+        folder: where submaps rest and loops are written down; None keeps all in memory.
     """
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
     labeller = build_labeller(settings.semantics, dataset.label_names, stems)
@@ -91,10 +93,16 @@ def build_slam(
         build_semantic_mapping(settings.semantics, code, settings.seed),
     )
     classes = len(labeller.taxonomy) if labeller else 0
-    atlas = build_atlas(settings.submaps, mapper, classes, submaps)
+    atlas = build_atlas(settings.submaps, mapper, classes, folder.submaps if folder else None)
     if settings.poses == "slam":
         tracker = build_tracker(settings.tracking, settings.backend, watch, code)
-        return Slam(tracker, mapper, watch, labeller, atlas)
+        closer = None
+        if settings.loops.use:
+            taxonomy = labeller.taxonomy if labeller else None
+            context = ClosingContext(settings.seed, settings.backend, mapper.semantics, taxonomy)
+            log = LoopLog(folder.loops) if folder else None
+            closer = build_loop_closer(settings.loops, context, log, watch)
+        return Slam(tracker, mapper, watch, labeller, atlas, closer)
     if dataset.ground_truth is None:
         raise DatasetError(
             f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"

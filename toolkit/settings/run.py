@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from toolkit.settings.base import Settings
+from toolkit.settings.loop_closure import LoopClosureSettings
 from toolkit.settings.mapping import MappingSettings
 from toolkit.settings.semantics import SemanticsSettings
 from toolkit.settings.submaps import SubmapSettings
@@ -44,4 +45,5 @@ class RunSettings(Settings):
     mapping: MappingSettings = MappingSettings()
     semantics: SemanticsSettings = SemanticsSettings()
     submaps: SubmapSettings = SubmapSettings()
+    loops: LoopClosureSettings = LoopClosureSettings()
     checkpoint: CheckpointSettings = CheckpointSettings()

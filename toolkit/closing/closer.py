@@ -1,0 +1,314 @@
+"""Loop closure from suspicion to correction (G-III.C): verify, add to the graph, move anchors.
+
+Loops are closed when a submap comes to rest, and once more at the end. Inside a submap the
+two keyframes' own images give the edge, and keyframes move with the Gaussians they seeded;
+between submaps registration gives it, and only anchors move.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import ToolkitError
+from toolkit.frame import NullRecorder, Recorder
+from toolkit.geometry import se3
+from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.detection import LoopDetector
+from toolkit.loops.log import LoopLog
+from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.pose_graph.consistency import ConsistencyOptions, OdometryChain, consistent_loops
+from toolkit.pose_graph.correction import (
+    PoseCorrection,
+    correct_keyframes,
+    keyframe_graph,
+    submap_graph,
+)
+from toolkit.pose_graph.graph import PoseEdge, information_of
+from toolkit.pose_graph.noise import OdometryNoise, path_between
+from toolkit.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.registration.matching import MatchingOptions, measure_offset
+from toolkit.registration.result import Registrar, RegistrationResult, register_pair
+from toolkit.submaps.atlas import Atlas
+
+Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ClosingOptions:
+    """Which loops are closed, and how an edge is weighed.
+
+    Attributes:
+        within, between: loops inside submaps and between them.
+        least_visible: share of the second image of a pair that the first must explain.
+        least_correction_m, least_correction_rad: keyframes of a submap stay where they are
+            unless one moves so far: a settled map is not disturbed for nothing.
+    """
+
+    within: bool = True
+    between: bool = True
+    least_visible: float = 0.4
+    least_correction_m: float = 0.005
+    least_correction_rad: float = 0.005
+
+
+@dataclass(frozen=True)
+class ClosingParts:
+    """What closes loops.
+
+    Attributes:
+        registrar: of submaps. matching: of pairs of keyframes.
+        verification, consistency: what must hold before an edge enters the graph.
+        noise: of odometry. loop_noise: of loop edges.
+        optimiser: of pose graphs.
+    """
+
+    registrar: Registrar
+    matching: MatchingOptions
+    verification: VerificationOptions
+    consistency: ConsistencyOptions
+    noise: OdometryNoise
+    loop_noise: OdometryNoise
+    optimiser: PoseGraphOptimiser
+
+
+class LoopCloser:
+    """Finds loops while a run goes on, and corrects the atlas.
+
+    Args:
+        log: where each candidate and each verdict is written, None for nowhere.
+    """
+
+    def __init__(
+        self,
+        detector: LoopDetector,
+        parts: ClosingParts,
+        options: ClosingOptions | None = None,
+        log: LoopLog | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.options = options or ClosingOptions()
+        self.loops: list[PoseEdge] = []
+        self._detector, self._parts, self._log = detector, parts, log
+        self._recorder = recorder or NullRecorder()
+        self._links: list[PoseEdge] = []
+        self._suspected: list[LoopCandidate] = []
+
+    def observe(self, atlas: Atlas) -> None:
+        """Take note of the active submap's newest keyframe."""
+        with self._recorder.timed("loop detection"):
+            considered = self._detector.observe(atlas)
+        for candidate in considered:
+            self._record("candidate", candidate.record())
+        self._suspected += [c for c in considered if c.accepted]
+
+    def close_within(self, atlas: Atlas) -> bool:
+        """Close the loops inside the active submap; whether its keyframes moved."""
+        number = atlas.active
+        mine = [c for c in self._suspected if c.query_submap == c.match_submap == number]
+        self._suspected = [c for c in self._suspected if c not in mine]
+        if not mine or not self.options.within:
+            return False
+        with self._recorder.timed("loops within submaps"):
+            loops = [loop for c in mine if (loop := self._measured(atlas, c)) is not None]
+            return bool(loops) and self._correct_within(atlas, loops)
+
+    def link(self, atlas: Atlas, information: Array) -> None:
+        """Remember the odometry from the resting submap's anchor to the one that just began.
+
+        Args:
+            information: [6, 6] of the boundary frame, as the tracker gives it.
+        """
+        new = atlas.active
+        boundary = next(iter(atlas.keyframe_poses(new)))
+        way = atlas.keyframe_poses(new - 1)
+        T = se3.orthonormalise(way[boundary])
+        covariance = self._parts.noise.covariance(information, *path_between(list(way.values())))
+        self._links.append(PoseEdge(new - 1, new, T, information_of(covariance)))
+
+    def close_between(self, atlas: Atlas, number: int) -> bool:
+        """Close the loops of one submap with older ones; whether anchors moved."""
+        mine = [c for c in self._suspected if c.query_submap == number != c.match_submap]
+        self._suspected = [c for c in self._suspected if c not in mine]
+        if not mine or not self.options.between:
+            return False
+        with self._recorder.timed("loops between submaps"):
+            found = False
+            for other in sorted({c.match_submap for c in mine}):
+                edge = self._registered(atlas, other, number)
+                if edge is not None:
+                    self.loops.append(edge)
+                    found = True
+            return found and self._correct_between(atlas)
+
+    def _measured(self, atlas: Atlas, candidate: LoopCandidate) -> PoseEdge | None:
+        """A loop edge between what two keyframes of the active submap observed."""
+        keyframes = {k.index: k for k in atlas.mapper.keyframes}
+        first, second = keyframes[candidate.match], keyframes[candidate.query]
+        offset = measure_offset(first, second, self._parts.matching)
+        verdict: dict[str, Any] = {"match": first.index, "query": second.index}
+        if offset is None:
+            self._record("within", verdict | {"accepted": False, "reason": "images do not match"})
+            return None
+        verdict |= {"matches": offset.matches, "visible": offset.visible}
+        if offset.visible < self.options.least_visible:
+            reason = f"only {100 * offset.visible:.0f} % of the view is shared"
+            self._record("within", verdict | {"accepted": False, "reason": reason})
+            return None
+        self._record("within", verdict | {"accepted": True, "reason": ""})
+        information = self._weighed(offset.information)
+        return PoseEdge.loop(first.index, second.index, offset.T_first_second, information)
+
+    def _correct_within(self, atlas: Atlas, loops: list[PoseEdge]) -> bool:
+        submap = atlas.submap(atlas.active)
+        odometry = []
+        for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
+            way = [first.T_map_camera, second.T_map_camera]
+            odometry.append(self._parts.noise.edge(first.index, second.index, way, _SURE))
+        kept = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency).kept
+        graph = keyframe_graph(submap, odometry, [loops[k] for k in kept])
+        solution = self._parts.optimiser.optimise(graph)
+        correction = PoseCorrection.of(graph, solution)
+        options = self.options
+        small = correction.largest_m < options.least_correction_m
+        small &= correction.largest_rad < options.least_correction_rad
+        self._record(
+            "correction within",
+            {
+                "submap": submap.number,
+                "loops": len(kept) - len(solution.retracted),
+                "largest_m": correction.largest_m,
+                "largest_rad": correction.largest_rad,
+                "applied": not small,
+            },
+        )
+        if small:
+            return False
+        correct_keyframes(submap, correction)
+        atlas.put(submap)
+        return True
+
+    def _registered(self, atlas: Atlas, first: int, second: int) -> PoseEdge | None:
+        """A loop edge between two submaps, or None where nothing can be verified."""
+        verdict: dict[str, Any] = {"first": first, "second": second}
+        T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
+        try:
+            result = register_pair(
+                self._parts.registrar, atlas.submap(first), atlas.submap(second), T
+            )
+        except ToolkitError as error:
+            # A submap whose file is lost must not end the run.
+            self._record("between", verdict | {"accepted": False, "reason": str(error)})
+            return None
+        reason = objection(result, self._parts.verification)
+        self._record("between", verdict | _figures(result, T) | _verdict(reason))
+        if reason:
+            return None
+        T_first_second = se3.orthonormalise(result.T_target_source)
+        return PoseEdge.loop(first, second, T_first_second, self._weighed(result.information))
+
+    def _correct_between(self, atlas: Atlas) -> bool:
+        """Move the anchors to where all loops that agree put them."""
+        parts = self._parts
+        agreement = consistent_loops(OdometryChain(self._links), self.loops, parts.consistency)
+        for place, loop in enumerate(self.loops):
+            if place not in agreement.kept:
+                reason = agreement.reason(place)
+                values = {"first": loop.first, "second": loop.second}
+                self._record("consistency", values | _verdict(reason))
+        self.loops = [self.loops[k] for k in agreement.kept]
+        if not self.loops:
+            return False
+        poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
+        graph = submap_graph(poses, self._links, self.loops)
+        solution = parts.optimiser.optimise(graph)
+        taken_back = [graph.edges[k] for k in solution.retracted]
+        for edge in taken_back:
+            values = {"first": edge.first, "second": edge.second}
+            self._record("retracted", values | _verdict("contradicts the rest of the graph"))
+        self.loops = [loop for loop in self.loops if not any(loop is e for e in taken_back)]
+        correction = PoseCorrection.of(graph, solution)
+        for number, T in correction.T_new.items():
+            atlas.move(number, T)
+        self._record(
+            "correction between",
+            {
+                "loops": len(self.loops),
+                "largest_m": correction.largest_m,
+                "largest_rad": correction.largest_rad,
+            },
+        )
+        _log.info(
+            "%d loops between submaps: anchors move by up to %.1f cm",
+            len(self.loops),
+            100 * correction.largest_m,
+        )
+        return True
+
+    def _weighed(self, information: Array) -> Array:
+        return information_of(self._parts.loop_noise.covariance(information, 0.0, 0.0))
+
+    def _record(self, kind: str, values: dict[str, Any]) -> None:
+        if self._log is not None:
+            self._log.write({"kind": kind, **values})
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values that `restore` takes."""
+        arrays = {f"detector/{name}": array for name, array in self._detector.state().items()}
+        ends = []
+        for name, edges in (("loops", self.loops), ("links", self._links)):
+            T = np.array([edge.T_first_second for edge in edges]).reshape(-1, 4, 4)
+            information = np.array([edge.information for edge in edges]).reshape(-1, 6, 6)
+            arrays |= {f"{name}/T": T, f"{name}/information": information}
+            ends.append([[edge.first, edge.second] for edge in edges])
+        values = {
+            "ends": ends,
+            "suspected": [asdict(candidate) for candidate in self._suspected],
+            "log_bytes": None if self._log is None else self._log.size_bytes,
+        }
+        return arrays, values
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Take over an earlier `state`, and cut the log back to it."""
+        head = "detector/"
+        mine = {name[len(head) :]: a for name, a in arrays.items() if name.startswith(head)}
+        self._detector.restore(mine)
+        made = []
+        for name, ends in zip(("loops", "links"), values["ends"], strict=True):
+            make = PoseEdge.loop if name == "loops" else PoseEdge
+            rows = zip(ends, arrays[f"{name}/T"], arrays[f"{name}/information"], strict=True)
+            made.append([make(first, second, T, info) for (first, second), T, info in rows])
+        self.loops, self._links = made
+        self._suspected = [LoopCandidate(**candidate) for candidate in values["suspected"]]
+        if self._log is not None and values["log_bytes"] is not None:
+            self._log.cut_back(values["log_bytes"])
+
+
+# Between neighbouring keyframes the tracker is sure; the floors of the noise are what counts.
+_SURE = np.eye(6) * 1e9
+
+
+def _verdict(reason: str) -> dict[str, Any]:
+    return {"accepted": not reason, "reason": reason}
+
+
+def _figures(result: RegistrationResult, T_before: Array) -> dict[str, Any]:
+    """A registration for the log."""
+    change = se3.inverse(T_before) @ result.T_target_source
+    values = {
+        "method": result.method,
+        "overlap": result.overlap,
+        "inliers": result.inliers,
+        "class_agreement": result.class_agreement,
+        "intensity": result.residual.intensity,
+        "depth_m": result.residual.depth_m,
+        "moved_m": float(np.linalg.norm(change[:3, 3])),
+        "turned_rad": float(se3.rotation_angle_rad(change[:3, :3])),
+    }
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}

@@ -1,0 +1,81 @@
+"""Loop closure from settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.closing.closer import ClosingOptions, ClosingParts, LoopCloser
+from toolkit.features.factory import build_describer
+from toolkit.frame import Recorder
+from toolkit.loops.candidates import CandidateFinder, CandidateOptions
+from toolkit.loops.detection import LoopDetector
+from toolkit.loops.landmarks import LandmarkOptions
+from toolkit.loops.log import LoopLog
+from toolkit.loops.verification import VerificationOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.pose_graph.factory import build_consistency, build_odometry_noise, build_optimiser
+from toolkit.pose_graph.noise import OdometryNoise
+from toolkit.registration.factory import build_drawer, build_registrar, matching_options
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.settings.loop_closure import LoopClosureSettings
+
+
+@dataclass(frozen=True)
+class ClosingContext:
+    """What loop closure shares with the rest of a run.
+
+    Attributes:
+        seed: of random choices. backend_name: the renderer.
+        semantics: reads the features of submaps. taxonomy: of labels, None without.
+    """
+
+    seed: int
+    backend_name: str
+    semantics: SemanticMapping
+    taxonomy: Taxonomy | None
+
+
+def build_loop_closer(
+    settings: LoopClosureSettings,
+    context: ClosingContext,
+    log: LoopLog | None = None,
+    recorder: Recorder | None = None,
+) -> LoopCloser:
+    """What finds and closes the loops of a run.
+
+    Raises:
+        ToolkitError: FAISS is missing, or the encoder's weights are.
+    """
+    describer = build_describer(settings.features)
+    finder = CandidateFinder(
+        describer.dimensions,
+        describer.threshold,
+        CandidateOptions(**settings.candidates.model_dump()),
+        LandmarkOptions(**settings.landmarks.model_dump()),
+    )
+    taxonomy = context.taxonomy
+    painter = None
+    if taxonomy is not None:
+        colours = Palette(taxonomy).classes
+
+        def painter(class_ids: NDArray[np.integer]) -> Tensor:
+            return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
+
+    detector = LoopDetector(describer, finder, len(taxonomy) if taxonomy else 0, painter)
+    drawer = build_drawer(settings.registration, context.semantics, context.backend_name)
+    parts = ClosingParts(
+        registrar=build_registrar(settings.registration, context.seed, drawer),
+        matching=matching_options(settings.registration.coarse.matching),
+        verification=VerificationOptions(**settings.verification.model_dump()),
+        consistency=build_consistency(settings.pose_graph),
+        noise=build_odometry_noise(settings.pose_graph),
+        loop_noise=OdometryNoise(**settings.noise.model_dump()),
+        optimiser=build_optimiser(settings.pose_graph),
+    )
+    return LoopCloser(detector, parts, ClosingOptions(**settings.closing.model_dump()), log, recorder)

@@ -1,0 +1,90 @@
+"""Watches keyframes go by and says which may show a place seen before (G, Algorithm 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.features.sources import ViewDescriber
+from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.submaps.atlas import Atlas
+
+# Class ids [H, W] to colours [3, H, W] in [0, 1].
+Painter = Callable[[NDArray[np.integer]], Tensor]
+
+
+class LoopDetector:
+    """Describes each keyframe and searches among the older ones.
+
+    A view's landmarks are counted by its labelled pixels, not by the Gaussians behind them: the
+    shares are the same up to the density of seeding, and nothing has to be drawn or decoded.
+
+    Args:
+        describer: of views.
+        finder: of candidates, for its descriptors.
+        classes: of the taxonomy, 0 without labels.
+        painter: of semantic pictures, where the describer wants them.
+    """
+
+    def __init__(
+        self,
+        describer: ViewDescriber,
+        finder: CandidateFinder,
+        classes: int = 0,
+        painter: Painter | None = None,
+    ) -> None:
+        self._describer, self._finder = describer, finder
+        self._classes, self._painter = classes, painter
+        self._travelled_m = 0.0
+        self._last: NDArray[np.float64] | None = None
+
+    def observe(self, atlas: Atlas) -> list[LoopCandidate]:
+        """Remember the active submap's newest keyframe; what was considered for it, if due."""
+        keyframe = atlas.mapper.keyframes[-1]
+        descriptor = self._described(keyframe)
+        atlas.describe(descriptor)
+        place = (atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera)[:3, 3]
+        if self._last is not None:
+            self._travelled_m += float(np.linalg.norm(place - self._last))
+        self._last = place
+        return self._finder.add(
+            DescribedKeyframe(
+                frame=keyframe.index,
+                submap=atlas.active,
+                travelled_m=self._travelled_m,
+                descriptor=descriptor,
+                class_counts=self._counts(keyframe),
+            )
+        )
+
+    def _described(self, keyframe: Keyframe) -> NDArray[np.float32]:
+        rgb = (keyframe.rgb.to(torch.float32) / 255.0)[None]
+        semantic = None
+        if self._describer.wants_semantics and self._painter is not None:
+            ids = keyframe.class_ids
+            blank = np.zeros(keyframe.depth_m.shape, np.int16)
+            semantic = self._painter(blank if ids is None else ids.numpy())[None]
+        with torch.no_grad():
+            return self._describer.describe(rgb, semantic)[0].numpy()
+
+    def _counts(self, keyframe: Keyframe) -> NDArray[np.int64]:
+        if keyframe.class_ids is None:
+            return np.zeros(self._classes, np.int64)
+        ids = keyframe.class_ids.numpy().ravel()
+        return np.bincount(ids, minlength=self._classes + 1)[1 : self._classes + 1]
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays that `restore` takes."""
+        last = np.zeros(0) if self._last is None else self._last
+        return {**self._finder.state(), "way": np.array([self._travelled_m]), "last": last}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self._finder.restore(state)
+        self._travelled_m = float(state["way"][0])
+        self._last = np.array(state["last"]) if len(state["last"]) else None

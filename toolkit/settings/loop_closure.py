@@ -1,0 +1,48 @@
+"""Settings of loop closure, from descriptors to pose graphs."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from toolkit.settings.base import Settings
+from toolkit.settings.features import FeatureSettings
+from toolkit.settings.loops import CandidateSettings, LandmarkSettings
+from toolkit.settings.pose_graph import OdometryNoiseSettings, PoseGraphSettings
+from toolkit.settings.registration import RegistrationSettings
+
+
+class VerificationSettings(Settings):
+    """What a registration must show to be a loop."""
+
+    least_overlap: float = Field(0.3, ge=0, le=1, description="share of the source in view")
+    least_inliers: float = Field(0.8, ge=0, le=1, description="of it on the same surface")
+    least_class_agreement: float = Field(0.7, ge=0, le=1, description="of it of the same class")
+    most_intensity: float = Field(0.1, gt=0, description="photometric scale, [0, 1]")
+    most_depth_m: float = Field(0.02, gt=0, description="geometric scale at 1 m, m")
+    least_information: float = Field(1e4, ge=0, description="smallest eigenvalue, 1 / m^2")
+
+
+class ClosingSettings(Settings):
+    """Which loops are closed."""
+
+    within: bool = Field(True, description="inside submaps, between keyframes")
+    between: bool = Field(True, description="between submaps, by registration")
+    least_visible: float = Field(0.4, ge=0, le=1, description="share of a pair's view in common")
+    least_correction_m: float = Field(0.005, ge=0, description="less moves no keyframe, m")
+    least_correction_rad: float = Field(0.005, ge=0, description="less moves no keyframe, rad")
+
+
+class LoopClosureSettings(Settings):
+    """Loop closure; without `use` drift stays."""
+
+    use: bool = Field(True, description="find and close loops")
+    features: FeatureSettings = FeatureSettings()
+    candidates: CandidateSettings = CandidateSettings()
+    landmarks: LandmarkSettings = LandmarkSettings()
+    registration: RegistrationSettings = RegistrationSettings()
+    verification: VerificationSettings = VerificationSettings()
+    closing: ClosingSettings = ClosingSettings()
+    noise: OdometryNoiseSettings = Field(
+        OdometryNoiseSettings(edge_m=0.003, edge_rad=0.002), description="of loop edges"
+    )
+    pose_graph: PoseGraphSettings = PoseGraphSettings()
