@@ -13,6 +13,10 @@ from toolkit.mapping.consensus import ConsensusOptions
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import MapperOptions
 from toolkit.mapping.sparse_adam import LearningRates
+from toolkit.pose_graph.consistency import ConsistencyOptions
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.retraction import RetractionOptions
+from toolkit.pose_graph.solver import SolverOptions
 from toolkit.settings.base import Settings
 from toolkit.settings.mapping import (
     ConsensusSettings,
@@ -21,6 +25,13 @@ from toolkit.settings.mapping import (
     LossSettings,
     MappingSettings,
     SeedingSettings,
+)
+from toolkit.settings.pose_graph import (
+    ConsistencySettings,
+    LoopNoiseSettings,
+    OdometryNoiseSettings,
+    RetractionSettings,
+    SolverSettings,
 )
 from toolkit.settings.semantics import SemanticLossSettings
 from toolkit.settings.tracking import DenseSettings, FirstOrderSettings, HealthSettings
@@ -39,6 +50,11 @@ PAIRS = [
     (LearningRates(), LearningRateSettings()),
     (RgbdLossWeights(), LossSettings()),
     (KeyframePolicy(), KeyframeSettings()),
+    (LoopNoise(), LoopNoiseSettings()),
+    (OdometryNoise(), OdometryNoiseSettings()),
+    (ConsistencyOptions(), ConsistencySettings()),
+    (SolverOptions(), SolverSettings()),
+    (RetractionOptions(), RetractionSettings()),
 ]
 
 

@@ -8,13 +8,14 @@ tells twins apart is that the camera walked from one to the other. Odometry drif
 centimetres where the rooms are metres apart, so each loop has to agree with the accumulated
 odometry first, within its covariance, and only those that do are compared with each other.
 That protects as long as the drift is smaller than the distance of the look-alikes, and as
-long as the covariances are no smaller than the drift (`odometry.OdometryNoise`).
+long as the covariances are no smaller than the drift (`noise.OdometryNoise`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class OdometryChain:
     def __init__(self, edges: Sequence[PoseEdge]) -> None:
         if not edges:
             raise ValueError("a chain of odometry needs at least one edge")
-        for edge, following in zip(edges, edges[1:], strict=False):
+        for edge, following in pairwise(edges):
             if edge.second != following.first:
                 raise ValueError(f"odometry breaks off: {following} does not follow {edge}")
         nodes = [edges[0].first, *(edge.second for edge in edges)]

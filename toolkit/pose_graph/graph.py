@@ -7,7 +7,7 @@ world, which for the keyframes of a submap is the submap's frame.
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -19,7 +19,8 @@ from toolkit.geometry import se3
 Array = NDArray[np.float64]
 EdgeKind = Literal["odometry", "loop"]
 
-_RIGID = 1e-5  # poses that were float32 on their way pass
+# Motions that were float32 on their way pass, and are made rigid; float64 ones keep their bits.
+_RIGID, _EXACT = 1e-5, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +53,7 @@ class PoseEdge:
             raise ValueError(f"{name} joins a node with itself")
         if self.kind not in ("odometry", "loop"):
             raise ValueError(f"{name}: kind must be 'odometry' or 'loop', got {self.kind!r}")
-        T = np.array(self.T_first_second, dtype=np.float64)
-        if not se3.is_rigid(T, _RIGID):
-            raise ValueError(f"{name}: T_first_second must be a rigid motion [4, 4]")
+        T = _rigid(f"{name}: T_first_second", self.T_first_second)
         information = np.array(self.information, dtype=np.float64)
         _check_information(name, information)
         object.__setattr__(self, "T_first_second", T)
@@ -68,8 +67,7 @@ class PoseEdge:
     @property
     def covariance(self) -> Array:
         """[6, 6] inverse of the information."""
-        inverse = np.linalg.inv(self.information)
-        return 0.5 * (inverse + inverse.T)
+        return _symmetric_inverse(self.information)
 
     def inverted(self) -> PoseEdge:
         """The same measurement told from the second node."""
@@ -101,6 +99,32 @@ def information_in_frame(information_a: Array, T_a_b: Array) -> Array:
     return A.T @ information_a @ A
 
 
+def composed(edges: Sequence[PoseEdge]) -> PoseEdge:
+    """One odometry edge for several that follow each other; their covariances add up.
+
+    T_a_b exp(x) T_b_c exp(y) = T_a_b T_b_c exp(adjoint(T_c_b) x) exp(y), to first order.
+
+    Raises:
+        ValueError: there is no edge, or one does not start where the one before it ends.
+    """
+    if not edges:
+        raise ValueError("nothing to compose: no edges")
+    T, covariance, end = edges[0].T_first_second, edges[0].covariance, edges[0].second
+    for edge in edges[1:]:
+        if edge.first != end:
+            raise ValueError(f"odometry breaks off: {edge} does not follow node {end}")
+        A = se3.adjoint(se3.inverse(edge.T_first_second))
+        T = se3.orthonormalise(T @ edge.T_first_second)
+        covariance = A @ covariance @ A.T + edge.covariance
+        end = edge.second
+    return PoseEdge(edges[0].first, end, T, information_of(covariance))
+
+
+def information_of(covariance: Array) -> Array:
+    """Information [6, 6] of a covariance, symmetric to the bit."""
+    return _symmetric_inverse(covariance)
+
+
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
     """Poses and the edges between them.
@@ -120,7 +144,9 @@ class PoseGraph:
     fixed: int | None = None
 
     def __post_init__(self) -> None:
-        poses = {int(n): np.array(T, np.float64) for n, T in sorted(self.T_world_node.items())}
+        poses = {
+            int(n): _rigid(f"the pose of node {n}", T) for n, T in sorted(self.T_world_node.items())
+        }
         if not poses:
             raise ValueError("a pose graph needs at least one node")
         object.__setattr__(self, "T_world_node", poses)
@@ -128,11 +154,8 @@ class PoseGraph:
         object.__setattr__(self, "fixed", min(poses) if self.fixed is None else int(self.fixed))
         if self.fixed not in poses:
             raise ValueError(f"the fixed node {self.fixed} is not in the pose graph")
-        for node, T in poses.items():
-            if node < 0:
-                raise ValueError(f"node numbers must not be negative, got {node}")
-            if not se3.is_rigid(T, _RIGID):
-                raise ValueError(f"the pose of node {node} must be a rigid motion [4, 4]")
+        if min(poses) < 0:
+            raise ValueError(f"node numbers must not be negative, got {min(poses)}")
         for edge in self.edges:
             missing = {edge.first, edge.second} - poses.keys()
             if missing:
@@ -196,15 +219,13 @@ class PoseGraph:
     @classmethod
     def from_state(cls, state: Mapping[str, NDArray]) -> PoseGraph:
         """The graph that `state` came from."""
+        columns = ("edge_nodes", "T_first_second", "information", "is_loop", "robust")
         edges = tuple(
-            PoseEdge(int(first), int(second), T, information, kind, bool(robust))
-            for (first, second), T, information, kind, robust in zip(
-                state["edge_nodes"],
-                state["T_first_second"],
-                state["information"],
-                ("loop" if is_loop else "odometry" for is_loop in state["is_loop"]),
-                state["robust"],
-                strict=True,
+            PoseEdge(
+                int(i), int(j), T, information, "loop" if is_loop else "odometry", bool(robust)
+            )
+            for (i, j), T, information, is_loop, robust in zip(
+                *(state[name] for name in columns), strict=True
             )
         )
         poses = {int(n): T for n, T in zip(state["nodes"], state["T_world_node"], strict=True)}
@@ -229,6 +250,20 @@ def poses_along(edges: Iterable[PoseEdge], start: int, T_world_start: Array) -> 
                 poses[other] = se3.orthonormalise(poses[node] @ T_node_other)
                 waiting.append(other)
     return poses
+
+
+def _symmetric_inverse(matrix: Array) -> Array:
+    inverse = np.linalg.inv(matrix)
+    return 0.5 * (inverse + inverse.T)
+
+
+def _rigid(name: str, T: Array) -> Array:
+    T = np.array(T, dtype=np.float64)
+    if se3.is_rigid(T, _EXACT):
+        return T
+    if not se3.is_rigid(T, _RIGID):
+        raise ValueError(f"{name} must be a rigid motion [4, 4]")
+    return se3.orthonormalise(T)
 
 
 def _check_information(name: str, information: Array) -> None:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError, ToolkitError
-from toolkit.geometry import se3
 from toolkit.pose_graph.graph import PoseGraph
 
 Array = NDArray[np.float64]
@@ -155,7 +154,7 @@ def _factors(gtsam: ModuleType, graph: PoseGraph, options: SolverOptions) -> Any
         noise = gtsam.noiseModel.Gaussian.Information(swapped)
         if edge.robust and kernel is not None:
             noise = gtsam.noiseModel.Robust.Create(kernel, noise)
-        measured = gtsam.Pose3(se3.orthonormalise(edge.T_first_second))
+        measured = gtsam.Pose3(edge.T_first_second)
         factors.add(gtsam.BetweenFactorPose3(edge.first, edge.second, measured, noise))
     return factors
 
@@ -175,7 +174,7 @@ def _kernel(gtsam: ModuleType, options: SolverOptions) -> Any | None:
 def _values(gtsam: ModuleType, graph: PoseGraph) -> Any:
     values = gtsam.Values()
     for node, T in graph.T_world_node.items():
-        values.insert(node, gtsam.Pose3(se3.orthonormalise(T)))
+        values.insert(node, gtsam.Pose3(T))
     return values
 
 

@@ -1,0 +1,176 @@
+"""Pose graphs as data: what they refuse, and the laws of their edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from walks import LOOP, walk
+
+from toolkit.geometry import se3
+from toolkit.io.arrays import read_array_tree, write_array_tree
+from toolkit.pose_graph.files import arrays_of, graph_of
+from toolkit.pose_graph.graph import (
+    PoseEdge,
+    PoseGraph,
+    information_in_frame,
+    information_of,
+    poses_along,
+)
+
+PATIENT = settings(deadline=None, max_examples=30)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def motion(seed: int, scale: float = 1.0) -> np.ndarray:
+    return se3.exp(np.random.default_rng(seed).normal(scale=scale, size=6))
+
+
+def information(seed: int) -> np.ndarray:
+    A = np.random.default_rng(seed).normal(size=(6, 6))
+    return A @ A.T + np.eye(6)
+
+
+@PATIENT
+@given(seed=seeds)
+def test_an_edge_told_from_the_other_end_says_the_same(seed: int) -> None:
+    edge = PoseEdge(3, 5, motion(seed), information(seed))
+    # Off the measurement by a little: the information is a first-order matter.
+    T_first = motion(seed + 1)
+    T_second = T_first @ edge.T_first_second @ motion(seed + 2, scale=1e-5)
+    turned = edge.inverted()
+    assert (turned.first, turned.second) == (5, 3)
+    chi2 = edge.chi2(T_first, T_second)
+    assert chi2 > 0
+    assert turned.chi2(T_second, T_first) == pytest.approx(chi2, rel=1e-3)
+    np.testing.assert_allclose(turned.inverted().information, edge.information, rtol=1e-6)
+
+
+@PATIENT
+@given(seed=seeds)
+def test_information_of_an_error_on_the_left(seed: int) -> None:
+    T, left = motion(seed), information(seed)
+    y = np.random.default_rng(seed).normal(size=6)
+    x = se3.log(se3.inverse(T) @ se3.exp(1e-6 * y) @ T) / 1e-6
+    right = information_in_frame(left, T)
+    assert x @ right @ x == pytest.approx(y @ left @ y, rel=1e-4)
+
+
+@PATIENT
+@given(seed=seeds)
+def test_chi2_is_that_of_the_noise(seed: int) -> None:
+    edge = PoseEdge(0, 1, motion(seed), information(seed))
+    x = np.random.default_rng(seed + 1).normal(scale=0.1, size=6)
+    T_world_first = motion(seed + 2)
+    T_world_second = T_world_first @ edge.T_first_second @ se3.exp(x)
+    assert edge.chi2(T_world_first, T_world_second) == pytest.approx(x @ edge.information @ x)
+    np.testing.assert_allclose(edge.residual(T_world_first, T_world_second), x, atol=1e-9)
+
+
+def test_covariance_and_information_are_inverses() -> None:
+    np.testing.assert_allclose(
+        PoseEdge(0, 1, np.eye(4), information_of(LOOP)).covariance, LOOP, atol=1e-14
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"second": 0}, "joins a node with itself"),
+        ({"kind": "guess"}, "kind must be"),
+        ({"T_first_second": 1.1 * np.eye(4)}, "rigid motion"),
+        ({"T_first_second": np.eye(3)}, "rigid motion"),
+        ({"information": np.eye(3)}, r"finite matrix \[6, 6\]"),
+        ({"information": np.full((6, 6), np.nan)}, r"finite matrix \[6, 6\]"),
+        ({"information": np.eye(6) + np.eye(6, k=1)}, "symmetric"),
+        ({"information": np.diag([1.0, 1, 1, 1, 1, 0])}, "positive definite"),
+        ({"information": -np.eye(6)}, "positive definite"),
+    ],
+)
+def test_edges_that_are_refused(changes: dict, message: str) -> None:
+    values = {"first": 0, "second": 1, "T_first_second": np.eye(4), "information": np.eye(6)}
+    with pytest.raises(ValueError, match=message):
+        PoseEdge(**(values | changes))
+
+
+@pytest.mark.parametrize(
+    ("poses", "ends", "fixed", "message"),
+    [
+        ({}, [], None, "at least one node"),
+        ({0: np.eye(4), 1: np.eye(4)}, [(0, 1)], 7, "fixed node 7"),
+        ({0: np.eye(4), 1: 2 * np.eye(4)}, [(0, 1)], None, "pose of node 1"),
+        ({-1: np.eye(4)}, [], None, "not be negative"),
+        ({0: np.eye(4)}, [(0, 1)], None, "node 1, which has no pose"),
+        ({0: np.eye(4), 1: np.eye(4), 2: np.eye(4)}, [(0, 1)], None, "node 2 is not connected"),
+        ({0: np.eye(4), 1: np.eye(4), 2: np.eye(4)}, [(0, 1)], 2, "node 0 is not connected"),
+    ],
+)
+def test_graphs_that_are_refused(poses: dict, ends: list, fixed: int | None, message: str) -> None:
+    edges = tuple(PoseEdge(i, j, np.eye(4), np.eye(6)) for i, j in ends)
+    with pytest.raises(ValueError, match=message):
+        PoseGraph(poses, edges, fixed)
+
+
+def test_motions_of_float32_are_made_rigid() -> None:
+    T = motion(3).astype(np.float32)
+    edge = PoseEdge(0, 1, T, np.eye(6))
+    assert se3.is_rigid(edge.T_first_second, 1e-12)
+    np.testing.assert_allclose(edge.T_first_second, T, atol=1e-6)
+    assert se3.is_rigid(PoseGraph({0: T}, ()).T_world_node[0], 1e-12)
+
+
+def test_a_graph_keeps_what_it_was_given() -> None:
+    T = np.eye(4)
+    graph = PoseGraph({4: T, 2: T}, (PoseEdge(4, 2, T, np.eye(6)),))
+    T[0, 3] = 5.0
+    assert graph.nodes == [2, 4]
+    assert graph.anchor == 2
+    assert np.array_equal(graph.T_world_node[4], np.eye(4))
+    assert str(graph) == "2 nodes, 1 edges, 0 of them loops"
+
+
+def test_state_comes_back_bit_for_bit_through_a_checkpoint(tmp_path) -> None:
+    steps = walk(1)
+    graph = PoseGraph(
+        steps.graph().T_world_node, (*steps.odometry, steps.loop(20, 0), steps.loop(1, 21)), 3
+    )
+    write_array_tree(tmp_path / "graph", graph.state(), {})
+    again = PoseGraph.from_state(read_array_tree(tmp_path / "graph").arrays)
+    assert again.anchor == 3
+    for name, array in graph.state().items():
+        assert np.array_equal(array, again.state()[name]), name
+    assert [(e.kind, e.robust) for e in again.edges] == [(e.kind, e.robust) for e in graph.edges]
+
+
+def test_a_graph_without_edges_has_a_state() -> None:
+    again = PoseGraph.from_state(PoseGraph({5: np.eye(4)}, ()).state())
+    assert again.nodes == [5]
+    assert again.edges == ()
+
+
+def test_poses_along_edges_take_the_fewest() -> None:
+    step = se3.exp(np.array([1.0, 0, 0, 0, 0, 0.1]))
+    edges = [PoseEdge(k, k + 1, step, np.eye(6)) for k in range(4)]
+    edges.append(PoseEdge.loop(4, 0, np.eye(4), np.eye(6)))  # against its direction
+    poses = poses_along(edges, 0, motion(1))
+    np.testing.assert_allclose(poses[4], motion(1), atol=1e-12)
+    np.testing.assert_allclose(poses[3], motion(1) @ se3.inverse(step), atol=1e-12)
+    np.testing.assert_allclose(poses[2], motion(1) @ step @ step, atol=1e-12)
+
+
+def test_what_holds_without_an_edge() -> None:
+    steps = walk(2)
+    graph = steps.graph(steps.loop(0, 27))
+    assert graph.holds_without([5])
+    assert not graph.holds_without([5, len(graph.edges) - 1])
+    with pytest.raises(ValueError, match="not connected"):
+        graph.without([5, len(graph.edges) - 1])
+
+
+def test_a_file_has_what_the_graph_has() -> None:
+    steps = walk(3)
+    graph = steps.graph(steps.loop(0, 20), steps.loop(3, 23))
+    again = graph_of(arrays_of(graph))
+    for name, array in graph.state().items():
+        assert np.array_equal(array, again.state()[name]), name

@@ -1,0 +1,122 @@
+"""Loops that the optimum contradicts are taken back, and only these."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from walks import Walk, walk
+
+from toolkit.geometry import se3
+from toolkit.pose_graph.factory import (
+    build_consistency,
+    build_loop_noise,
+    build_odometry_noise,
+    build_optimiser,
+)
+from toolkit.pose_graph.graph import PoseEdge, information_of
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.retraction import PoseGraphOptimiser, RetractionOptions
+from toolkit.pose_graph.solver import SolverOptions, solve
+from toolkit.settings.pose_graph import PoseGraphSettings
+
+FEW = settings(deadline=None, max_examples=3)
+seeds = st.integers(0, 2**16)
+PLAIN = PoseGraphOptimiser(SolverOptions(kernel="none"))
+
+
+def taken_back(steps: Walk, optimiser: PoseGraphOptimiser, loops: list[PoseEdge]) -> set[int]:
+    """Places in `loops`, after checking that the poses are those of the rest alone."""
+    graph = steps.graph(*loops)
+    solution = optimiser.optimise(graph)
+    offset = len(steps.odometry)
+    places = {k - offset for k in solution.retracted}
+    assert len(places) == len(solution.retracted)
+    assert (solution.weights[list(solution.retracted)] == 0).all()
+    assert len(solution.chi2) == len(solution.weights) == len(graph.edges)
+    rest = solve(
+        steps.graph(*(e for k, e in enumerate(loops) if k not in places)), optimiser.solver
+    )
+    for node, T in rest.T_world_node.items():
+        np.testing.assert_allclose(solution.T_world_node[node], T, atol=1e-9)
+    np.testing.assert_allclose(solution.covariances, rest.covariances, atol=1e-12)
+    return places
+
+
+@FEW
+@given(seed=seeds)
+def test_right_loops_stay(seed: int) -> None:
+    steps = walk(seed)
+    loops = [steps.loop(k, 20 + k) for k in range(0, 8, 2)]
+    assert taken_back(steps, PoseGraphOptimiser(), loops) == set()
+
+
+@pytest.mark.parametrize("optimiser", [PoseGraphOptimiser(), PLAIN], ids=["cauchy", "plain"])
+@FEW
+@given(seed=seeds)
+def test_one_wrong_loop_among_right_ones_goes(optimiser: PoseGraphOptimiser, seed: int) -> None:
+    steps = walk(seed)
+    loops = [steps.loop(1, 21), steps.twin_loop(2, 12), steps.loop(5, 25)]
+    assert taken_back(steps, optimiser, loops) == {1}
+
+
+@pytest.mark.parametrize("optimiser", [PoseGraphOptimiser(), PLAIN], ids=["cauchy", "plain"])
+@FEW
+@given(seed=seeds)
+def test_wrong_loops_that_agree_go_although_they_are_more(
+    optimiser: PoseGraphOptimiser, seed: int
+) -> None:
+    steps = walk(seed)
+    wrong = [steps.twin_loop(k, 10 + k) for k in (0, 2, 4, 6)]
+    loops = [*wrong, steps.loop(1, 21), steps.loop(5, 25)]
+    assert taken_back(steps, optimiser, loops) == {0, 1, 2, 3}
+
+
+@FEW
+@given(seed=seeds)
+def test_a_wrong_loop_that_only_bends_the_odometry_goes(seed: int) -> None:
+    """Alone and without a kernel it holds at the optimum: its own chi-square is small."""
+    steps = walk(seed)
+    off = steps.loop(1, 21).T_first_second @ se3.exp(np.array([0.0, 0.9, 0, 0, 0, 0]))
+    loop = PoseEdge.loop(1, 21, off, information_of(1e-7 * np.eye(6)))
+    graph = steps.graph(loop)
+    solution = solve(graph, PLAIN.solver)
+    assert solution.chi2[-1] < 1.0
+    assert taken_back(steps, PLAIN, [loop]) == {0}
+
+
+def test_the_only_connection_is_not_taken_back() -> None:
+    """After a gap in the odometry a relocalisation alone ties the rest to the map."""
+    steps = walk(3)
+    graph = steps.graph(steps.loop(2, 22), steps.twin_loop(4, 14)).without([9])
+    solution = PoseGraphOptimiser().optimise(graph)
+    assert set(solution.retracted) < {len(graph.edges) - 2, len(graph.edges) - 1}
+
+
+def test_the_same_loops_go_each_time() -> None:
+    steps = walk(21)
+    loops = [steps.twin_loop(k, 10 + k) for k in range(3)] + [steps.loop(0, 20)]
+    first, second = (PoseGraphOptimiser().optimise(steps.graph(*loops)) for _ in range(2))
+    assert first.retracted == second.retracted
+    assert np.array_equal(first.chi2, second.chi2)
+    for node, T in first.T_world_node.items():
+        assert np.array_equal(T, second.T_world_node[node])
+
+
+def test_parts_from_settings() -> None:
+    chosen = PoseGraphSettings.model_validate(
+        {
+            "solver": {"kernel": "huber", "kernel_width": 2.0},
+            "retraction": {"confidence": 0.9},
+            "odometry": {"scale": 7.0},
+            "loops": {"edge_m": 0.5},
+            "consistency": {"exact_up_to": 5},
+        }
+    )
+    optimiser = build_optimiser(chosen)
+    assert optimiser.solver == SolverOptions(kernel="huber", kernel_width=2.0)
+    assert optimiser.retraction == RetractionOptions(confidence=0.9)
+    assert build_odometry_noise(chosen) == OdometryNoise(scale=7.0)
+    assert build_loop_noise(chosen) == LoopNoise(edge_m=0.5)
+    assert build_consistency(chosen).exact_up_to == 5

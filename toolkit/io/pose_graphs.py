@@ -1,0 +1,168 @@
+"""Pose-graph files: g2o's and TORO's text, as GTSAM and others exchange them.
+
+    VERTEX_SE3:QUAT id x y z qx qy qz qw
+    EDGE_SE3:QUAT first second x y z qx qy qz qw I11 I12 ... I66
+    FIX id
+    VERTEX3 id x y z roll pitch yaw
+    EDGE3 first second x y z roll pitch yaw I11 I12 ... I66
+
+The pose is T_world_node, the measurement T_first_second; the 21 numbers are the upper
+triangle of the information, translation before rotation. TORO's angles turn about the fixed
+axes x, y, z in that order. The residual that g2o itself weighs is the vector part of the
+quaternion, half the angle; here, as in GTSAM, the numbers are taken for radians, so that optima
+agree with those published. A file that means the half counts rotations four times as much.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import FormatError
+from toolkit.geometry import se3
+from toolkit.io.atomic import write_bytes
+from toolkit.io.trajectories import text_lines
+
+PathLike = str | os.PathLike[str]
+Array = NDArray[np.float64]
+
+_TRIANGLE = np.triu_indices(6)
+# By tag: how many integers, how many numbers after them.
+_VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX3": 6}
+_EDGES = {"EDGE_SE3:QUAT": 28, "EDGE3": 27}
+
+
+@dataclass(frozen=True)
+class PoseGraphArrays:
+    """What a pose-graph file holds.
+
+    Attributes:
+        nodes: [N] int64 numbers, ascending. TORO's files may have edges alone: then none.
+        T_world_node: [N, 4, 4] float64.
+        edges: [E, 2] int64 numbers of first and second node, in the file's order.
+        T_first_second: [E, 4, 4] float64.
+        information: [E, 6, 6] float64, of (translation m, rotation rad).
+        fixed: [F] int64 nodes that are not to move.
+    """
+
+    nodes: NDArray[np.int64]
+    T_world_node: Array
+    edges: NDArray[np.int64]
+    T_first_second: Array
+    information: Array
+    fixed: NDArray[np.int64]
+
+
+def read_pose_graph(path: PathLike) -> PoseGraphArrays:
+    """Read a g2o file, or GTSAM's and TORO's `.txt`; lines are known by their tags.
+
+    Raises:
+        DatasetError: the file cannot be read.
+        FormatError: a line is not one of a 3D pose graph, a node comes twice, or there is no
+            edge.
+    """
+    poses: dict[int, Array] = {}
+    edges: list[tuple[int, int]] = []
+    motions: list[Array] = []
+    informations: list[Array] = []
+    fixed: list[int] = []
+    for number, line in text_lines(path):
+        where = f"{path}, line {number}"
+        tag, *words = line.split()
+        if tag in _VERTICES:
+            (node,), values = _numbers(where, tag, words, 1, _VERTICES[tag])
+            if node in poses:
+                raise FormatError(f"{where}: node {node} comes a second time; remove the line")
+            poses[node] = _motion(where, values)
+        elif tag in _EDGES:
+            (first, second), values = _numbers(where, tag, words, 2, _EDGES[tag])
+            edges.append((first, second))
+            motions.append(_motion(where, values[:-21]))
+            informations.append(_information(values[-21:]))
+        elif tag == "FIX":
+            fixed += _numbers(where, tag, words, len(words), 0)[0]
+        else:
+            known = ", ".join((*_VERTICES, *_EDGES, "FIX"))
+            raise FormatError(f"{where}: {tag!r} is no line of a 3D pose graph; known: {known}")
+    if not edges:
+        raise FormatError(f"{path} holds no edges; is it a pose graph?")
+    order = sorted(poses)
+    return PoseGraphArrays(
+        nodes=np.array(order, dtype=np.int64),
+        T_world_node=np.array([poses[n] for n in order]).reshape(-1, 4, 4),
+        edges=np.array(edges, dtype=np.int64),
+        T_first_second=np.array(motions),
+        information=np.array(informations),
+        fixed=np.array(fixed, dtype=np.int64),
+    )
+
+
+def write_g2o(path: PathLike, graph: PoseGraphArrays) -> None:
+    """Write a g2o file, the same bytes for the same values.
+
+    Numbers have all their digits; a rotation's pass through a quaternion, which is good to
+    the last one or two.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    lines = [
+        _line("VERTEX_SE3:QUAT", [int(node)], _seven(T))
+        for node, T in zip(graph.nodes, graph.T_world_node, strict=True)
+    ]
+    lines += [_line("FIX", [int(node)], []) for node in graph.fixed]
+    for ends, T, information in zip(
+        graph.edges, graph.T_first_second, graph.information, strict=True
+    ):
+        values = [*_seven(T), *information[_TRIANGLE]]
+        lines.append(_line("EDGE_SE3:QUAT", ends.tolist(), values))
+    write_bytes(path, "".join(lines).encode("ascii"))
+
+
+def _line(tag: str, nodes: list[int], values: list[float]) -> str:
+    # Adding zero turns -0.0 into 0.0; repr is the shortest text that reads as the same number.
+    words = [tag, *map(str, nodes), *(repr(float(v) + 0.0) for v in values)]
+    return " ".join(words) + "\n"
+
+
+def _seven(T: Array) -> list[float]:
+    return [*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3])]
+
+
+def _numbers(
+    where: str, tag: str, words: list[str], integers: int, reals: int
+) -> tuple[list[int], Array]:
+    if len(words) != integers + reals:
+        raise FormatError(
+            f"{where}: {tag} needs {integers + reals} numbers, got {len(words)}; mend the line"
+        )
+    try:
+        nodes = [int(word) for word in words[:integers]]
+        values = np.array([float(word) for word in words[integers:]], dtype=np.float64)
+    except ValueError as error:
+        raise FormatError(f"{where}: {error}; mend the line") from error
+    if min(nodes, default=0) < 0 or not np.isfinite(values).all():
+        raise FormatError(f"{where}: numbers must be finite, nodes not negative; mend the line")
+    return nodes, values
+
+
+def _motion(where: str, values: Array) -> Array:
+    """A motion from seven numbers (a quaternion last) or from six (three angles last)."""
+    if len(values) == 6:
+        R = np.eye(3)
+        for axis, angle_rad in zip(np.eye(3), values[3:], strict=True):
+            R = se3.exp_so3(angle_rad * axis) @ R
+        return se3.from_rotation_translation(R, values[:3])
+    # A quaternion with few decimals is off by as much; a longer error is another kind of line.
+    if abs(np.linalg.norm(values[3:]) - 1.0) > 1e-2:
+        raise FormatError(f"{where}: the quaternion (x y z w) has not length 1; mend the line")
+    return se3.from_rotation_translation(se3.rotation_from_quaternion_xyzw(values[3:]), values[:3])
+
+
+def _information(values: Array) -> Array:
+    out = np.zeros((6, 6))
+    out[_TRIANGLE] = values
+    return out + np.triu(out, 1).T
