@@ -54,6 +54,9 @@ _FEWEST_POINTS = 100
 # Radii in voxels, as Open3D's own examples have them.
 _NORMAL_RADIUS, _FEATURE_RADIUS, _MATCH_DISTANCE = 2.0, 5.0, 1.5
 _ICP_STEPS = 50
+# Reach of the ICP's rounds. Colour needs a wide one, for Open3D takes a cloud's colour gradients
+# from within twice of it: with few neighbours they are noise, and it runs away by decimetres.
+_ICP_VOXELS, _COLOURED_VOXELS = (2.0, 1.0, 0.5), 2.0
 
 
 class CloudRegistration:
@@ -159,23 +162,26 @@ class CloudRegistration:
         """Open3D's result from wide to narrow, and the information matrix [6, 6]."""
         registration = o3d.pipelines.registration
         criteria = registration.ICPConvergenceCriteria(max_iteration=_ICP_STEPS)
-        plane = registration.TransformationEstimationPointToPlane()
-        coloured = registration.TransformationEstimationForColoredICP()
-        T, distance = np.array(start, dtype=np.float64), 0.0
-        for voxels, widest in ((2.0, True), (1.0, False), (0.5, False)):
-            distance = voxels * self.options.voxel_m
-            # Colour leads astray from afar: planes come first.
-            if self.options.icp == "coloured" and not widest:
-                align, method = registration.registration_colored_icp, coloured
-            else:
-                align, method = registration.registration_icp, plane
+        planes = (
+            registration.registration_icp,
+            registration.TransformationEstimationPointToPlane(),
+        )
+        colours = (
+            registration.registration_colored_icp,
+            registration.TransformationEstimationForColoredICP(),
+        )
+        stages = [(*planes, voxels) for voxels in _ICP_VOXELS]
+        if self.options.icp == "coloured":
+            stages.append((*colours, _COLOURED_VOXELS))
+        T, voxel_m = np.array(start, dtype=np.float64), self.options.voxel_m
+        for align, method, voxels in stages:
             try:
-                found = align(source, target, distance, T, method, criteria)
+                found = align(source, target, voxels * voxel_m, T, method, criteria)
             except RuntimeError:  # no point of one cloud is near the other
                 break
             T = np.asarray(found.transformation, dtype=np.float64)
-        found = registration.evaluate_registration(source, target, distance, T)
-        count = registration.get_information_matrix_from_point_clouds(source, target, distance, T)
+        found = registration.evaluate_registration(source, target, voxel_m, T)
+        count = registration.get_information_matrix_from_point_clouds(source, target, voxel_m, T)
         return found, scaled_information(np.asarray(count), T, float(found.inlier_rmse))
 
 
