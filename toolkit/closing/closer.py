@@ -21,6 +21,7 @@ from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
 from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import ConsistencyOptions, OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import (
     PoseCorrection,
@@ -28,8 +29,8 @@ from toolkit.pose_graph.correction import (
     keyframe_graph,
     submap_graph,
 )
-from toolkit.pose_graph.graph import PoseEdge, information_of
-from toolkit.pose_graph.noise import OdometryNoise, path_between
+from toolkit.pose_graph.graph import PoseEdge
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
@@ -47,15 +48,15 @@ class ClosingOptions:
     Attributes:
         within, between: loops inside submaps and between them.
         least_visible: share of the second image of a pair that the first must explain.
-        least_correction_m, least_correction_rad: keyframes of a submap stay where they are
-            unless one moves so far: a settled map is not disturbed for nothing.
+        drift_confidence: the keyframes of a submap stay where they are unless its loops
+            contradict them with so much confidence. A pair of images is no better than a
+            centimetre; a map that was tracked well is, and would be disturbed for nothing.
     """
 
     within: bool = True
     between: bool = True
     least_visible: float = 0.4
-    least_correction_m: float = 0.005
-    least_correction_rad: float = 0.005
+    drift_confidence: float = 0.99
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class ClosingParts:
     verification: VerificationOptions
     consistency: ConsistencyOptions
     noise: OdometryNoise
-    loop_noise: OdometryNoise
+    loop_noise: LoopNoise
     optimiser: PoseGraphOptimiser
 
 
@@ -127,10 +128,9 @@ class LoopCloser:
         """
         new = atlas.active
         boundary = next(iter(atlas.keyframe_poses(new)))
-        way = atlas.keyframe_poses(new - 1)
-        T = se3.orthonormalise(way[boundary])
-        covariance = self._parts.noise.covariance(information, *path_between(list(way.values())))
-        self._links.append(PoseEdge(new - 1, new, T, information_of(covariance)))
+        poses = atlas.keyframe_poses(new - 1)
+        way = [T for index, T in poses.items() if index <= boundary]
+        self._links.append(self._parts.noise.along(new - 1, new, way, information))
 
     def close_between(self, atlas: Atlas, number: int) -> bool:
         """Close the loops of one submap with older ones; whether anchors moved."""
@@ -162,34 +162,28 @@ class LoopCloser:
             self._record("within", verdict | {"accepted": False, "reason": reason})
             return None
         self._record("within", verdict | {"accepted": True, "reason": ""})
-        information = self._weighed(offset.information)
-        return PoseEdge.loop(first.index, second.index, offset.T_first_second, information)
+        T = offset.T_first_second
+        return self._parts.loop_noise.edge(first.index, second.index, T, offset.information)
 
     def _correct_within(self, atlas: Atlas, loops: list[PoseEdge]) -> bool:
         submap = atlas.submap(atlas.active)
         odometry = []
         for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
             way = [first.T_map_camera, second.T_map_camera]
-            odometry.append(self._parts.noise.edge(first.index, second.index, way, _SURE))
+            odometry.append(self._parts.noise.along(first.index, second.index, way, _SURE))
         kept = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency).kept
-        graph = keyframe_graph(submap, odometry, [loops[k] for k in kept])
+        agreed = [loops[k] for k in kept]
+        poses = {k.index: k.T_map_camera for k in submap.keyframes}
+        chi2 = sum(loop.chi2(poses[loop.first], poses[loop.second]) for loop in agreed)
+        drifted = chi2 > quantile(self.options.drift_confidence, 6 * max(len(agreed), 1))
+        values = {"submap": submap.number, "loops": len(agreed), "chi2": chi2, "applied": drifted}
+        if not drifted:
+            self._record("correction within", values)
+            return False
+        graph = keyframe_graph(submap, odometry, agreed)
         solution = self._parts.optimiser.optimise(graph)
         correction = PoseCorrection.of(graph, solution)
-        options = self.options
-        small = correction.largest_m < options.least_correction_m
-        small &= correction.largest_rad < options.least_correction_rad
-        self._record(
-            "correction within",
-            {
-                "submap": submap.number,
-                "loops": len(kept) - len(solution.retracted),
-                "largest_m": correction.largest_m,
-                "largest_rad": correction.largest_rad,
-                "applied": not small,
-            },
-        )
-        if small:
-            return False
+        self._record("correction within", values | _moved(correction))
         correct_keyframes(submap, correction)
         atlas.put(submap)
         return True
@@ -210,8 +204,8 @@ class LoopCloser:
         self._record("between", verdict | _figures(result, T) | _verdict(reason))
         if reason:
             return None
-        T_first_second = se3.orthonormalise(result.T_target_source)
-        return PoseEdge.loop(first, second, T_first_second, self._weighed(result.information))
+        T = result.T_target_source
+        return self._parts.loop_noise.edge(first, second, T, result.information)
 
     def _correct_between(self, atlas: Atlas) -> bool:
         """Move the anchors to where all loops that agree put them."""
@@ -238,11 +232,7 @@ class LoopCloser:
             atlas.move(number, T)
         self._record(
             "correction between",
-            {
-                "loops": len(self.loops),
-                "largest_m": correction.largest_m,
-                "largest_rad": correction.largest_rad,
-            },
+            {"loops": len(self.loops), **_moved(correction)},
         )
         _log.info(
             "%d loops between submaps: anchors move by up to %.1f cm",
@@ -250,9 +240,6 @@ class LoopCloser:
             100 * correction.largest_m,
         )
         return True
-
-    def _weighed(self, information: Array) -> Array:
-        return information_of(self._parts.loop_noise.covariance(information, 0.0, 0.0))
 
     def _record(self, kind: str, values: dict[str, Any]) -> None:
         if self._log is not None:
@@ -294,6 +281,10 @@ class LoopCloser:
 _SURE = np.eye(6) * 1e9
 
 
+def _moved(correction: PoseCorrection) -> dict[str, float]:
+    return {"largest_m": correction.largest_m, "largest_rad": correction.largest_rad}
+
+
 def _verdict(reason: str) -> dict[str, Any]:
     return {"accepted": not reason, "reason": reason}
 
@@ -311,4 +302,6 @@ def _figures(result: RegistrationResult, T_before: Array) -> dict[str, Any]:
         "moved_m": float(np.linalg.norm(change[:3, 3])),
         "turned_rad": float(se3.rotation_angle_rad(change[:3, :3])),
     }
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
+    return {
+        k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()
+    }

@@ -18,8 +18,12 @@ from toolkit.loops.landmarks import LandmarkOptions
 from toolkit.loops.log import LoopLog
 from toolkit.loops.verification import VerificationOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.pose_graph.factory import build_consistency, build_odometry_noise, build_optimiser
-from toolkit.pose_graph.noise import OdometryNoise
+from toolkit.pose_graph.factory import (
+    build_consistency,
+    build_loop_noise,
+    build_odometry_noise,
+    build_optimiser,
+)
 from toolkit.registration.factory import build_drawer, build_registrar, matching_options
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
@@ -75,7 +79,9 @@ def build_loop_closer(
         verification=VerificationOptions(**settings.verification.model_dump()),
         consistency=build_consistency(settings.pose_graph),
         noise=build_odometry_noise(settings.pose_graph),
-        loop_noise=OdometryNoise(**settings.noise.model_dump()),
+        loop_noise=build_loop_noise(settings.pose_graph),
         optimiser=build_optimiser(settings.pose_graph),
     )
-    return LoopCloser(detector, parts, ClosingOptions(**settings.closing.model_dump()), log, recorder)
+    return LoopCloser(
+        detector, parts, ClosingOptions(**settings.closing.model_dump()), log, recorder
+    )

@@ -7,7 +7,7 @@ from pydantic import Field
 from toolkit.settings.base import Settings
 from toolkit.settings.features import FeatureSettings
 from toolkit.settings.loops import CandidateSettings, LandmarkSettings
-from toolkit.settings.pose_graph import OdometryNoiseSettings, PoseGraphSettings
+from toolkit.settings.pose_graph import PoseGraphSettings
 from toolkit.settings.registration import RegistrationSettings
 
 
@@ -28,8 +28,9 @@ class ClosingSettings(Settings):
     within: bool = Field(True, description="inside submaps, between keyframes")
     between: bool = Field(True, description="between submaps, by registration")
     least_visible: float = Field(0.4, ge=0, le=1, description="share of a pair's view in common")
-    least_correction_m: float = Field(0.005, ge=0, description="less moves no keyframe, m")
-    least_correction_rad: float = Field(0.005, ge=0, description="less moves no keyframe, rad")
+    drift_confidence: float = Field(
+        0.99, gt=0, lt=1, description="of loops against the keyframes that they move"
+    )
 
 
 class LoopClosureSettings(Settings):
@@ -42,7 +43,4 @@ class LoopClosureSettings(Settings):
     registration: RegistrationSettings = RegistrationSettings()
     verification: VerificationSettings = VerificationSettings()
     closing: ClosingSettings = ClosingSettings()
-    noise: OdometryNoiseSettings = Field(
-        OdometryNoiseSettings(edge_m=0.003, edge_rad=0.002), description="of loop edges"
-    )
     pose_graph: PoseGraphSettings = PoseGraphSettings()
