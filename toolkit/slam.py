@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.closer import LoopCloser
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper, MappingResult
-from toolkit.closing.closer import LoopCloser
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller

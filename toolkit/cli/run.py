@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.run_results import held_out, write_results
+from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
@@ -23,7 +24,6 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
-from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.run_folder import RunFolder
 from toolkit.semantics.factory import build_code, build_labeller
 from toolkit.settings.files import dump, load
