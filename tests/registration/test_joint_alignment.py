@@ -65,7 +65,7 @@ def test_every_pair_has_an_exposure_of_its_own(room: Scene, pairs):
     start = room.T_target_source @ motion(1, 0.02, 1.0)
     found = align(changed, Estimate(start), OPTIONS)
     assert error(found.T_target_source, room.T_target_source)[0] < 0.5
-    assert found.exposures[1] == pytest.approx([1.25, -0.0625], abs=0.02)
+    assert found.exposures[1] == pytest.approx([1.25, -0.0625], abs=0.03)
     assert found.exposures[0] == pytest.approx([1.0, 0.0], abs=0.02)
 
 

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 # Fewer residuals than this fix no pose.
 _FEWEST_PIXELS = 50
+# Steps of gain and bias that end the finest level.
+_SMALL_EXPOSURE = 0.004
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,8 @@ def _stepped(
     linears = _linearised(pairs, level, estimate, options)
     with_exposure = options.exposure and level == 0
     parts = [
-        _Eliminated.of(pair, linear, estimate, k, with_exposure)
-        for k, (pair, linear) in enumerate(zip(pairs, linears, strict=True))
+        _Eliminated.of(pair, linear, estimate, with_exposure)
+        for pair, linear in zip(pairs, linears, strict=True)
     ]
     H = np.sum([part.H for part in parts], axis=0)
     g = np.sum([part.g for part in parts], axis=0)
@@ -136,12 +138,13 @@ def _stepped(
     # Levels differ in what a pixel is, and so in what is a small step.
     small = np.linalg.norm(step[:3]) < options.small_translation_m * 4**level
     small &= np.linalg.norm(step[3:]) < options.small_rotation_rad * 4**level
-    exposures = estimate.exposures + np.array([part.exposure_step(step) for part in parts])
+    exposure_steps = np.array([part.exposure_step(step) for part in parts])
+    small &= np.abs(exposure_steps).max() < _SMALL_EXPOSURE
     return replace(
         estimate,
         T_target_source=se3.orthonormalise(estimate.T_target_source @ se3.exp(step)),
         scales=_rescaled(estimate.scales, linears),
-        exposures=exposures,
+        exposures=estimate.exposures + exposure_steps,
         converged=bool(small),
     ), True
 
@@ -178,13 +181,14 @@ class _Eliminated:
 
     @classmethod
     def of(
-        cls, pair: Pair, linear: Linearisation, estimate: Estimate, k: int, with_exposure: bool
+        cls, pair: Pair, linear: Linearisation, estimate: Estimate, with_exposure: bool
     ) -> _Eliminated:
         A = se3.adjoint(pair.T_model_target @ estimate.T_target_source)
         H, g = linear.H.copy(), linear.g.copy()
         if with_exposure and linear.intensity_pixels > 0:
             information = linear.intensity_pixels / estimate.scales.intensity**2
-            exposure.hold(H, g, information, estimate.exposures[k] - [1.0, 0.0])
+            # Two maps may differ in exposure by any amount: only the step is held.
+            exposure.hold(H, g, information, np.zeros(2))
         else:
             exposure.fix(H, g)
         cross = H[6:, :6] @ A
