@@ -1,0 +1,1 @@
+"""Image descriptors: one vector a view, by which places are recognised."""

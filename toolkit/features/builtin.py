@@ -1,0 +1,138 @@
+"""The built-in encoder: edges, hues and lightness over a pyramid of windows, without weights.
+
+In the spirit of HOG (Dalal and Triggs 2005) and GIST (Oliva and Torralba 2001): three groups of
+eight maps each, summed up in sixteen soft windows, 3 x 8 x 16 = 384 numbers.
+
+- edges: strength of the gradient of lightness in eight orientations,
+- hues: strength of colour in eight directions of an opponent plane,
+- lightness: membership in eight levels.
+
+All is measured on a picture whose lightness was brought to mean 0 and deviation 1, so gain and
+bias of the exposure leave it as it is. A wide window forgives a shift: indoor cameras turn about
+the vertical most, so windows are finer from top to bottom than from side to side.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from toolkit.features.encoder import check_images, unit_length
+
+_ROWS, _COLUMNS = 120, 160  # of the picture that edges are measured in; hues in half of it
+_MAPS = 8  # a group
+_WINDOWS = ((6, 2), (2, 2))  # rows and columns at each level of the pyramid
+_WINDOW_WIDTH = 0.6  # standard deviation of a window, in units of their distance
+_LIGHTNESS_WEIGHT = 0.5  # light falls differently on every visit
+_DARKEST, _LIGHTEST = -1.75, 1.75  # middles of the outer levels, in deviations
+# Below these, in deviations squared, gradients and colours are noise.
+_FLAT, _GREY = 1e-6, 1e-4
+_LEAST_VARIANCE = 1e-5  # keeps a black picture finite
+
+
+class BuiltinEncoder:
+    """Three groups of eight maps in sixteen windows; see the module.
+
+    Its threshold is where 1 % of the pairs of views of one room that hardly overlap
+    (under 10 %) pass, measured on real and synthetic rooms with random exposure.
+    """
+
+    name = "builtin"
+    dimensions = 3 * _MAPS * sum(rows * columns for rows, columns in _WINDOWS)
+    threshold = 0.20
+
+    def __init__(self) -> None:
+        self._windows = _pyramid(_ROWS // 2, _COLUMNS // 2)
+
+    def describe(self, images: Tensor) -> Tensor:
+        """Descriptors [B, 384] of images [B, 3, H, W]; see `Encoder.describe`."""
+        check_images(images)
+        images = functional.adaptive_avg_pool2d(images.float(), (_ROWS, _COLUMNS))
+        lightness, colour = _standardised(images)
+        edges = self._in_windows(_halved(_edges(lightness)))
+        hues = self._in_windows(_hues(_halved(colour)))
+        levels = self._in_windows(_levels(_halved(lightness)))
+        return unit_length(torch.cat([edges, hues, _LIGHTNESS_WEIGHT * levels], dim=1))
+
+    def _in_windows(self, maps: Tensor) -> Tensor:
+        """What non-negative maps [B, 8, H, W] sum up to in the windows, [B, 128] of length 1.
+
+        The square root keeps a few strong edges from outshouting the rest.
+        """
+        sums = maps.flatten(2) @ self._windows.to(maps.device)
+        return unit_length((sums + _FLAT).sqrt().flatten(1))
+
+
+def _standardised(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Lightness [B, 1, H, W] and opponent colour [B, 2, H, W] without gain and bias."""
+    lightness = images.mean(dim=1, keepdim=True)
+    variance, mean = torch.var_mean(lightness, dim=(2, 3), keepdim=True)
+    red, green, blue = images.split(1, dim=1)
+    # Differences of channels have no bias.
+    colour = torch.cat([red - green, (red + green) / 2.0 - blue], dim=1)
+    deviation = (variance + _LEAST_VARIANCE).sqrt()
+    return (lightness - mean) / deviation, colour / deviation
+
+
+def _edges(lightness: Tensor) -> Tensor:
+    """Gradient strength [B, 8, H, W] by orientation, of lightness [B, 1, H, W]."""
+    padded = functional.pad(lightness, (1, 1, 1, 1), mode="replicate")
+    x = (padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2]) / 2.0
+    y = (padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1]) / 2.0
+    # The doubled angle is the same for a gradient and its opposite.
+    return _by_direction(x * x - y * y, 2.0 * x * y, x * x + y * y + _FLAT)
+
+
+def _hues(colour: Tensor) -> Tensor:
+    """Colour strength [B, 8, H, W] by direction in the opponent plane [B, 2, H, W]."""
+    a, b = colour.split(1, dim=1)
+    squares = a * a + b * b + _GREY
+    root = squares.sqrt()
+    return _by_direction(a * root, b * root, squares)
+
+
+def _by_direction(x: Tensor, y: Tensor, squares: Tensor) -> Tensor:
+    """Length sqrt(squares) [B, 8, H, W], shared out by the direction of (x, y).
+
+    Args:
+        x, y: [B, 1, H, W], at most `squares` long.
+        squares: [B, 1, H, W], positive.
+    """
+    angles = torch.arange(_MAPS, device=x.device) * (2.0 * math.pi / _MAPS)
+    cosine, sine = (f(angles).to(x).view(1, -1, 1, 1) for f in (torch.cos, torch.sin))
+    along = ((x * cosine + y * sine) / squares).clamp_min(0.0)
+    return squares.sqrt() * along * along
+
+
+def _levels(lightness: Tensor) -> Tensor:
+    """Membership [B, 8, H, W] in eight levels of lightness [B, 1, H, W], linear between them."""
+    middles = torch.linspace(_DARKEST, _LIGHTEST, _MAPS, device=lightness.device)
+    step = (_LIGHTEST - _DARKEST) / (_MAPS - 1)
+    distance = (lightness.clamp(_DARKEST, _LIGHTEST) - middles.view(1, -1, 1, 1)).abs()
+    return (1.0 - distance / step).clamp_min(0.0)
+
+
+def _halved(maps: Tensor) -> Tensor:
+    return functional.avg_pool2d(maps, 2)
+
+
+def _pyramid(rows: int, columns: int) -> Tensor:
+    """Weights [rows * columns, 16] of the windows, each with sum 1."""
+    windows = []
+    for down, across in _WINDOWS:
+        vertical, horizontal = _bells(rows, down), _bells(columns, across)
+        windows.append(np.einsum("ya,xb->yxab", vertical, horizontal).reshape(rows * columns, -1))
+    return torch.from_numpy(np.concatenate(windows, axis=1).astype(np.float32))
+
+
+def _bells(pixels: int, count: int) -> np.ndarray:
+    """Gaussian weights [pixels, count] about evenly spaced middles, each with sum 1."""
+    spacing = pixels / count
+    middles = (np.arange(count) + 0.5) * spacing
+    offsets = (np.arange(pixels)[:, None] + 0.5 - middles) / (_WINDOW_WIDTH * spacing)
+    bells = np.exp(-0.5 * offsets**2)
+    return np.asarray(bells / bells.sum(axis=0))

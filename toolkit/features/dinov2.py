@@ -1,0 +1,68 @@
+"""Descriptors by DINOv2, or another vision transformer, from a local folder (G-III.C)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+from torch import Tensor
+
+from toolkit.errors import FormatError
+from toolkit.features.encoder import check_images, unit_length
+from toolkit.pretrained.vision_transformer import VisionTransformer
+
+# G's 0.20, read as the square that FAISS returns: a cosine of 0.90.
+_THRESHOLD = math.sqrt(0.20)
+
+Pooling = Literal["class", "mean"]
+
+
+class Dinov2Encoder:
+    """The class token, or the mean of the patches' tokens, as a unit vector.
+
+    The threshold is the paper's; it was not measured here.
+
+    Args:
+        folder: config.json and weights; nothing is downloaded.
+        pooling: "class" for the class token, "mean" for the patches' mean.
+        longest_side: images are scaled to about so many pixels.
+        device: "cpu", "cuda", or "auto".
+
+    Attributes:
+        dimensions: the model's width, 384 for ViT-S/14.
+
+    Raises:
+        DependencyError: transformers cannot be loaded, or the device is not there.
+        FormatError: the folder is missing or is not what it should be.
+    """
+
+    name = "dinov2"
+    threshold = _THRESHOLD
+
+    def __init__(
+        self,
+        folder: Path,
+        pooling: Pooling = "class",
+        longest_side: int = 224,
+        device: str = "auto",
+    ) -> None:
+        self._folder, self._pooling = folder, pooling
+        self._model = VisionTransformer(folder, longest_side, device)
+        self.dimensions = self._model.channels
+
+    def describe(self, images: Tensor) -> Tensor:
+        """Descriptors [B, D] of images [B, 3, H, W]; see `Encoder.describe`.
+
+        Raises:
+            FormatError: the model has no class token, and `pooling` asks for it.
+        """
+        check_images(images)
+        tokens = self._model.tokens(images.float())
+        if self._pooling == "mean":
+            chosen = tokens.patches.mean(dim=(1, 2))
+        elif tokens.whole is not None:
+            chosen = tokens.whole
+        else:
+            raise FormatError(f"{self._folder}: the model has no class token; take pooling mean")
+        return unit_length(chosen).to(images.device)
