@@ -7,6 +7,8 @@ from dataclasses import asdict
 import pytest
 
 from toolkit.gaussians.seeding import SeedingOptions
+from toolkit.loops.candidates import CandidateOptions
+from toolkit.loops.landmarks import LandmarkOptions
 from toolkit.losses.photometric import RgbdLossWeights
 from toolkit.losses.semantic import SemanticLossWeights
 from toolkit.mapping.consensus import ConsensusOptions
@@ -14,6 +16,7 @@ from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import MapperOptions
 from toolkit.mapping.sparse_adam import LearningRates
 from toolkit.settings.base import Settings
+from toolkit.settings.loops import CandidateSettings, LandmarkSettings
 from toolkit.settings.mapping import (
     ConsensusSettings,
     KeyframeSettings,
@@ -39,6 +42,8 @@ PAIRS = [
     (LearningRates(), LearningRateSettings()),
     (RgbdLossWeights(), LossSettings()),
     (KeyframePolicy(), KeyframeSettings()),
+    (CandidateOptions(), CandidateSettings()),
+    (LandmarkOptions(), LandmarkSettings()),
 ]
 
 

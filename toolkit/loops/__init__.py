@@ -1,0 +1,1 @@
+"""Loop closure: places seen again, found and verified (G-III.C)."""

@@ -1,0 +1,270 @@
+"""Loop candidates: places that look alike, ranked by what stands there (G, Algorithm 1).
+
+A candidate is a suspicion. Whether two views show one place is decided by registration, after
+this; so each search gives every keyframe it considered, taken or refused, with the reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.loops.landmarks import LandmarkOptions, landmark_distance, landmark_vectors
+from toolkit.loops.retrieval import DescriptorIndex, Neighbour
+
+# The rank of a candidate whose landmarks tell nothing: as of vectors with little in common.
+_UNKNOWN_LANDMARKS = 1.0
+# Fewer distances than these say nothing about how alike neighbours look.
+_LEAST_NEIGHBOURS = 3
+
+
+@dataclass(frozen=True)
+class DescribedKeyframe:
+    """What loop detection knows of a keyframe.
+
+    Attributes:
+        frame: its index in the sequence.
+        submap: the number of its submap.
+        travelled_m: length of the estimated path up to here, metres.
+        descriptor: [D] float32 of unit length.
+        class_counts: [C] observed Gaussians of each class without void; C may be 0.
+    """
+
+    frame: int
+    submap: int
+    travelled_m: float
+    descriptor: NDArray[np.float32]
+    class_counts: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class LoopCandidate:
+    """Two keyframes that may show one place.
+
+    Attributes:
+        query, match: frame indices, the match being the older.
+        query_submap, match_submap: numbers of their submaps.
+        distance: of the descriptors, Euclidean.
+        cosine: of the descriptors.
+        landmark_distance: of the landmark vectors, in [0, sqrt 2]; None where they tell nothing.
+        accepted: whether it goes on to verification.
+        reason: why, in plain words.
+    """
+
+    query: int
+    match: int
+    query_submap: int
+    match_submap: int
+    distance: float
+    cosine: float
+    landmark_distance: float | None
+    accepted: bool
+    reason: str
+
+    def record(self) -> dict[str, Any]:
+        """The values for a log."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class CandidateOptions:
+    """When keyframes are candidates.
+
+    Attributes:
+        search_every: keyframes from one search to the next (G: 6).
+        considered: the nearest so many keyframes are looked at.
+        kept: of those that pass, at most so many, the best by landmarks (G: 1).
+        threshold: "fixed" takes the encoder's own, "adaptive" what the keyframe's own
+            neighbours look like, since places differ in how fast their look changes.
+        distance: replaces the encoder's threshold.
+        adaptive_quantile: of the distances to the neighbours in the keyframe's own submap,
+            becomes the threshold, but never more than `adaptive_limit` times the fixed one.
+        adaptive_limit: see there.
+        least_gap_frames: between query and match,
+        least_gap_m: and along the path, metres, or neighbours would always match.
+        most_landmark_distance: beyond it a candidate is refused.
+    """
+
+    search_every: int = 6
+    considered: int = 10
+    kept: int = 3
+    threshold: Literal["fixed", "adaptive"] = "fixed"
+    distance: float | None = None
+    adaptive_quantile: float = 0.5
+    adaptive_limit: float = 1.5
+    least_gap_frames: int = 30
+    least_gap_m: float = 0.5
+    most_landmark_distance: float = 1.0
+
+
+class CandidateFinder:
+    """Remembers the keyframes of a run, and searches among them every so often.
+
+    Args:
+        dimensions: length D of a descriptor.
+        threshold: the descriptor's own.
+        options: when keyframes are candidates; default if None.
+        landmarks: how classes are weighed; default if None.
+
+    Raises:
+        DependencyError: FAISS cannot be loaded.
+    """
+
+    def __init__(
+        self,
+        dimensions: int,
+        threshold: float,
+        options: CandidateOptions | None = None,
+        landmarks: LandmarkOptions | None = None,
+    ) -> None:
+        self.options = options or CandidateOptions()
+        self._landmarks = landmarks or LandmarkOptions()
+        fixed = self.options.distance
+        self._fixed_threshold = threshold if fixed is None else fixed
+        self._index = DescriptorIndex(dimensions)
+        self._frames: list[int] = []
+        self._submaps: list[int] = []
+        self._travelled_m: list[float] = []
+        self._class_counts: list[NDArray[np.int64]] = []
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(
+        self, keyframe: DescribedKeyframe, map_counts: NDArray[np.int64] | None = None
+    ) -> list[LoopCandidate]:
+        """Remember a keyframe and, if its turn has come, search for its loops.
+
+        Args:
+            keyframe: the next one, with a later frame than the last.
+            map_counts: [C] Gaussians of each class in the map, for the paper's landmarks only.
+
+        Returns:
+            What was considered, best first: those taken, then those refused. Nothing, too,
+            where no search was due.
+
+        Raises:
+            ValueError: the keyframe does not fit those before.
+        """
+        self._check(keyframe)
+        number = self._index.add(keyframe.descriptor)
+        self._frames.append(keyframe.frame)
+        self._submaps.append(keyframe.submap)
+        self._travelled_m.append(keyframe.travelled_m)
+        self._class_counts.append(np.array(keyframe.class_counts, np.int64))
+        if len(self) % self.options.search_every:
+            return []
+        return self.search(number, map_counts)
+
+    def search(
+        self, number: int, map_counts: NDArray[np.int64] | None = None
+    ) -> list[LoopCandidate]:
+        """Candidates for the keyframe that was added as the `number`-th, from 0; as `add`."""
+        options = self.options
+        among = np.flatnonzero(self._beyond_gap(number))
+        found = self._index.search(self._index.descriptor(number), options.considered, among)
+        if not found:
+            return []
+        vectors = landmark_vectors(np.stack(self._class_counts), self._landmarks, map_counts)
+        limit = self._threshold_of(number)
+        judged = [
+            self._judged(
+                number, near, limit, landmark_distance(vectors[number], vectors[near.keyframe])
+            )
+            for near in found
+        ]
+        taken = sorted((c for c in judged if c.accepted), key=_rank)
+        refused = [c for c in judged if not c.accepted]
+        total = len(taken)
+        for place, candidate in enumerate(taken):
+            kept = place < options.kept
+            order = f"number {place + 1} of {total} by landmarks"
+            reason = order if kept else f"{order}, {options.kept} are kept"
+            taken[place] = replace(candidate, accepted=kept, reason=reason)
+        return taken + refused
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays that `restore` takes over to identical results."""
+        counts = self._class_counts
+        return {
+            **self._index.state(),
+            "frames": np.array(self._frames, np.int64),
+            "submaps": np.array(self._submaps, np.int64),
+            "travelled_m": np.array(self._travelled_m, np.float64),
+            "class_counts": np.stack(counts) if counts else np.zeros((0, 0), np.int64),
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self._index = DescriptorIndex.from_state(state, self._index.dimensions)
+        self._frames = [int(n) for n in state["frames"]]
+        self._submaps = [int(n) for n in state["submaps"]]
+        self._travelled_m = [float(m) for m in state["travelled_m"]]
+        self._class_counts = [np.array(counts) for counts in state["class_counts"]]
+
+    def _check(self, keyframe: DescribedKeyframe) -> None:
+        if not self._frames:
+            return
+        if keyframe.frame <= self._frames[-1] or keyframe.travelled_m < self._travelled_m[-1]:
+            raise ValueError(
+                f"keyframe {keyframe.frame} at {keyframe.travelled_m:.3f} m must come after "
+                f"{self._frames[-1]} at {self._travelled_m[-1]:.3f} m"
+            )
+        if keyframe.class_counts.shape != self._class_counts[-1].shape:
+            raise ValueError(
+                f"class_counts must have shape {list(self._class_counts[-1].shape)}, "
+                f"got {list(keyframe.class_counts.shape)}"
+            )
+
+    def _beyond_gap(self, number: int) -> NDArray[np.bool_]:
+        """Which keyframes are older by enough frames and enough metres."""
+        frames, travelled_m = np.array(self._frames), np.array(self._travelled_m)
+        options = self.options
+        far = frames[number] - frames >= options.least_gap_frames
+        return far & (travelled_m[number] - travelled_m >= options.least_gap_m)
+
+    def _threshold_of(self, number: int) -> float:
+        """The descriptor distance below which a keyframe's matches are believed."""
+        options = self.options
+        if options.threshold == "fixed":
+            return self._fixed_threshold
+        submaps, numbers = np.array(self._submaps), np.arange(len(self))
+        near = (submaps == submaps[number]) & (numbers < number) & ~self._beyond_gap(number)
+        if near.sum() < _LEAST_NEIGHBOURS:
+            return self._fixed_threshold
+        mine = self._index.search(
+            self._index.descriptor(number), int(near.sum()), np.flatnonzero(near)
+        )
+        own = float(np.quantile([n.distance for n in mine], options.adaptive_quantile))
+        return min(own, options.adaptive_limit * self._fixed_threshold)
+
+    def _judged(
+        self, number: int, near: Neighbour, limit: float, landmarks: float | None
+    ) -> LoopCandidate:
+        most = self.options.most_landmark_distance
+        accepted, reason = True, ""
+        if near.distance >= limit:
+            accepted = False
+            reason = f"descriptors differ by {near.distance:.3f}, {limit:.3f} or more"
+        elif landmarks is not None and landmarks > most:
+            accepted = False
+            reason = f"landmarks differ by {landmarks:.3f}, more than {most:.3f}"
+        return LoopCandidate(
+            query=self._frames[number],
+            match=self._frames[near.keyframe],
+            query_submap=self._submaps[number],
+            match_submap=self._submaps[near.keyframe],
+            distance=near.distance,
+            cosine=near.cosine,
+            landmark_distance=landmarks,
+            accepted=accepted,
+            reason=reason,
+        )
+
+
+def _rank(candidate: LoopCandidate) -> tuple[float, float]:
+    landmarks = candidate.landmark_distance
+    return (_UNKNOWN_LANDMARKS if landmarks is None else landmarks, candidate.distance)
