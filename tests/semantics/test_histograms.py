@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.semantics.histograms import SMOOTHING, class_histogram, smoothed_kl
+from toolkit.semantics.histograms import (
+    SMOOTHING,
+    class_histogram,
+    observed_class_counts,
+    smoothed_kl,
+)
 from toolkit.semantics.taxonomy import Taxonomy
 
 
@@ -85,3 +90,11 @@ def test_all_void_counts_as_knowing_nothing():
 def test_wrong_histograms_are_named(first, second, smoothing, named):
     with pytest.raises(ValueError, match=named):
         smoothed_kl(first, second, smoothing)
+
+
+def test_observed_gaussians_are_counted_by_class():
+    ids, visible = np.array([0, 1, 1, 3, 3, 3, 2]), np.array([0, 2, 3, 5])
+    assert observed_class_counts(ids, visible, 4).tolist() == [1, 1, 0, 2, 0]
+    assert observed_class_counts(ids, np.zeros(0, int), 4).tolist() == [0] * 5
+    with pytest.raises(ValueError, match=r"0\.\.2"):
+        observed_class_counts(ids, visible, 2)

@@ -14,7 +14,7 @@ import torch
 from toolkit.errors import DatasetError, DependencyError, FormatError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.semantics.segmenters import pretrained
+from toolkit.pretrained import loading as pretrained
 from toolkit.semantics.segmenters.head_training import (
     HeadTrainingOptions,
     _fit,

@@ -6,7 +6,11 @@ from dataclasses import asdict
 
 import pytest
 
+from toolkit.closing.closer import ClosingOptions
 from toolkit.gaussians.seeding import SeedingOptions
+from toolkit.loops.candidates import CandidateOptions
+from toolkit.loops.landmarks import LandmarkOptions
+from toolkit.loops.verification import VerificationOptions
 from toolkit.losses.photometric import RgbdLossWeights
 from toolkit.losses.semantic import SemanticLossWeights
 from toolkit.mapping.consensus import ConsensusOptions
@@ -18,6 +22,8 @@ from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import RetractionOptions
 from toolkit.pose_graph.solver import SolverOptions
 from toolkit.settings.base import Settings
+from toolkit.settings.loop_closure import ClosingSettings, VerificationSettings
+from toolkit.settings.loops import CandidateSettings, LandmarkSettings
 from toolkit.settings.mapping import (
     ConsensusSettings,
     KeyframeSettings,
@@ -34,12 +40,19 @@ from toolkit.settings.pose_graph import (
     SolverSettings,
 )
 from toolkit.settings.semantics import SemanticLossSettings
+from toolkit.settings.submaps import AllocationSettings, BoundarySettings
 from toolkit.settings.tracking import DenseSettings, FirstOrderSettings, HealthSettings
+from toolkit.submaps.allocation import AllocationOptions
+from toolkit.submaps.atlas import BoundaryOptions
 from toolkit.tracking.dense import DenseOptions
 from toolkit.tracking.first_order import FirstOrderOptions
 from toolkit.tracking.health import HealthLimits
 
 PAIRS = [
+    (AllocationOptions(), AllocationSettings()),
+    (BoundaryOptions(), BoundarySettings()),
+    (VerificationOptions(), VerificationSettings()),
+    (ClosingOptions(), ClosingSettings()),
     (DenseOptions(), DenseSettings()),
     (FirstOrderOptions(), FirstOrderSettings()),
     (HealthLimits(), HealthSettings()),
@@ -55,6 +68,8 @@ PAIRS = [
     (ConsistencyOptions(), ConsistencySettings()),
     (SolverOptions(), SolverSettings()),
     (RetractionOptions(), RetractionSettings()),
+    (CandidateOptions(), CandidateSettings()),
+    (LandmarkOptions(), LandmarkSettings()),
 ]
 
 

@@ -23,7 +23,7 @@ class ColourHistogramEncoder:
 
     name = "colour-histogram"
     dimensions = _BINS[0] * _BINS[1] * _BINS[2]
-    threshold = 0.42
+    threshold = 0.40
 
     def describe(self, images: Tensor) -> Tensor:
         """Descriptors [B, 384] of images [B, 3, H, W]; see `Encoder.describe`."""

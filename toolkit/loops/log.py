@@ -32,11 +32,10 @@ class LoopLog:
         try:
             with self._path.open("ab") as stream:
                 self._size = stream.tell()
-                if keep_bytes is not None:
-                    self._cut(keep_bytes)
-                    stream.truncate(keep_bytes)
         except OSError as error:
             raise cannot_write(self._path, error) from error
+        if keep_bytes is not None:
+            self.cut_back(keep_bytes)
 
     @property
     def size_bytes(self) -> int:
@@ -58,12 +57,22 @@ class LoopLog:
             raise cannot_write(self._path, error) from error
         self._size += len(line)
 
-    def _cut(self, keep_bytes: int) -> None:
+    def cut_back(self, keep_bytes: int) -> None:
+        """Cut the file back to so many bytes, as it was at a checkpoint.
+
+        Raises:
+            RunFolderError: it cannot be written, or is shorter.
+        """
         if keep_bytes > self._size:
             raise RunFolderError(
                 f"{self._path} has {self._size} bytes, its checkpoint says {keep_bytes}; put the "
                 "whole file back, or start anew"
             )
+        try:
+            with self._path.open("ab") as stream:
+                stream.truncate(keep_bytes)
+        except OSError as error:
+            raise cannot_write(self._path, error) from error
         self._size = keep_bytes
 
 

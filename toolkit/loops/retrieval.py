@@ -131,7 +131,7 @@ def faiss() -> ModuleType:
         raise DependencyError(
             f"FAISS cannot be loaded ({error}); mend it with: pip install faiss-cpu"
         ) from error
-    return module  # type: ignore[no-any-return]
+    return module
 
 
 def _neighbour(keyframe: int, square: float) -> Neighbour:

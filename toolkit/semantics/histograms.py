@@ -1,4 +1,4 @@
-"""How much of a picture each class takes, and how far two pictures differ in that (G-III.A)."""
+"""How much of a view each class takes, and how far two views differ in that (G-III.A)."""
 
 from __future__ import annotations
 
@@ -33,6 +33,25 @@ def class_histogram(labels: NDArray[np.integer], classes: int | Taxonomy) -> Arr
     counts = np.bincount(flat, minlength=count + 1).astype(np.float64)
     counts[VOID] = 0.0
     return counts[1:] / max(counts.sum(), 1.0)
+
+
+def observed_class_counts(
+    class_ids: NDArray[np.integer], visible: NDArray[np.integer], classes: int
+) -> NDArray[np.int64]:
+    """Counts [C + 1] of the Gaussians of each class that a view shows; void's is [0].
+
+    Args:
+        class_ids: [N] class of every Gaussian, 0..C, 0 void.
+        visible: [V] indices of those in the view.
+        classes: C.
+
+    Raises:
+        ValueError: an id is outside 0..C.
+    """
+    ids = np.asarray(class_ids)[np.asarray(visible)]
+    if ids.size and not 0 <= int(ids.min()) <= int(ids.max()) <= classes:
+        raise ValueError(f"class ids must lie in 0..{classes}, got {ids.min()}..{ids.max()}")
+    return np.bincount(ids, minlength=classes + 1).astype(np.int64)
 
 
 def smoothed_kl(current: Array, anchor: Array, smoothing: float = SMOOTHING) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError
 from toolkit.frame import Frame
 from toolkit.io.class_names import VOID_NAMES
-from toolkit.semantics.segmenters.pretrained import device_of, load_image_processor, load_model
+from toolkit.pretrained.loading import device_of, load_image_processor, load_model
 
 # What would make the picture that the model sees another one than the frame.
 _CROPS = ("do_center_crop", "do_pad")

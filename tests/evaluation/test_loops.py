@@ -1,0 +1,151 @@
+"""Loop figures on a camera that walks a circle twice, where every loop is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toolkit.evaluation.loops import (
+    LoopTruthOptions,
+    TrueViews,
+    loop_metrics,
+    score_loops,
+    true_intervals,
+)
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.frustum import observed_points
+
+CAMERA = Camera(30.0, 30.0, 31.5, 23.5, 64, 48)
+ROUND = 100
+RADIUS_M = 3.0
+
+
+def circling(second_round_rad: float = 0.0) -> TrueViews:
+    """Two rounds of 100 frames, looking outwards at a wall 2 m off; then turned by an angle."""
+    poses = []
+    for frame in range(2 * ROUND):
+        angle = 2 * math.pi * frame / ROUND
+        turn = np.array([0.0, 0.0, 0.0, 0.0, angle, 0.0])
+        T = se3.exp(turn)
+        T[:3, 3] = T[:3, :3] @ [0.0, 0.0, RADIUS_M]
+        if frame >= ROUND:
+            T = T @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, second_round_rad, 0.0]))
+        poses.append(T)
+    points = observed_points(CAMERA, np.full((48, 64), 2.0, np.float32), 60)
+    count = 2 * ROUND
+    return TrueViews(
+        CAMERA, np.array(poses), np.repeat(points[None], count, 0), np.full(count, 3.0)
+    )
+
+
+# A frame of the circle is 19 cm; half a metre and an interval of two frames leave no doubt.
+OPTIONS = LoopTruthOptions(interval=2, least_gap_frames=30, least_gap_m=1.0)
+
+
+def test_each_interval_of_the_second_round_meets_the_first():
+    truth = true_intervals(circling(), OPTIONS)
+    later, earlier = np.nonzero(truth)
+    apart = later * 2 - earlier * 2
+    assert (truth.sum(axis=1)[50:] >= 1).all()
+    assert truth[np.arange(50, 100), np.arange(50)].all()
+    assert (np.abs(apart - ROUND) <= 2).all()
+    assert not truth[:49].any()
+
+
+def test_back_to_back_is_a_loop_by_position_alone():
+    views = circling(math.pi)
+    assert not true_intervals(views, OPTIONS).any()
+    alone = replace(OPTIONS, least_overlap=0.0)
+    np.testing.assert_array_equal(true_intervals(views, alone), true_intervals(circling(), alone))
+
+
+def test_overlap_is_the_smaller_of_both_directions():
+    views = circling()
+    deep = views.points_m.copy()
+    deep[150] *= 10.0  # this view saw far beyond what the other's frustum holds
+    seen = replace(views, points_m=deep, far_m=np.where(np.arange(200) == 150, 30.0, 3.0))
+    assert views.overlaps(150, np.array([50]))[0] == pytest.approx(1.0)
+    assert seen.overlaps(150, np.array([50]))[0] == 0.0
+    assert seen.overlaps(50, np.array([150, 51]))[0] == 0.0
+
+
+def test_the_gap_asks_for_frames_and_metres():
+    views = circling()
+    assert not true_intervals(views, replace(OPTIONS, least_gap_frames=110)).any()
+    assert not true_intervals(views, replace(OPTIONS, least_gap_m=22.0)).any()
+    short = true_intervals(
+        views, replace(OPTIONS, least_gap_frames=1, least_gap_m=0.0, most_distance_m=0.7)
+    )
+    assert short[10, 9]
+
+
+def test_every_admissible_pair_of_two_intervals_must_be_close():
+    # Six frames are 0.95 m of the circle: no two such intervals are within half a metre.
+    assert not true_intervals(circling(), replace(OPTIONS, interval=6)).any()
+    wide = replace(OPTIONS, interval=6, most_distance_m=1.2)
+    assert true_intervals(circling(), wide).any()
+
+
+def test_figures_count_searched_keyframes_only():
+    searched = [20, 120, 140, 160, 180]
+    accepted = [(120, 20), (120, 70), (140, 41), (180, 10)]
+    score = score_loops(circling(), searched, accepted, OPTIONS)
+    assert (score.accepted, score.right, score.searched) == (4, 2, 5)
+    assert (score.with_loop, score.found) == (4, 2)
+    assert score.precision == 0.5
+    assert score.recall == 0.5
+    assert score.f1 == 0.5
+    assert score.found_intervals == 2
+    assert score.recall_of_all == 2 / score.true_intervals
+    assert score.true_intervals == 50
+
+
+def test_a_detector_that_finds_all_scores_one_whatever_its_rate():
+    for every in (1, 5, 20):
+        searched = range(0, 200, every)
+        accepted = [(q, q - ROUND) for q in searched if q >= ROUND]
+        score = score_loops(circling(), searched, accepted, OPTIONS)
+        assert score.precision == score.recall == score.f1 == 1.0
+        assert score.recall_of_all <= 1.0
+
+
+def test_nothing_accepted_has_no_precision_but_a_recall_of_zero():
+    score = score_loops(circling(), [150], [], OPTIONS)
+    assert score.precision is None
+    assert (score.recall, score.f1) == (0.0, 0.0)
+    none = score_loops(circling(), [10], [], OPTIONS)
+    assert (none.precision, none.recall, none.f1) == (None, None, None)
+
+
+def test_frames_without_a_true_pose_take_no_part():
+    views = circling()
+    poses = views.T_world_camera.copy()
+    poses[120:122] = np.nan
+    score = score_loops(replace(views, T_world_camera=poses), [120], [(120, 20)], OPTIONS)
+    assert (score.right, score.with_loop) == (0, 0)
+
+
+def test_metrics_are_percent_and_name_their_convention():
+    metrics = loop_metrics(circling(math.pi), [140, 160], [(140, 40)], OPTIONS)
+    assert metrics["loop_precision_percent"] == 0.0
+    assert metrics["loop_recall_percent"] is None
+    assert metrics["loop_precision_position_percent"] == 100.0
+    assert metrics["loop_recall_position_percent"] == 50.0
+    # In ten frames this camera moves farther than half a metre.
+    assert metrics["loop_precision_intervals_position_percent"] == 0.0
+    assert metrics["loop_recall_intervals_position_percent"] is None
+    assert metrics["loop_f1_position_percent"] == pytest.approx(200 / 3)
+    assert "30 %" in metrics["loop_convention"] and "%" not in metrics["loop_convention_position"]
+    assert "30 frames, 1 m of path" in metrics["loop_convention"]
+    assert (metrics["loops_searched"], metrics["loops_accepted"]) == (2, 1)
+
+
+def test_frames_outside_the_sequence_are_refused():
+    with pytest.raises(ValueError, match=r"0\.\.199"):
+        score_loops(circling(), [200], [], OPTIONS)
+    with pytest.raises(ValueError, match="same frames"):
+        TrueViews(CAMERA, np.zeros((3, 4, 4)), np.zeros((2, 5, 3)), np.zeros(3))

@@ -1,0 +1,102 @@
+"""Pictures of colours and of classes, settings, and models that are not there."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+
+import pytest
+import torch
+
+from toolkit.errors import DependencyError, FormatError, SettingsError
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.factory import build_describer, build_encoder
+from toolkit.features.sources import ViewDescriber
+from toolkit.settings.features import Dinov2Settings, FeatureSettings
+
+
+@pytest.fixture(autouse=True)
+def offline(monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+
+
+@pytest.mark.parametrize("source", ["rgb", "semantic"])
+def test_one_source_is_that_pictures_descriptor(views, source):
+    encoder = BuiltinEncoder()
+    rgb, semantic = views[:2], views[2:4]
+    found = ViewDescriber(encoder, source).describe(rgb, semantic)
+    assert torch.equal(found, encoder.describe(rgb if source == "rgb" else semantic))
+
+
+def test_the_squared_distance_of_both_is_the_mean_of_the_sources(views):
+    encoder = BuiltinEncoder()
+    both = ViewDescriber(encoder, "both")
+    one, other = both.describe(views[0:1], views[1:2]), both.describe(views[2:3], views[3:4])
+    assert one.shape == (1, both.dimensions) == (1, 768)
+    squares = [
+        (encoder.describe(views[i : i + 1]) - encoder.describe(views[j : j + 1])).square().sum()
+        for i, j in ((0, 2), (1, 3))
+    ]
+    torch.testing.assert_close((one - other).square().sum(), torch.stack(squares).mean())
+
+
+def test_a_missing_semantic_picture_is_an_error(views):
+    with pytest.raises(ValueError, match="semantic picture"):
+        ViewDescriber(BuiltinEncoder(), "both").describe(views)
+    assert not ViewDescriber(BuiltinEncoder(), "rgb").wants_semantics
+
+
+@pytest.mark.parametrize("kind", ["builtin", "colour-histogram"])
+def test_settings_name_the_encoder(kind):
+    describer = build_describer(FeatureSettings(kind=kind, source="semantic"))
+    assert describer.name == f"{kind}/semantic"
+    assert describer.dimensions == 384
+    assert describer.threshold == build_encoder(FeatureSettings(kind=kind)).threshold
+
+
+def test_a_model_from_settings(tiny_dinov2, views):
+    settings = Dinov2Settings(folder=tiny_dinov2, pooling="mean", longest_side=40, device="cpu")
+    encoder = build_encoder(FeatureSettings(kind="dinov2", dinov2=settings))
+    assert encoder.describe(views).shape == (6, 16)
+
+
+def test_a_model_without_a_folder_names_the_setting():
+    with pytest.raises(SettingsError, match=r"--features\.dinov2\.folder"):
+        build_encoder(FeatureSettings(kind="dinov2"))
+
+
+def test_a_folder_without_weights_is_told_in_one_line(tiny_dinov2, tmp_path):
+    empty = FeatureSettings(kind="dinov2", dinov2=Dinov2Settings(folder=tmp_path))
+    with pytest.raises(FormatError, match=r"config\.json"):
+        build_encoder(empty)
+    copy = shutil.copytree(tiny_dinov2, tmp_path / "copy")
+    (copy / "model.safetensors").unlink()
+    with pytest.raises(FormatError, match="download it again") as caught:
+        build_encoder(FeatureSettings(kind="dinov2", dinov2=Dinov2Settings(folder=copy)))
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_transformers_come_with_the_remedy(tiny_dinov2, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(DependencyError, match="pip install"):
+        build_encoder(FeatureSettings(kind="dinov2", dinov2=Dinov2Settings(folder=tiny_dinov2)))
+
+
+def test_a_model_without_a_class_token_asks_for_the_mean(tmp_path, views):
+    transformers = pytest.importorskip("transformers")
+    from toolkit.features.dinov2 import Dinov2Encoder
+
+    torch.manual_seed(0)
+    config = transformers.SiglipVisionConfig(
+        hidden_size=16,
+        intermediate_size=16,
+        num_hidden_layers=1,
+        num_attention_heads=2,
+        image_size=32,
+        patch_size=8,
+    )
+    transformers.SiglipVisionModel(config).save_pretrained(tmp_path)
+    mean = Dinov2Encoder(tmp_path, "mean", longest_side=32, device="cpu")
+    assert mean.describe(views).shape == (6, 16)
+    with pytest.raises(FormatError, match="pooling mean"):
+        Dinov2Encoder(tmp_path, "class", longest_side=32, device="cpu").describe(views)

@@ -1,0 +1,205 @@
+"""Loop candidates on a walk around a ring of places, with twins among them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.sources import ViewDescriber
+from toolkit.loops.candidates import (
+    CandidateFinder,
+    CandidateOptions,
+    DescribedKeyframe,
+    LoopCandidate,
+)
+from toolkit.loops.factory import build_candidate_finder
+from toolkit.settings.loops import CandidateSettings, LandmarkSettings, LoopSettings
+
+pytest.importorskip("faiss")
+
+D = 32
+PLACES = 30
+THRESHOLD = 0.3
+OPTIONS = CandidateOptions(search_every=1, least_gap_frames=50, least_gap_m=1.0)
+
+
+def looks() -> np.ndarray:
+    """[30, D] units that turn gradually; places 5 and 20 are twins but for what stands there."""
+    generator = np.random.default_rng(0)
+    ends = generator.normal(size=(7, D))
+    steps = np.linspace(0, 6, PLACES)
+    whole = np.minimum(steps.astype(int), 5)
+    mixed = ends[whole] + (steps - whole)[:, None] * (ends[whole + 1] - ends[whole])
+    mixed[20] = mixed[5] + 0.01
+    return (mixed / np.linalg.norm(mixed, axis=1, keepdims=True)).astype(np.float32)
+
+
+LOOKS = looks()
+
+
+def keyframe(number: int, place: int | None = None) -> DescribedKeyframe:
+    """The walk's keyframe: every fifth frame, 0.1 m on, a class of its own for each place."""
+    place = number % PLACES if place is None else place
+    counts = np.full(PLACES + 1, 0)
+    counts[PLACES], counts[place], counts[(place + 1) % PLACES] = 4000, 500, 300
+    return DescribedKeyframe(5 * number, number // 10, 0.1 * number, LOOKS[place], counts)
+
+
+def walked(options: CandidateOptions = OPTIONS, count: int = 2 * PLACES):
+    """The finder after the walk, and what each keyframe's search gave."""
+    finder = CandidateFinder(D, THRESHOLD, options)
+    return finder, [finder.add(keyframe(n)) for n in range(count)]
+
+
+def accepted(candidates: list[LoopCandidate]) -> list[int]:
+    return [c.match // 5 for c in candidates if c.accepted]
+
+
+def test_the_second_round_finds_the_first():
+    _, found = walked()
+    assert not any(accepted(c) for c in found[: PLACES - 11] if c)
+    for number in range(PLACES, 2 * PLACES):
+        assert accepted(found[number])[0] == number - PLACES
+        best = found[number][0]
+        assert (best.query, best.query_submap) == (5 * number, number // 10)
+        assert best.match_submap == (number - PLACES) // 10
+        assert best.distance == pytest.approx(0.0, abs=1e-3)
+        assert best.landmark_distance == pytest.approx(0.0, abs=1e-6)
+
+
+def test_landmarks_rank_what_descriptors_confuse():
+    # Twins by their looks: place 20 is seen again, and 5 is as near by its descriptor.
+    _, found = walked(replace(OPTIONS, most_landmark_distance=2.0))
+    again = found[PLACES + 20]
+    assert accepted(again)[0] == 20
+    assert 5 in accepted(again)
+    twin = next(c for c in again if c.match // 5 == 5)
+    assert twin.distance < 0.1
+    assert twin.landmark_distance > again[0].landmark_distance
+
+
+def test_landmarks_that_differ_refuse_a_twin():
+    _, found = walked()
+    twin = next(c for c in found[PLACES + 20] if c.match // 5 == 5)
+    assert not twin.accepted
+    assert "landmarks differ by 1.4" in twin.reason
+
+
+def test_every_considered_keyframe_is_returned_once_with_a_reason():
+    _, found = walked(replace(OPTIONS, considered=7, kept=2))
+    for candidates in found[PLACES:]:
+        assert len(candidates) == len({c.match for c in candidates}) == 7
+        assert all(c.reason for c in candidates)
+        assert len(accepted(candidates)) <= 2
+        assert not any(c.accepted for c in candidates[len(accepted(candidates)) :])
+    last = found[-1]
+    assert "number 1 of" in last[0].reason
+    surplus = [c for c in last if "2 are kept" in c.reason]
+    assert all(not c.accepted for c in surplus)
+
+
+def test_beyond_the_threshold_nothing_is_accepted():
+    _, found = walked()
+    for candidates in found:
+        for c in candidates:
+            assert c.accepted <= (c.distance < THRESHOLD)
+            if "descriptors" in c.reason:
+                assert c.distance >= THRESHOLD
+            assert c.cosine == pytest.approx(1 - c.distance**2 / 2, abs=1e-6)
+
+
+def test_neighbours_are_no_loops():
+    _, found = walked()
+    for candidates in found:
+        for c in candidates:
+            assert c.query - c.match >= 50
+            assert 0.02 * (c.query - c.match) >= 1.0 - 1e-9
+
+
+def test_a_camera_that_stands_still_makes_no_loop_with_itself():
+    finder = CandidateFinder(D, THRESHOLD, OPTIONS)
+    for number in range(40):
+        still = replace(keyframe(number, place=3), travelled_m=0.01 * number)
+        assert finder.add(still) == []
+
+
+def test_it_is_searched_every_so_many_keyframes():
+    _, found = walked(replace(OPTIONS, search_every=6))
+    searched = [n for n, candidates in enumerate(found) if candidates]
+    assert searched == [n for n in range(10, 2 * PLACES) if (n + 1) % 6 == 0]
+
+
+def test_an_adaptive_threshold_follows_the_places_own_look():
+    adaptive = replace(OPTIONS, threshold="adaptive", adaptive_limit=10.0)
+    finder, found = walked(adaptive)
+    number = 2 * PLACES - 1
+    own = [np.linalg.norm(LOOKS[29] - LOOKS[p]) for p in range(20, 29)]
+    limit = float(np.quantile(own, adaptive.adaptive_quantile))
+    for c in found[number]:
+        assert ("descriptors" in c.reason) == (c.distance >= limit)
+    strict = replace(adaptive, adaptive_limit=0.1)
+    _, limited = walked(strict)
+    reasons = [c.reason for c in limited[number] if not c.accepted]
+    assert any(f"{0.1 * THRESHOLD:.3f} or more" in reason for reason in reasons)
+    assert len(finder) == 2 * PLACES
+
+
+def test_a_distance_in_the_options_replaces_the_encoders():
+    _, found = walked(replace(OPTIONS, distance=1e-3))
+    assert accepted(found[-1]) == [PLACES - 1]
+
+
+def test_without_classes_candidates_are_ranked_by_descriptor():
+    finder = CandidateFinder(D, THRESHOLD, OPTIONS)
+    found = []
+    for n in range(2 * PLACES):
+        found = finder.add(replace(keyframe(n), class_counts=np.zeros(0, np.int64)))
+    taken = [c for c in found if c.accepted]
+    assert taken[0].match // 5 == PLACES - 1
+    assert all(c.landmark_distance is None for c in found)
+    assert [c.distance for c in taken] == sorted(c.distance for c in taken)
+
+
+@pytest.mark.parametrize("at", [0, 1, 37])
+def test_a_restored_finder_goes_on_with_the_same_bits(at):
+    finder = CandidateFinder(D, THRESHOLD, OPTIONS)
+    for n in range(at):
+        finder.add(keyframe(n))
+    restored = CandidateFinder(D, THRESHOLD, OPTIONS)
+    restored.restore(finder.state())
+    for n in range(at, 2 * PLACES):
+        assert restored.add(keyframe(n)) == finder.add(keyframe(n))
+    state, other = finder.state(), restored.state()
+    assert all(state[name].tobytes() == other[name].tobytes() for name in state)
+
+
+def test_a_keyframe_out_of_order_or_of_other_classes_is_refused():
+    finder, _ = walked(count=3)
+    with pytest.raises(ValueError, match="must come after"):
+        finder.add(keyframe(2))
+    with pytest.raises(ValueError, match="must come after"):
+        finder.add(replace(keyframe(3), travelled_m=0.0))
+    with pytest.raises(ValueError, match="class_counts"):
+        finder.add(replace(keyframe(3), class_counts=np.zeros(3, np.int64)))
+    assert len(finder) == 3
+
+
+def test_a_finder_from_settings_takes_the_describers_threshold():
+    describer = ViewDescriber(BuiltinEncoder())
+    candidates = CandidateSettings(search_every=1, least_gap_frames=1, least_gap_m=0.0)
+    landmarks = LandmarkSettings(weighting="linear")
+    settings = LoopSettings(candidates=candidates, landmarks=landmarks)
+    finder = build_candidate_finder(settings, describer)
+    here = np.zeros(384, np.float32)
+    here[0] = 1.0
+    angle = 1.1 * describer.threshold
+    there = np.zeros(384, np.float32)
+    there[:2] = np.cos(angle), np.sin(angle)
+    nothing = np.zeros(0, np.int64)
+    finder.add(DescribedKeyframe(0, 0, 0.0, here, nothing))
+    assert [c.accepted for c in finder.add(DescribedKeyframe(1, 0, 1.0, here, nothing))] == [True]
+    found = finder.add(DescribedKeyframe(2, 0, 2.0, there, nothing))
+    assert [c.accepted for c in found] == [False, False]

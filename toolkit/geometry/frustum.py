@@ -1,0 +1,139 @@
+"""Viewing volumes: what share of one camera's view another one covers.
+
+Nothing hides anything here: a wall between two cameras does not change their overlap. It is
+measured on sample points, either of a viewing volume or of the surfaces that were observed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+# The error of a share measured on so many points is below 1 %.
+SAMPLES = 2000
+# The farthest few percent of a depth image are through windows, or noise.
+_FAR_PERCENT = 95.0
+
+
+@dataclass(frozen=True)
+class Frustum:
+    """A camera's viewing volume: a pyramid, cut off near its tip and at its base.
+
+    Attributes:
+        camera: intrinsics; the image reaches half a pixel beyond the outer pixels' centres.
+        T_world_camera: [4, 4] float64 pose.
+        near_m, far_m: z-depths where it begins and ends, 0 < near < far.
+
+    Raises:
+        ValueError: the depths are not in that order, or the pose is not rigid.
+    """
+
+    camera: Camera
+    T_world_camera: Array
+    near_m: float = 0.1
+    far_m: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.near_m < self.far_m < np.inf:
+            raise ValueError(f"0 < near < far must hold, got {self.near_m} and {self.far_m}")
+        if not se3.is_rigid(self.T_world_camera):
+            raise ValueError("T_world_camera must be a rigid motion [4, 4]")
+
+    def contains(self, points_world_m: NDArray) -> NDArray[np.bool_]:
+        """Which of the points [..., 3] lie within, [...]."""
+        points = se3.transform_points(se3.inverse(self.T_world_camera), points_world_m)
+        return in_view(self.camera, points, self.near_m, self.far_m)
+
+    def samples(self, count: int = SAMPLES) -> Array:
+        """Points [count, 3] in the world, spread evenly over the volume; always the same."""
+        across, down, along = _halton(count).T
+        camera = self.camera
+        # The cross-section grows with z^2, so z^3 is what is even.
+        near, far = self.near_m**3, self.far_m**3
+        z = np.cbrt(near + along * (far - near))
+        x = (across * camera.width - 0.5 - camera.cx) / camera.fx * z
+        y = (down * camera.height - 0.5 - camera.cy) / camera.fy * z
+        return se3.transform_points(self.T_world_camera, np.stack([x, y, z], axis=-1))
+
+
+def in_view(
+    camera: Camera, points_m: NDArray, near_m: float, far_m: float | Array
+) -> NDArray[np.bool_]:
+    """Which of the points [..., 3] of a camera's own frame its image shows, [...].
+
+    Args:
+        points_m: camera coordinates; points that are not finite are nowhere.
+        near_m, far_m: z-depths; an array of far ends goes with the leading axes of the points.
+    """
+    z = points_m[..., 2]
+    with np.errstate(invalid="ignore"):
+        between = (z >= near_m) & (z <= far_m)
+        uv = camera.project(np.where(between[..., None], points_m, [0.0, 0.0, 1.0]))
+        inside = (uv >= -0.5).all(axis=-1)
+        inside &= (uv[..., 0] <= camera.width - 0.5) & (uv[..., 1] <= camera.height - 0.5)
+    return between & inside
+
+
+def contained_share(points_world_m: NDArray, frusta: Sequence[Frustum]) -> float:
+    """Share of the points [P, 3] that lie in at least one of the volumes; 0 without points."""
+    outside = np.asarray(points_world_m, np.float64).reshape(-1, 3)
+    count = len(outside)
+    for frustum in frusta:
+        outside = outside[~frustum.contains(outside)]
+    return 1.0 - len(outside) / count if count else 0.0
+
+
+def overlap(frustum: Frustum, others: Sequence[Frustum], samples: int = SAMPLES) -> float:
+    """Share of a viewing volume that lies in the union of others, in [0, 1].
+
+    It is not symmetric: a near view inside a far one is covered by it, but not the reverse.
+    """
+    return contained_share(frustum.samples(samples), others)
+
+
+def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
+    """About `count` points [P, 3] of a depth image, in camera coordinates, on a regular grid.
+
+    P depends on the image's size alone; where depth is missing, a point is NaN.
+
+    Args:
+        depth_m: [H, W] z-depth, 0 where missing.
+        count: > 0.
+    """
+    stride = max(1, int(np.sqrt(depth_m.size / count)))
+    half = stride // 2  # away from the border
+    sparse = camera.unproject(depth_m)[half::stride, half::stride].reshape(-1, 3)
+    return np.where(sparse[:, 2:] > 0, sparse, np.nan)
+
+
+def far_end_m(depth_m: NDArray, default_m: float = 4.0) -> float:
+    """Where the view of a depth image ends: the 95th percentile of what was measured.
+
+    Args:
+        depth_m: [H, W] or [P] z-depths; 0 or NaN where missing.
+        default_m: returned where nothing was measured.
+    """
+    measured = depth_m[np.isfinite(depth_m) & (depth_m > 0)]
+    return float(np.percentile(measured, _FAR_PERCENT)) if len(measured) else default_m
+
+
+def _halton(count: int) -> Array:
+    """Points [count, 3] of the Halton sequence of bases 2, 3, 5 in the unit cube."""
+    numbers = np.arange(1, count + 1)
+    columns = []
+    for base in (2, 3, 5):
+        rest, scale, value = numbers.copy(), 1.0 / base, np.zeros(count)
+        while rest.any():
+            value += scale * (rest % base)
+            rest //= base
+            scale /= base
+        columns.append(value)
+    return np.stack(columns, axis=1)

@@ -1,0 +1,127 @@
+"""A vision transformer of any kind, DINOv2 above all: a vector for each patch of a picture."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from toolkit.errors import FormatError
+from toolkit.pretrained.loading import device_of, load_model
+
+# Of ImageNet, for models that bring no preprocessor_config.json.
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class PatchTokens:
+    """What a vision transformer makes of a batch of pictures.
+
+    Attributes:
+        whole: [B, D] float32, the class token, or None for a model without one.
+        patches: [B, rows, columns, D] float32.
+    """
+
+    whole: Tensor | None
+    patches: Tensor
+
+
+class VisionTransformer:
+    """The model of a local folder, its weights frozen.
+
+    Args:
+        folder: a vision transformer that `AutoModel` reads.
+        longest_side: images are scaled to about so many pixels, whole patches; small ones are
+            enlarged, for finer features.
+        device: "cpu", "cuda", or "auto".
+
+    Attributes:
+        channels: length D of a token.
+        longest_side: as given.
+
+    Raises:
+        DependencyError: transformers cannot be loaded, or the device is not there.
+        FormatError: the folder is not what it should be, or the model has no patches.
+    """
+
+    def __init__(self, folder: Path, longest_side: int = 518, device: str = "auto") -> None:
+        self._device = device_of(device)
+        # Only classification uses the pooler.
+        self._model = load_model("AutoModel", folder, may_be_new=("pooler.",))
+        self._model.to(self._device)
+        config = self._model.config
+        patch, channels = getattr(config, "patch_size", None), getattr(config, "hidden_size", None)
+        if not isinstance(patch, int) or not isinstance(channels, int):
+            raise FormatError(
+                f"{folder}: a {config.model_type} model has no patches of one size; give a "
+                "vision transformer such as DINOv2"
+            )
+        self.channels = channels
+        self.longest_side, self._patch = longest_side, patch
+        self._mean, self._std = _normalisation(folder)
+        # Models made for one size stretch their positions only if told so.
+        parameters = inspect.signature(self._model.forward).parameters
+        self._options = (
+            {"interpolate_pos_encoding": True} if "interpolate_pos_encoding" in parameters else {}
+        )
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """SHA-256 of the weights: what was learned on one model's tokens fits no other."""
+        digest = hashlib.sha256()
+        for name, tensor in sorted(self._model.state_dict().items()):
+            digest.update(name.encode())
+            digest.update(tensor.cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+        return digest.hexdigest()
+
+    def tokens(self, images: Tensor) -> PatchTokens:
+        """Tokens of images, on the model's device and differentiable in the images.
+
+        Args:
+            images: [B, 3, H, W] float32, RGB in [0, 1]; they are scaled as a whole, so that
+                patches cover all of them.
+        """
+        images = images.to(self._device)
+        height, width = images.shape[2:]
+        scale = self.longest_side / max(height, width)
+        rows, columns = (max(1, round(n * scale / self._patch)) for n in (height, width))
+        images = torch.nn.functional.interpolate(
+            images,
+            size=(rows * self._patch, columns * self._patch),
+            mode="bilinear",
+            align_corners=False,
+            antialias=True,
+        )
+        mean, std = (images.new_tensor(v).view(1, 3, 1, 1) for v in (self._mean, self._std))
+        tokens = self._model((images - mean) / std, **self._options).last_hidden_state
+        if tokens.ndim != 3 or tokens.shape[1] < rows * columns:
+            raise FormatError(
+                f"the encoder gave {list(tokens.shape[1:])} for {rows}x{columns} patches; give a "
+                "vision transformer such as DINOv2"
+            )
+        # Class and register tokens come first.
+        extra = tokens.shape[1] - rows * columns
+        patches = tokens[:, extra:].unflatten(1, (rows, columns)).float()
+        return PatchTokens(tokens[:, 0].float() if extra else None, patches)
+
+
+def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Mean and deviation of colour that the model was trained with."""
+    file = folder / "preprocessor_config.json"
+    if not file.is_file():
+        return _MEAN, _STD
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        mean, std = values.get("image_mean", _MEAN), values.get("image_std", _STD)
+        mean, std = tuple(float(v) for v in mean), tuple(float(v) for v in std)
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise FormatError(f"{file} cannot be read ({error}); download it again") from error
+    if len(mean) != 3 or len(std) != 3 or min(std) <= 0:
+        raise FormatError(f"{file}: image_mean and image_std must be three numbers each")
+    return mean, std
