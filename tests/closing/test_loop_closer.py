@@ -1,0 +1,212 @@
+"""From candidates to moved anchors: what is verified corrects, what is not leaves no trace."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.closing.closer import ClosingOptions, ClosingParts, LoopCloser
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.sources import ViewDescriber
+from toolkit.geometry import se3
+from toolkit.loops.candidates import CandidateFinder, CandidateOptions
+from toolkit.loops.detection import LoopDetector
+from toolkit.loops.log import LoopLog, read_loop_log
+from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.pose_graph.consistency import ConsistencyOptions
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.registration.matching import MatchingOptions
+from toolkit.registration.result import RegistrationResult, failed
+from toolkit.submaps.allocation import Allocation, AllocationOptions
+from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.tracking.alignment import Scales
+
+FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
+EAGER = CandidateOptions(
+    search_every=1, least_gap_frames=4, least_gap_m=0.0, distance=0.5, most_landmark_distance=2.0
+)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Frames of a room, and the first ones again: the camera came back."""
+    seen, truth = tiny_room(6, 64, 48)
+    again = [replace(f, index=20 + f.index, timestamp_s=20 + f.timestamp_s) for f in seen[:2]]
+    poses = [*truth.T_world_camera, *truth.T_world_camera[:2]]
+    start = se3.inverse(poses[0])
+    return [(f, start @ T) for f, T in zip([*seen, *again], poses, strict=True)]
+
+
+class TrueRegistrar:
+    """Knows where submaps lie, as no registrar does."""
+
+    def __init__(self, truth, **changes):
+        self.truth, self.changes, self.asked = truth, changes, []
+
+    def register(self, target, source, T_target_source=None):
+        self.asked.append((target.number, source.number))
+        if "fails" in self.changes:
+            return failed("test", "nothing in common")
+        T = se3.inverse(self.truth[target.number]) @ self.truth[source.number]
+        if "wrong" in self.changes:
+            T = T @ se3.exp(np.array([2.0, 0.0, 1.0, 0.0, 0.5, 0.0]))
+        result = RegistrationResult(
+            T, True, 0.95, Scales(0.02, 0.003), 0.7, float("nan"), np.eye(6) * 1e8, 1, 1, "test"
+        )
+        return replace(result, **{k: v for k, v in self.changes.items() if hasattr(result, k)})
+
+
+DRIFT = se3.exp(np.array([0.02, 0.0, 0.015, 0.0, 0.01, 0.0]))
+
+
+def closed(frames, registrar_changes=None, log=None, options=None):
+    """An atlas of three submaps, the last of which drifted, and its closer."""
+    atlas = Atlas(
+        Mapper(FEW, np.random.default_rng(0)),
+        Allocation(AllocationOptions(most_keyframes=3), 0),
+        boundary=BoundaryOptions(steps=0),
+    )
+    truth = {0: np.eye(4)}
+    registrar = TrueRegistrar(truth, **(registrar_changes or {}))
+    encoder = BuiltinEncoder()
+    detector = LoopDetector(
+        ViewDescriber(encoder), CandidateFinder(encoder.dimensions, encoder.threshold, EAGER)
+    )
+    parts = ClosingParts(
+        registrar=registrar,
+        matching=MatchingOptions(),
+        verification=VerificationOptions(),
+        consistency=ConsistencyOptions(),
+        noise=OdometryNoise(),
+        loop_noise=LoopNoise(edge_m=0.001, edge_rad=0.001),
+        optimiser=PoseGraphOptimiser(),
+    )
+    closer = LoopCloser(detector, parts, options, log)
+    T_map_world = np.eye(4)
+    for frame, T_world_camera in frames:
+        drift = DRIFT if frame.index >= 20 else np.eye(4)
+        mapper = atlas.mapper
+        mapper.add_keyframe(frame, T_map_world @ drift @ T_world_camera)
+        closer.observe(atlas)
+        if atlas.judge().begins:
+            atlas.begin_next(frame)
+            closer.link(atlas, np.eye(6) * 1e6)
+            truth[atlas.active] = T_world_camera
+            T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))
+    return atlas, closer, registrar
+
+
+def bits(atlas):
+    anchors = [atlas.T_world_submap(n).tobytes() for n in range(len(atlas))]
+    return anchors, [atlas.submap(n).gaussians.means.numpy().tobytes() for n in range(len(atlas))]
+
+
+class TestBetween:
+    def test_a_verified_loop_takes_the_drift_out(self, frames):
+        atlas, closer, registrar = closed(frames)
+        last = atlas.active
+        before = atlas.T_world_submap(last).copy()
+        contents = bits(atlas)[1]
+        assert closer.close_between(atlas, last)
+        assert registrar.asked
+        # Its own keyframes drifted inside the submap; the anchor goes where its loop says.
+        true = registrar.truth[last]
+        error = np.linalg.norm((se3.inverse(true) @ atlas.T_world_submap(last))[:3, 3])
+        assert error < 0.5 * np.linalg.norm((se3.inverse(true) @ before)[:3, 3]) + 1e-3
+        assert bits(atlas)[1] == contents, "nothing inside a submap changes"
+
+    @pytest.mark.parametrize(
+        "changes",
+        [{"fails": True}, {"overlap": 0.1}, {"inliers": 0.3}, {"class_agreement": 0.2}],
+    )
+    def test_what_is_not_verified_leaves_no_trace(self, frames, changes):
+        atlas, closer, registrar = closed(frames, changes)
+        before = bits(atlas)
+        assert not closer.close_between(atlas, atlas.active)
+        assert registrar.asked and bits(atlas) == before and not closer.loops
+
+    def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, _ = closed(frames, {"wrong": True}, log)
+        before = bits(atlas)
+        assert not closer.close_between(atlas, atlas.active)
+        assert bits(atlas) == before
+        (refused,) = [
+            r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "consistency"
+        ]
+        assert "odometry" in refused["reason"] and not refused["accepted"]
+
+    def test_it_can_be_left_out(self, frames):
+        atlas, closer, registrar = closed(frames, options=ClosingOptions(between=False))
+        assert not closer.close_between(atlas, atlas.active) and not registrar.asked
+
+    def test_every_verdict_is_written_down(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, _ = closed(frames, log=log)
+        closer.close_between(atlas, atlas.active)
+        records = read_loop_log(tmp_path / "loops.jsonl")
+        kinds = {record["kind"] for record in records}
+        assert {"candidate", "between", "correction between"} <= kinds
+        assert all("reason" in r for r in records if r["kind"] in ("candidate", "between"))
+
+
+class TestState:
+    def test_it_goes_on_as_if_nothing_had_been(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, _ = closed(frames, log=log)
+        arrays, values = closer.state()
+        values = json.loads(json.dumps(values))
+        other_atlas, other, _ = closed(frames)
+        for name in ("_links", "_suspected"):
+            setattr(other, name, [])
+        other.restore(arrays, values)
+        assert closer.close_between(atlas, atlas.active)
+        assert other.close_between(other_atlas, other_atlas.active)
+        assert bits(atlas) == bits(other_atlas)
+        mine, theirs = closer.state(), other.state()
+        assert all(np.array_equal(mine[0][k], theirs[0][k]) for k in mine[0])
+
+    def test_the_log_is_cut_back(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, _ = closed(frames, log=log)
+        state, size = closer.state(), log.size_bytes
+        closer.close_between(atlas, atlas.active)
+        assert log.size_bytes > size
+        closer.restore(*state)
+        assert (tmp_path / "loops.jsonl").stat().st_size == size
+
+
+def test_objections_name_what_is_wrong():
+    good = RegistrationResult(
+        np.eye(4), True, 0.9, Scales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"
+    )
+    options = VerificationOptions()
+    assert objection(good, options) == ""
+    assert objection(replace(good, class_agreement=float("nan")), options) == ""
+    for change, word in (
+        ({"converged": False, "reason": "went astray"}, "astray"),
+        ({"overlap": 0.1}, "overlap"),
+        ({"inliers": 0.5}, "surfaces"),
+        ({"class_agreement": 0.5}, "classes"),
+        ({"residual": Scales(0.02, 0.1)}, "depth"),
+        ({"residual": Scales(0.5, 0.005)}, "intensity"),
+        ({"residual": Scales(float("nan"), float("nan"))}, "depth"),
+        ({"information": np.zeros((6, 6))}, "information"),
+    ):
+        assert word in objection(replace(good, **change), options)
+
+
+def test_a_described_view_keeps_its_rows_in_step(frames):
+    atlas, _, _ = closed(frames)
+    for number in range(len(atlas)):
+        submap = atlas.submap(number)
+        assert len(submap.descriptors) == len(submap.keyframes)
+        assert np.allclose(np.linalg.norm(submap.descriptors, axis=1), 1.0, atol=1e-5)
+    assert isinstance(atlas.submap(0).seeded_by, torch.Tensor)
