@@ -306,6 +306,18 @@ class TestAtlas:
             b.atlas.verdicts
         )
 
+    def test_old_contents_go_once_two_checkpoints_have_passed(self, room, tmp_path):
+        slam = cut_slam(room, tmp_path)
+        for frame in room[0]:
+            slam.process_frame(frame)
+        atlas = slam.atlas
+        atlas.checkpointed()
+        atlas.put(atlas.submap(0))
+        atlas.checkpointed()
+        assert {"0000_0", "0000_1"} <= {p.name for p in tmp_path.iterdir()}
+        atlas.checkpointed()
+        assert "0000_0" not in {p.name for p in tmp_path.iterdir()}
+
 
 class TestFusion:
     def test_the_joined_map_shows_the_room(self, cut, room):

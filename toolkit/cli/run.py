@@ -163,17 +163,22 @@ def _process(
         keyframes = slam.keyframe_count
         due |= keyframes - saved_keyframes >= settings.checkpoint.every_keyframes
         if due:
-            folder.save_checkpoint(frame.index + 1, *slam.state())
+            _save(slam, folder, frame.index + 1)
             saved_at, saved_keyframes = time.monotonic(), keyframes
     if not slam.keyframe_count:
         raise DatasetError(f"no frame of {settings.dataset.path} could start a map; see the log")
-    folder.save_checkpoint(len(dataset), *slam.state())
+    _save(slam, folder, len(dataset))
     _log.info(
         "refining the map over %d keyframes in %s",
         slam.keyframe_count,
         "one submap" if len(slam.atlas) == 1 else f"{len(slam.atlas)} submaps",
     )
     slam.finish()
+
+
+def _save(slam: Slam, folder: RunFolder, next_frame: int) -> None:
+    folder.save_checkpoint(next_frame, *slam.state())
+    slam.atlas.checkpointed()
 
 
 def _with_progress(frames: Iterator[Any], start: int, total: int) -> Iterator[Any]:

@@ -62,6 +62,7 @@ class Atlas:
         self._anchors = [np.eye(4)]
         # Frame indices and poses of each resting submap's keyframes: small, and asked for often.
         self._keyframes: list[dict[int, NDArray[np.float64]]] = []
+        self._checkpoints: list[dict[str, int]] = []
         self._descriptors: list[NDArray[np.float32]] = [np.zeros((0, 0), np.float32)]
 
     @property
@@ -184,6 +185,11 @@ class Atlas:
         origin = torch.full((len(index),), last.index, dtype=torch.int32)
         return MapContent(moved, [], origin, old.steps.index_select(0, index))
 
+    def checkpointed(self) -> None:
+        """The present state was written down: of the files, only two such states need any."""
+        self._checkpoints = [*self._checkpoints, self._store.state()][-2:]
+        self._store.prune(*self._checkpoints)
+
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values; the active submap's content is the mapper's state."""
         arrays: dict[str, NDArray] = {"anchors": np.array(self._anchors)}
@@ -209,6 +215,7 @@ class Atlas:
         ]
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
         self.lost = self._store.restore(values["store"])
+        self._checkpoints = [dict(values["store"])]
 
 
 def shown_by(view: SurfaceView, cloud: GaussianCloud, keyframe: Keyframe) -> Tensor:
