@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,14 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.loops.relocalisation import Found
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import Tracker
 
 _log = logging.getLogger(__name__)
@@ -76,6 +77,7 @@ class Slam:
         atlas: Atlas | None = None,
         closer: LoopCloser | None = None,
     ) -> None:
+        """`closer` corrects drift, and finds the camera again when it is lost."""
         self.tracker = tracker
         self.mapper = mapper
         self.atlas = atlas or Atlas(mapper)
@@ -86,6 +88,7 @@ class Slam:
         self._tracked: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[NDArray[np.float64]] = []
         self.lost_frames: list[int] = []
+        self._lost_in_a_row = 0
 
     def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
         """Track one frame and, where it adds something, map it.
@@ -101,11 +104,15 @@ class Slam:
         else:
             with self._recorder.timed("tracking"):
                 tracking = self.tracker.track(frame, self.mapper.gaussians)
+            if tracking.lost:
+                tracking = self._recovered(frame, tracking, may_map)
             T_map_camera = None if tracking.lost else tracking.T_map_camera
         if T_map_camera is None:
             self.lost_frames.append(frame.index)
+            self._lost_in_a_row += 1
             return FrameResult(frame.index, None, tracking, None)
 
+        self._lost_in_a_row = 0
         mapping = None
         if may_map and self.mapper.wants(frame, T_map_camera):
             exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
@@ -119,6 +126,57 @@ class Slam:
 
         self._remember(frame, T_map_camera, tracking)
         return FrameResult(frame.index, T_map_camera, tracking, mapping)
+
+    def _recovered(self, frame: Frame, lost: TrackingResult, may_map: bool) -> TrackingResult:
+        """Where a lost frame is after all, in the active submap; the lost answer if nowhere.
+
+        Found in the active submap, tracking goes on there. Found in another one, or nowhere for
+        too long, a new submap begins.
+        """
+        if self._closer is None:
+            return lost
+        with self._recorder.timed("relocalisation"):
+            found = self._closer.find(frame, self.atlas, self.tracker)
+        if found is not None and found.submap == self.atlas.active:
+            self.tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
+            _log.info("frame %d is found again in submap %d", frame.index, found.submap)
+            return found.result
+        if not may_map:
+            return lost
+        if found is not None:
+            self._begin_at(frame, found)
+            return replace(found.result, T_map_camera=np.eye(4))
+        if self._lost_in_a_row < self._closer.patience or self.tracker.first_pose(frame) is None:
+            return lost
+        self._begin_at(frame, None)
+        return replace(lost, T_map_camera=np.eye(4), health=Health.GOOD, reason="")
+
+    def _begin_at(self, frame: Frame, found: Found | None) -> None:
+        """Begin a submap at a frame, joined to where it was found or to nothing yet."""
+        assert self._closer is not None
+        atlas, place = self.atlas, self._tracked[-1]
+        if self._labeller is not None and not self._labels_first:
+            frame = self._labelled(frame, None)
+        self._close_within()
+        with self._recorder.timed("mapping"):
+            if found is None:
+                T_map_camera = atlas.keyframe_poses(place.submap)[place.keyframe]
+                T_map_camera = T_map_camera @ self._T_keyframe_camera[-1]
+                atlas.begin_at(frame, place.submap, T_map_camera, inherit=False)
+            else:
+                exposure = (found.result.gain, found.result.bias)
+                atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
+        self.tracker.go_on_from(frame.timestamp_s, np.eye(4))
+        self._closer.join(atlas, found)
+        self._closer.observe(atlas)
+        _log.warning(
+            "submap %d begins at frame %d, %s",
+            atlas.active,
+            frame.index,
+            f"found in submap {found.submap}"
+            if found
+            else "joined to nothing until a loop is found",
+        )
 
     def _allocate(self, frame: Frame, tracking: TrackingResult | None) -> NDArray[np.float64]:
         """Begin the next submap where it is time; the newest keyframe's pose in the active one."""
@@ -244,6 +302,7 @@ class Slam:
             "closer": closer_values,
             "tracked": [asdict(f) for f in self._tracked],
             "lost_frames": self.lost_frames,
+            "lost_in_a_row": self._lost_in_a_row,
         }
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
@@ -262,3 +321,4 @@ class Slam:
         self._tracked = [_TrackedFrame(**f) for f in values["tracked"]]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
         self.lost_frames = [int(i) for i in values["lost_frames"]]
+        self._lost_in_a_row = int(values["lost_in_a_row"])

@@ -17,6 +17,7 @@ from toolkit.geometry import se3
 from toolkit.loops.candidates import CandidateFinder, CandidateOptions
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
+from toolkit.loops.relocalisation import Relocaliser
 from toolkit.loops.verification import VerificationOptions, objection
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.pose_graph.consistency import ConsistencyOptions
@@ -82,6 +83,7 @@ def closed(frames, registrar_changes=None, log=None, options=None):
     parts = ClosingParts(
         registrar=registrar,
         matching=MatchingOptions(),
+        relocaliser=Relocaliser(detector, MatchingOptions()),
         verification=VerificationOptions(),
         consistency=ConsistencyOptions(),
         noise=OdometryNoise(),

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
-from toolkit.frame import NullRecorder, Recorder
+from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
+from toolkit.loops.relocalisation import Found, Relocaliser
 from toolkit.loops.verification import VerificationOptions, objection
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import ConsistencyOptions, OdometryChain, consistent_loops
@@ -35,6 +36,7 @@ from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 Array = NDArray[np.float64]
 
@@ -64,7 +66,7 @@ class ClosingParts:
     """What closes loops.
 
     Attributes:
-        registrar: of submaps. matching: of pairs of keyframes.
+        registrar: of submaps. matching: of pairs of keyframes. relocaliser: of lost frames.
         verification, consistency: what must hold before an edge enters the graph.
         noise: of odometry. loop_noise: of loop edges.
         optimiser: of pose graphs.
@@ -72,6 +74,7 @@ class ClosingParts:
 
     registrar: Registrar
     matching: MatchingOptions
+    relocaliser: Relocaliser
     verification: VerificationOptions
     consistency: ConsistencyOptions
     noise: OdometryNoise
@@ -131,6 +134,38 @@ class LoopCloser:
         poses = atlas.keyframe_poses(new - 1)
         way = [T for index, T in poses.items() if index <= boundary]
         self._links.append(self._parts.noise.along(new - 1, new, way, information))
+
+    def join(self, atlas: Atlas, found: Found | None) -> None:
+        """Remember how a submap that began at a lost frame lies to the others.
+
+        Its odometry broke off, so its place against the submap before it is a guess; where the
+        frame was found is a loop.
+        """
+        new = atlas.active
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self._links.append(PoseEdge(new - 1, new, T, _GUESS))
+        if found is None:
+            return
+        result = found.result
+        edge = self._parts.loop_noise.edge(
+            found.submap, new, result.T_map_camera, result.information
+        )
+        self.loops.append(edge)
+        self._record(
+            "found",
+            {"first": found.submap, "second": new, "visible": result.visible_fraction},
+        )
+
+    def find(self, frame: Frame, atlas: Atlas, tracker: Tracker) -> Found | None:
+        """Where a lost frame is, if the tracker can look for it."""
+        if not isinstance(tracker, LocatingTracker):
+            return None
+        return self._parts.relocaliser.find(frame, atlas, tracker)
+
+    @property
+    def patience(self) -> int:
+        """Lost frames, one after another, after which a new submap begins."""
+        return self._parts.relocaliser.options.patience
 
     def close_between(self, atlas: Atlas, number: int) -> bool:
         """Close the loops of one submap with older ones; whether anchors moved."""
@@ -276,6 +311,9 @@ class LoopCloser:
         if self._log is not None and values["log_bytes"] is not None:
             self._log.cut_back(values["log_bytes"])
 
+
+# Where a lost camera may be, m and rad: anywhere within the building.
+_GUESS = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
 
 # Between neighbouring keyframes the tracker is sure; the floors of the noise are what counts.
 _SURE = np.eye(6) * 1e9

@@ -16,6 +16,7 @@ from toolkit.loops.candidates import CandidateFinder, CandidateOptions
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.landmarks import LandmarkOptions
 from toolkit.loops.log import LoopLog
+from toolkit.loops.relocalisation import RelocalisationOptions, Relocaliser
 from toolkit.loops.verification import VerificationOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.pose_graph.factory import (
@@ -73,9 +74,12 @@ def build_loop_closer(
 
     detector = LoopDetector(describer, finder, len(taxonomy) if taxonomy else 0, painter)
     drawer = build_drawer(settings.registration, context.semantics, context.backend_name)
+    matching = matching_options(settings.registration.coarse.matching)
+    relocalisation = RelocalisationOptions(**settings.relocalisation.model_dump())
     parts = ClosingParts(
         registrar=build_registrar(settings.registration, context.seed, drawer),
-        matching=matching_options(settings.registration.coarse.matching),
+        matching=matching,
+        relocaliser=Relocaliser(detector, matching, relocalisation),
         verification=VerificationOptions(**settings.verification.model_dump()),
         consistency=build_consistency(settings.pose_graph),
         noise=build_odometry_noise(settings.pose_graph),

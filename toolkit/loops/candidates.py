@@ -70,6 +70,15 @@ class LoopCandidate:
 
 
 @dataclass(frozen=True)
+class Sighting:
+    """A keyframe that looks like a view: its frame index, its submap, and how alike they are."""
+
+    frame: int
+    submap: int
+    distance: float
+
+
+@dataclass(frozen=True)
 class CandidateOptions:
     """When keyframes are candidates.
 
@@ -185,6 +194,13 @@ class CandidateFinder:
             reason = order if kept else f"{order}, {options.kept} are kept"
             taken[place] = replace(candidate, accepted=kept, reason=reason)
         return taken + refused
+
+    def alike(self, descriptor: NDArray[np.float32], count: int) -> list[Sighting]:
+        """The keyframes that look most like a view of descriptor [D], nearest first."""
+        return [
+            Sighting(self._frames[n.keyframe], self._submaps[n.keyframe], n.distance)
+            for n in self._index.search(descriptor, count)
+        ]
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes over to identical results."""

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.features.sources import ViewDescriber
-from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
+from toolkit.loops.candidates import (
+    CandidateFinder,
+    DescribedKeyframe,
+    LoopCandidate,
+    Sighting,
+)
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.submaps.atlas import Atlas
 
@@ -61,6 +66,10 @@ class LoopDetector:
                 class_counts=self._counts(keyframe),
             )
         )
+
+    def alike(self, keyframe: Keyframe, count: int) -> list[Sighting]:
+        """The keyframes that look most like a view, nearest first."""
+        return self._finder.alike(self._described(keyframe), count)
 
     def _described(self, keyframe: Keyframe) -> NDArray[np.float32]:
         rgb = (keyframe.rgb.to(torch.float32) / 255.0)[None]

@@ -14,6 +14,7 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.depth_filter import denoised
@@ -236,8 +237,13 @@ class Mapper:
 
     def view(self, keyframe: Keyframe) -> SurfaceView:
         """The map as a keyframe sees it."""
-        T_camera_map = se3.inverse(keyframe.T_map_camera)
-        return draw_surface(self._backend, self.gaussians, keyframe.camera, T_camera_map)
+        return self.draw(self.gaussians, keyframe.camera, keyframe.T_map_camera)
+
+    def draw(
+        self, gaussians: GaussianCloud, camera: Camera, T_map_camera: NDArray[np.float64]
+    ) -> SurfaceView:
+        """Any Gaussians as a camera sees them."""
+        return draw_surface(self._backend, gaussians, camera, se3.inverse(T_map_camera))
 
     def _draw(self, gaussians: GaussianCloud, keyframe: Keyframe) -> SurfaceView:
         T_camera_map = se3.inverse(keyframe.T_map_camera)

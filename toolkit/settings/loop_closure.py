@@ -22,6 +22,14 @@ class VerificationSettings(Settings):
     least_information: float = Field(1e4, ge=0, description="smallest eigenvalue, 1 / m^2")
 
 
+class RelocalisationSettings(Settings):
+    """How a lost camera is looked for."""
+
+    tries: int = Field(5, ge=1, description="keyframes matched with the frame")
+    least_visible: float = Field(0.4, ge=0, le=1, description="share that must be explained")
+    patience: int = Field(15, ge=1, description="lost frames before a new submap begins")
+
+
 class ClosingSettings(Settings):
     """Which loops are closed."""
 
@@ -43,4 +51,5 @@ class LoopClosureSettings(Settings):
     registration: RegistrationSettings = RegistrationSettings()
     verification: VerificationSettings = VerificationSettings()
     closing: ClosingSettings = ClosingSettings()
+    relocalisation: RelocalisationSettings = RelocalisationSettings()
     pose_graph: PoseGraphSettings = PoseGraphSettings()

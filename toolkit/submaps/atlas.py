@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.geometry.camera import Camera
 from toolkit.mapping.mapper import MapContent, Mapper
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.allocation import Allocation, AllocationVerdict
@@ -22,6 +22,7 @@ from toolkit.submaps.submap import Submap
 
 # An inherited Gaussian lies on the drawn surface or so much behind it, as a share of depth.
 _BEHIND = 0.05
+_NONE = torch.zeros(0, dtype=torch.int64)
 
 
 @dataclass(frozen=True)
@@ -152,18 +153,53 @@ class Atlas:
         Returns:
             T_new_old [4, 4].
         """
-        mapper = self.mapper
-        mapper.settle(self._boundary.steps)
-        old, last = self.submap(self.active), mapper.keyframes[-1]
-        T_new_old = se3.inverse(last.T_map_camera)
-        content = self._inherited(old, last)
+        self.mapper.settle(self._boundary.steps)
+        old, last = self.submap(self.active), self.mapper.keyframes[-1]
+        self._begin(frame, old, last.T_map_camera, (last.gain, last.bias))
+        return se3.inverse(last.T_map_camera)
+
+    def begin_at(
+        self,
+        frame: Frame,
+        number: int,
+        T_submap_camera: NDArray[np.float64],
+        exposure: tuple[float, float] = (1.0, 0.0),
+        inherit: bool = True,
+    ) -> None:
+        """Let the active submap rest and begin one at a frame that lies in another.
+
+        Args:
+            number: that submap. T_submap_camera: [4, 4] where in it.
+            exposure: gain and bias of the frame against it.
+            inherit: False where the place is a guess, and nothing may be taken over.
+        """
+        around = self.submap(number)
+        if not inherit:
+            around = replace(around, gaussians=around.gaussians.select(_NONE), steps=_NONE.int())
+        self._begin(frame, around, T_submap_camera, exposure)
+
+    def _begin(
+        self,
+        frame: Frame,
+        around: Submap,
+        T_around_camera: NDArray[np.float64],
+        exposure: tuple[float, float],
+    ) -> None:
+        """Begin a submap at a frame that lies somewhere in an older one."""
+        old = self.submap(self.active)
+        content = self._inherited(frame, around, T_around_camera)
         self._keyframes.append({k.index: k.T_map_camera for k in old.keyframes})
         self._store.put(old)
-        self._anchors.append(old.T_world_submap @ last.T_map_camera)
-        self._descriptors.append(old.descriptors[-1:].copy())
-        mapper.take(content)
-        mapper.add_keyframe(frame, np.eye(4), last.gain, last.bias)
-        return T_new_old
+        self._anchors.append(around.T_world_submap @ T_around_camera)
+        self._descriptors.append(self._boundary_row(old, frame.index))
+        self.mapper.take(content)
+        self.mapper.add_keyframe(frame, np.eye(4), *exposure)
+
+    @staticmethod
+    def _boundary_row(old: Submap, index: int) -> NDArray[np.float32]:
+        """The descriptor of a keyframe that two submaps share, as the new one's first row."""
+        shared = bool(old.keyframes) and old.keyframes[-1].index == index
+        return old.descriptors[-1:].copy() if shared else old.descriptors[:0].copy()
 
     def rest(self) -> None:
         """Put the active submap beside the others, before all of them are worked on in turn."""
@@ -175,15 +211,18 @@ class Atlas:
         """Numbers of the submaps whose content is there."""
         return [number for number in range(len(self)) if number not in self.lost]
 
-    def _inherited(self, old: Submap, last: Keyframe) -> MapContent:
+    def _inherited(
+        self, frame: Frame, around: Submap, T_around_camera: NDArray[np.float64]
+    ) -> MapContent:
         """What a new submap begins with: copies of what its anchor sees, in its frame."""
-        cloud = old.gaussians
-        index = torch.zeros(0, dtype=torch.int64)
+        cloud, T_camera_around = around.gaussians, se3.inverse(T_around_camera)
+        index = _NONE
         if self._boundary.inherit:
-            index = shown_by(self.mapper.view(last), cloud, last)
-        moved = cloud.select(index).transformed(se3.inverse(last.T_map_camera))
-        origin = torch.full((len(index),), last.index, dtype=torch.int32)
-        return MapContent(moved, [], origin, old.steps.index_select(0, index))
+            view = self.mapper.draw(cloud, frame.camera, T_around_camera)
+            index = shown_by(view, cloud, frame.camera, T_camera_around)
+        moved = cloud.select(index).transformed(T_camera_around)
+        origin = torch.full((len(index),), frame.index, dtype=torch.int32)
+        return MapContent(moved, [], origin, around.steps.index_select(0, index))
 
     def checkpointed(self) -> None:
         """The present state was written down: of the files, only two such states need any."""
@@ -218,12 +257,14 @@ class Atlas:
         self._checkpoints = [dict(values["store"])]
 
 
-def shown_by(view: SurfaceView, cloud: GaussianCloud, keyframe: Keyframe) -> Tensor:
-    """Indices [V] of the Gaussians on the surface that a keyframe's view of the map shows."""
-    points = cloud.transformed(se3.inverse(keyframe.T_map_camera)).means.double().numpy()
+def shown_by(
+    view: SurfaceView, cloud: GaussianCloud, camera: Camera, T_camera_map: NDArray[np.float64]
+) -> Tensor:
+    """Indices [V] of the Gaussians on the surface that a view of the map shows."""
+    points = cloud.transformed(T_camera_map).means.double().numpy()
     height, width = view.depth_m.shape
     ahead = points[:, 2] > 0
-    uv = keyframe.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+    uv = camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
     column, row = np.rint(uv).astype(np.int64).T
     inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     depth_m = view.depth_m.numpy()[row[inside], column[inside]]

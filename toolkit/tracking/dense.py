@@ -147,6 +147,11 @@ class DenseTracker:
         self.motion.update(frame.timestamp_s, np.eye(4))
         return np.eye(4)
 
+    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
+        """Take a place as the newest one, without a motion."""
+        self.motion = ConstantVelocity()
+        self.motion.update(timestamp_s, T_map_camera)
+
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
         """Go on in another frame of the map."""
         self.motion.change_frame(T_new_old)

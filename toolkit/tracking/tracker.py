@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,4 +38,19 @@ class Tracker(Protocol):
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
+        ...
+
+
+@runtime_checkable
+class LocatingTracker(Tracker, Protocol):
+    """A tracker that can also look for a frame elsewhere, and go on from there."""
+
+    def locate(
+        self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64], /
+    ) -> TrackingResult:
+        """The pose of a frame near a start; the tracker's own state stays as it is."""
+        ...
+
+    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
+        """Take a place as the newest one, without a motion."""
         ...

@@ -1,0 +1,108 @@
+"""Where a lost camera is: the keyframes it looks like, and alignment to their submap."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import ToolkitError
+from toolkit.frame import Frame
+from toolkit.loops.detection import LoopDetector
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.registration.matching import MatchingOptions, measure_offset
+from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.tracker import LocatingTracker
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RelocalisationOptions:
+    """How a lost camera is looked for.
+
+    Attributes:
+        tries: keyframes, the most alike first, whose images are matched with the frame.
+        least_visible: share of the frame that the submap must explain there. More than of a
+            tracked frame, which nothing but its neighbours would confirm.
+        patience: lost frames, one after another, after which a new submap begins; loops join
+            it later.
+    """
+
+    tries: int = 5
+    least_visible: float = 0.4
+    patience: int = 15
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a frame was found.
+
+    Attributes:
+        submap: number of the submap.
+        result: the tracker's answer in that submap's frame.
+    """
+
+    submap: int
+    result: TrackingResult
+
+    @property
+    def T_submap_camera(self) -> NDArray[np.float64]:
+        """[4, 4] pose of the camera."""
+        return self.result.T_map_camera
+
+
+class Relocaliser:
+    """Looks for lost frames among all keyframes."""
+
+    def __init__(
+        self,
+        detector: LoopDetector,
+        matching: MatchingOptions,
+        options: RelocalisationOptions | None = None,
+    ) -> None:
+        self.options = options or RelocalisationOptions()
+        self._detector, self._matching = detector, matching
+
+    def find(self, frame: Frame, atlas: Atlas, tracker: LocatingTracker) -> Found | None:
+        """The first place, of those that look alike, where the frame fits a submap."""
+        if not (frame.depth_m > 0).any():
+            return None
+        view = Keyframe.from_frame(frame, np.eye(4))
+        for sighting in self._detector.alike(view, self.options.tries):
+            try:
+                submap = atlas.submap(sighting.submap)
+            except ToolkitError as error:
+                # A submap whose file is lost cannot be where the camera is.
+                _log.debug("frame %d: %s", frame.index, error)
+                continue
+            for keyframe in submap.keyframes:
+                if keyframe.index == sighting.frame:
+                    found = self._tried(frame, keyframe, submap, tracker)
+                    if found is not None:
+                        return found
+        return None
+
+    def _tried(
+        self,
+        frame: Frame,
+        view: Keyframe,
+        sighting: Sighting,
+        atlas: Atlas,
+        tracker: LocatingTracker,
+    ) -> Found | None:
+        submap = atlas.submap(sighting.submap)
+        keyframe = next((k for k in submap.keyframes if k.index == sighting.frame), None)
+        if keyframe is None:
+            return None
+        offset = measure_offset(keyframe, view, self._matching)
+        if offset is None:
+            return None
+        start = keyframe.T_map_camera @ offset.T_first_second
+        result = tracker.locate(frame, submap.gaussians, start)
+        if result.lost or result.visible_fraction < self.options.least_visible:
+            return None
+        return Found(submap.number, result)
