@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from walks import ODOMETRY, walk
 
 from toolkit.geometry import se3
-from toolkit.pose_graph.chi_square import exceedance, quantile
+from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.clique import largest_clique
 from toolkit.pose_graph.consistency import ConsistencyOptions, OdometryChain, consistent_loops
 from toolkit.pose_graph.graph import PoseEdge, composed, information_of
 
-FEW = settings(deadline=None, max_examples=25)
+FEW = settings(deadline=None, max_examples=15)
 seeds = st.integers(0, 2**16)
 nodes = st.integers(0, 27)
 
@@ -27,7 +27,6 @@ def test_quantiles_of_the_chi_square() -> None:
     assert quantile(0.99, 6) == pytest.approx(16.812, abs=1e-3)
     assert quantile(0.999, 6) == pytest.approx(22.458, abs=1e-3)
     assert quantile(0.95, 60) == pytest.approx(79.082, abs=1e-3)
-    assert exceedance(16.812, 6) == pytest.approx(0.01, abs=1e-5)
     with pytest.raises(ValueError, match="between 0 and 1"):
         quantile(1.0, 6)
 
@@ -122,13 +121,13 @@ def test_pair_chi2_weighs_every_edge_of_the_cycle(ends_a, ends_b) -> None:
 
 def test_chi2_of_true_loops_is_distributed_as_it_should_be() -> None:
     single, pairs = [], []
-    for seed in range(120):
+    for seed in range(80):
         steps = walk(seed)
         chain = OdometryChain(steps.odometry)
         single.append(chain.loop_chi2(steps.loop(2, 21)))
         pairs.append(chain.pair_chi2(steps.loop(1, 22), steps.loop(25, 3)))
     for sample in (single, pairs):
-        # The mean of 120 draws of a chi-square of 6 has a standard deviation of 0.32.
+        # The mean of 80 draws of a chi-square of 6 has a standard deviation of 0.39.
         assert np.mean(sample) == pytest.approx(6.0, abs=1.2)
         assert np.mean(np.array(sample) > quantile(0.9, 6)) < 0.2
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +16,7 @@ from toolkit.pose_graph.files import arrays_of, graph_of
 from toolkit.pose_graph.graph import (
     PoseEdge,
     PoseGraph,
+    covariance_in_frame,
     information_in_frame,
     information_of,
     poses_along,
@@ -66,6 +69,17 @@ def test_chi2_is_that_of_the_noise(seed: int) -> None:
     T_world_second = T_world_first @ edge.T_first_second @ se3.exp(x)
     assert edge.chi2(T_world_first, T_world_second) == pytest.approx(x @ edge.information @ x)
     np.testing.assert_allclose(edge.residual(T_world_first, T_world_second), x, atol=1e-9)
+
+
+@PATIENT
+@given(seed=seeds)
+def test_the_spread_of_what_hangs_on_a_node(seed: int) -> None:
+    T_a_b, T_world_a = motion(seed), motion(seed + 1)
+    x = 1e-6 * np.random.default_rng(seed).normal(size=6)
+    y = se3.log(se3.inverse(T_world_a @ T_a_b) @ (T_world_a @ se3.exp(x) @ T_a_b))
+    np.testing.assert_allclose(
+        covariance_in_frame(np.outer(x, x), T_a_b), np.outer(y, y), rtol=1e-3, atol=1e-15
+    )
 
 
 def test_covariance_and_information_are_inverses() -> None:
@@ -174,3 +188,14 @@ def test_a_file_has_what_the_graph_has() -> None:
     again = graph_of(arrays_of(graph))
     for name, array in graph.state().items():
         assert np.array_equal(array, again.state()[name]), name
+
+
+def test_a_file_without_poses_gets_them_along_its_edges() -> None:
+    steps = walk(3)
+    arrays = arrays_of(steps.graph(steps.loop(0, 20)))
+    bare = replace(arrays, nodes=np.zeros(0, int), T_world_node=np.zeros((0, 4, 4)))
+    graph = graph_of(replace(bare, fixed=np.zeros(0, int)))
+    assert graph.nodes == list(range(28))
+    assert [e.kind for e in graph.edges] == 27 * ["odometry"] + ["loop"]
+    expected = steps.odometry[0].T_first_second @ steps.odometry[1].T_first_second
+    np.testing.assert_allclose(graph.T_world_node[2], expected, atol=1e-12)

@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from walks import walk
 
-from toolkit.errors import DependencyError
+from toolkit.errors import DependencyError, ToolkitError
 from toolkit.geometry import se3
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.pose_graph.files import graph_of
 from toolkit.pose_graph.graph import PoseEdge, PoseGraph, information_of
 from toolkit.pose_graph.solver import SolverOptions, kernel_weights, solve
 
-FEW = settings(deadline=None, max_examples=12)
+FEW = settings(deadline=None, max_examples=8)
 seeds = st.integers(0, 2**16)
 PLAIN = SolverOptions(kernel="none")
 
@@ -196,6 +196,12 @@ def test_missing_gtsam_is_named(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(DependencyError, match="pip install 'gtsam>="):
         solve(walk(1).graph())
+
+
+def test_a_singular_graph_is_named() -> None:
+    edges = (PoseEdge(0, 1, np.eye(4), 1e-30 * np.eye(6)), PoseEdge(1, 2, np.eye(4), np.eye(6)))
+    with pytest.raises(ToolkitError, match=r"pose graph \(3 nodes, .* raise the smallest"):
+        solve(PoseGraph({k: np.eye(4) for k in range(3)}, edges))
 
 
 def test_weights_of_nothing_left_over() -> None:

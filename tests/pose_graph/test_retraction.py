@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from walks import Walk, walk
 
 from toolkit.geometry import se3
+from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.factory import (
     build_consistency,
     build_loop_noise,
@@ -84,6 +85,45 @@ def test_a_wrong_loop_that_only_bends_the_odometry_goes(seed: int) -> None:
     solution = solve(graph, PLAIN.solver)
     assert solution.chi2[-1] < 1.0
     assert taken_back(steps, PLAIN, [loop]) == {0}
+
+
+def shifted(steps: Walk, first: int, second: int, shift_m: float, sigma: float) -> PoseEdge:
+    """A precise loop that puts the world at its second node aside."""
+    T_wrong_world = np.eye(4)
+    T_wrong_world[1, 3] = shift_m
+    T = se3.inverse(steps.T_world_node[first]) @ T_wrong_world @ steps.T_world_node[second]
+    return PoseEdge.loop(first, second, T, information_of(sigma**2 * np.eye(6)))
+
+
+@FEW
+@given(seed=seeds)
+def test_wrong_loops_that_agree_to_the_millimetre_are_found_by_the_whole(seed: int) -> None:
+    """None is missed by the others when it goes, and each fits: the odometry alone suffers."""
+    steps = walk(seed)
+    loops = [shifted(steps, k, 20 + k, 2.0, 3e-4) for k in range(4)]
+    solution = solve(steps.graph(*loops), PLAIN.solver)
+    assert solution.chi2[-4:].max() < 5
+    assert taken_back(steps, PLAIN, loops) == {0, 1, 2, 3}
+
+
+def test_one_wrong_loop_that_many_right_ones_hide_is_found_by_itself() -> None:
+    """The whole is plausible with it, and it fits: it bends a piece of the odometry."""
+    steps = walk(4)
+    loops = [*(steps.loop(k, 20 + k) for k in range(8)), shifted(steps, 12, 15, 0.15, 1e-3)]
+    solution = solve(steps.graph(*loops), PLAIN.solver)
+    assert solution.chi2[-1] < 1
+    assert solution.chi2.sum() < quantile(0.999, 6 * 9)
+    assert taken_back(steps, PLAIN, loops) == {8}
+
+
+def test_right_loops_that_fell_to_a_wrong_majority_come_back() -> None:
+    steps = walk(5)
+    wrong = [shifted(steps, k, 20 + k, 2.0, 0.01) for k in range(6)]
+    loops = [*wrong, steps.loop(6, 26), steps.loop(7, 27)]
+    solution = solve(steps.graph(*loops), PLAIN.solver)
+    # The first to go is a right one.
+    assert solution.chi2[-8:].argmax() >= 6
+    assert taken_back(steps, PLAIN, loops) == {0, 1, 2, 3, 4, 5}
 
 
 def test_the_only_connection_is_not_taken_back() -> None:

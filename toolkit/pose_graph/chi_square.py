@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.special import chdtrc, gammaincinv
+from scipy.special import gammaincinv
 
 
 def quantile(confidence: float, degrees: int) -> float:
@@ -14,8 +14,3 @@ def quantile(confidence: float, degrees: int) -> float:
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must lie between 0 and 1, got {confidence}")
     return 2.0 * float(gammaincinv(0.5 * degrees, confidence))
-
-
-def exceedance(chi2: float, degrees: int) -> float:
-    """Probability of a chi-square as large as this one, or larger."""
-    return float(chdtrc(degrees, chi2))

@@ -152,7 +152,10 @@ def boundary_edge(submap: Submap, following: Submap, information: Array) -> Pose
 
 
 def correct_anchors(submaps: Iterable[Submap], correction: PoseCorrection) -> None:
-    """Give submaps their new `T_world_submap`; nothing inside them changes."""
+    """Give submaps their new `T_world_submap`; nothing inside them changes.
+
+    Submaps that the correction does not name stay where they are.
+    """
     for submap in submaps:
         if submap.number in correction.T_new:
             submap.T_world_submap = np.array(correction.T_new[submap.number])
@@ -211,7 +214,7 @@ def _moved_means(submap: Submap, moved: list[int], motions: list[Array]) -> torc
     T = np.stack(motions)[row[moving]]
     old = means.detach().cpu().numpy()
     new = old.copy()
-    centres = np.einsum("nij,nj->ni", T[:, :3, :3], old[moving].astype(np.float64)) + T[:, :3, 3]
+    centres = np.einsum("nij,nj->ni", T[:, :3, :3], old[moving]) + T[:, :3, 3]
     new[moving] = centres.astype(old.dtype)
     return torch.from_numpy(new).to(means.device)
 

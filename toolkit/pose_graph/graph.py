@@ -99,6 +99,15 @@ def information_in_frame(information_a: Array, T_a_b: Array) -> Array:
     return A.T @ information_a @ A
 
 
+def covariance_in_frame(covariance_a: Array, T_a_b: Array) -> Array:
+    """Covariance [6, 6] of a pose T_world_a, as that of T_world_b where b hangs on a.
+
+    So the spread of an anchor or a keyframe becomes that of a camera placed relative to it.
+    """
+    A = se3.adjoint(se3.inverse(T_a_b))
+    return A @ covariance_a @ A.T
+
+
 def composed(edges: Sequence[PoseEdge]) -> PoseEdge:
     """One odometry edge for several that follow each other; their covariances add up.
 

@@ -64,9 +64,9 @@ class LoopNoise:
 class OdometryNoise(LoopNoise):
     """From a tracker's information to the covariance of an odometry edge.
 
-    The defaults fit a hand-held camera: the dense tracker's errors on TUM's fr1_rpy, over 5
-    to 40 frames, are 0.7 to 1.2 of what they say, the truth's own errors included. On slow or
-    rendered sequences they are wide.
+    The defaults were set on one sequence of a hand-held camera, TUM's fr1_rpy: there the dense
+    tracker's errors over 5 to 40 frames (the truth's own included) are 0.7 to 1.2 of what the
+    terms of edge and path say without the information. On rendered sequences they are wide.
 
     Attributes:
         scale, edge_m, edge_rad, unseen: as of loops.

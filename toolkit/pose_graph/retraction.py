@@ -86,6 +86,7 @@ class PoseGraphOptimiser:
         loops = trial.dispensable_loops()
         if not loops:
             return None
+        # Most wrong loops show without being left out.
         worst = max(loops, key=lambda k: trial.chi2[k])
         if trial.chi2[worst] > self._share:
             return worst

@@ -36,7 +36,7 @@ class SolverOptions:
         kernel_width: residual, in standard deviations, where the kernel begins to doubt; a
             good edge of 6 degrees of freedom has 2.4 on the average.
         initialise: start from GTSAM's chordal initialisation, not from the graph's poses;
-            for graphs whose poses are far off. It ignores kernels: not for wrong loops.
+            for graphs whose poses are far off, but without wrong loops, which bend it.
         iterations: most Levenberg-Marquardt steps.
         tolerance: relative and absolute fall of the error that ends them.
     """
