@@ -87,18 +87,10 @@ class Relocaliser:
         return None
 
     def _tried(
-        self,
-        frame: Frame,
-        view: Keyframe,
-        sighting: Sighting,
-        atlas: Atlas,
-        tracker: LocatingTracker,
+        self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
     ) -> Found | None:
-        submap = atlas.submap(sighting.submap)
-        keyframe = next((k for k in submap.keyframes if k.index == sighting.frame), None)
-        if keyframe is None:
-            return None
-        offset = measure_offset(keyframe, view, self._matching)
+        """The frame in a submap, from what its image and a keyframe's have in common."""
+        offset = measure_offset(keyframe, Keyframe.from_frame(frame, np.eye(4)), self._matching)
         if offset is None:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
