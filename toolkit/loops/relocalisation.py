@@ -14,6 +14,7 @@ from toolkit.loops.detection import LoopDetector
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.submap import Submap
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
