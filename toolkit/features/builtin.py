@@ -31,7 +31,7 @@ _LIGHTNESS_WEIGHT = 0.5  # light falls differently on every visit
 _DARKEST, _LIGHTEST = -1.75, 1.75  # middles of the outer levels, in deviations
 # Below these, in deviations squared, gradients and colours are noise.
 _FLAT, _GREY = 1e-6, 1e-4
-_LEAST_VARIANCE = 1e-5  # keeps a black picture finite
+_LEAST_VARIANCE = 1e-6  # keeps a black picture finite
 
 
 class BuiltinEncoder:
