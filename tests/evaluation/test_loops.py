@@ -83,6 +83,16 @@ def test_the_gap_asks_for_frames_and_metres():
     assert short[10, 9]
 
 
+def test_pairs_within_the_gap_do_not_count_against_an_interval():
+    views = circling()
+    still = replace(views, T_world_camera=np.repeat(views.T_world_camera[:1], 200, axis=0))
+    options = LoopTruthOptions(least_gap_frames=5, least_gap_m=0.0, interval=2)
+    truth = true_intervals(still, options)
+    # Of frames 4, 5 and 0, 1 only the pair (5, 0) is beyond the gap; of 2, 3 and 0, 1 none.
+    assert truth[2, 0]
+    assert not truth[1, 0]
+
+
 def test_every_admissible_pair_of_two_intervals_must_be_close():
     # Six frames are 0.95 m of the circle: no two such intervals are within half a metre.
     assert not true_intervals(circling(), replace(OPTIONS, interval=6)).any()

@@ -60,6 +60,21 @@ def test_a_model_from_settings(tiny_dinov2, views):
     assert encoder.describe(views).shape == (6, 16)
 
 
+def test_a_models_tokens_are_those_of_the_library(tiny_dinov2, views):
+    transformers = pytest.importorskip("transformers")
+    from toolkit.features.dinov2 import Dinov2Encoder
+
+    model = transformers.AutoModel.from_pretrained(tiny_dinov2)
+    images = views[:, :, :56, :80]  # whole patches: nothing is scaled
+    mean, std = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+    prepared = (images - torch.tensor(mean).view(3, 1, 1)) / torch.tensor(std).view(3, 1, 1)
+    with torch.no_grad():
+        tokens = model(prepared).last_hidden_state
+    for pooling, expected in (("class", tokens[:, 0]), ("mean", tokens[:, 1:].mean(dim=1))):
+        found = Dinov2Encoder(tiny_dinov2, pooling, longest_side=80, device="cpu").describe(images)
+        torch.testing.assert_close(found, torch.nn.functional.normalize(expected, dim=1))
+
+
 def test_a_model_without_a_folder_names_the_setting():
     with pytest.raises(SettingsError, match=r"--features\.dinov2\.folder"):
         build_encoder(FeatureSettings(kind="dinov2"))

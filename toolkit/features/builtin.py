@@ -31,14 +31,15 @@ _LIGHTNESS_WEIGHT = 0.5  # light falls differently on every visit
 _DARKEST, _LIGHTEST = -1.75, 1.75  # middles of the outer levels, in deviations
 # Below these, in deviations squared, gradients and colours are noise.
 _FLAT, _GREY = 1e-6, 1e-4
-_LEAST_VARIANCE = 1e-5  # keeps a black picture finite
+_LEAST_VARIANCE = 1e-6  # keeps a black picture finite
 
 
 class BuiltinEncoder:
     """Three groups of eight maps in sixteen windows; see the module.
 
-    Its threshold is where 1 % of the pairs of views of one room that hardly overlap
-    (under 10 %) pass, measured on real and synthetic rooms with random exposure.
+    Below its threshold lie 1 % of the pairs of views of one recording that hardly overlap
+    (under 10 %), and 88 % of those within 0.3 m and 15 degrees, measured with random exposure
+    on five recordings of rooms, two of them real. It holds for pictures of classes as well.
     """
 
     name = "builtin"

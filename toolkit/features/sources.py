@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import torch
@@ -57,4 +56,4 @@ class ViewDescriber:
         if self.source == "semantic":
             return self._encoder.describe(semantic)
         both = [self._encoder.describe(picture) for picture in (rgb, semantic)]
-        return unit_length(torch.cat(both, dim=1) * math.sqrt(0.5))
+        return unit_length(torch.cat(both, dim=1))

@@ -26,7 +26,7 @@ class CandidateSettings(Settings):
     least_gap_frames: int = Field(30, ge=1, description="between query and match")
     least_gap_m: float = Field(0.5, ge=0, description="between them along the path, m")
     most_landmark_distance: float = Field(
-        1.0, gt=0, description="of unit landmark vectors; from 1.42 on all pass"
+        0.7, gt=0, description="of unit landmark vectors; from 1.42 on all pass"
     )
 
 

@@ -1,0 +1,59 @@
+"""A real recording, out and back along a kitchen: the way back is recognised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.datasets.registry import open_dataset
+from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.geometry.frustum import far_end_m, observed_points
+from toolkit.loops.candidates import CandidateFinder, CandidateOptions, DescribedKeyframe
+
+pytest.importorskip("faiss")
+
+EVERY = 8  # frames a keyframe
+NO_CLASSES = np.zeros(0, np.int64)
+
+
+@pytest.fixture
+def kitchen(real_data):
+    """Every eighth frame, as if there were no others."""
+    dataset = open_dataset("seven-scenes", real_data("7scenes_redkitchen"), (160, 120))
+    return [dataset[i] for i in range(0, len(dataset), EVERY)], dataset
+
+
+def test_the_way_back_is_recognised(kitchen):
+    frames, dataset = kitchen
+    truth = dataset.ground_truth
+    poses = np.array([truth.at(frame.timestamp_s) for frame in frames])
+    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, prepend=poses[:1, :3, 3]), axis=1)
+    encoder = BuiltinEncoder()
+    options = CandidateOptions(search_every=1, least_gap_frames=4)
+    finder = CandidateFinder(encoder.dimensions, encoder.threshold, options)
+    accepted = []
+    for number, frame in enumerate(frames):
+        image = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None]
+        descriptor = encoder.describe(image)[0].numpy()
+        travelled_m = float(steps_m[: number + 1].sum())
+        found = finder.add(DescribedKeyframe(number, 0, travelled_m, descriptor, NO_CLASSES))
+        accepted += [(c.query, c.match) for c in found if c.accepted]
+
+    views = TrueViews(
+        dataset.camera,
+        poses,
+        np.stack([observed_points(dataset.camera, f.depth_m, 300) for f in frames]),
+        np.array([far_end_m(f.depth_m) for f in frames]),
+    )
+    strict = LoopTruthOptions(least_gap_frames=4)
+    score = score_loops(views, range(len(frames)), accepted, strict)
+    assert score.with_loop >= 8
+    assert score.recall > 0.4
+    # Those beyond half a metre see the same from a little farther.
+    assert score.precision > 0.6
+    loose = replace(strict, most_distance_m=0.9)
+    assert score_loops(views, range(len(frames)), accepted, loose).precision > 0.9
