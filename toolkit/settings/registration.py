@@ -78,7 +78,7 @@ class FineSettings(Settings):
 
     optimiser: Literal["dense", "first-order"] = Field("dense", description="ours, or the papers'")
     views: int = Field(10, ge=1, description="most views of the source (G: k)")
-    renders: int = Field(4, ge=1, description="drawings of the target from each view, most")
+    renders: int = Field(6, ge=1, description="drawings of the target from each view, most")
     rerender_distance: float = Field(0.01, gt=0, description="motion that asks for a drawing")
     least_overlap: float = Field(0.1, ge=0, le=1, description="less is no registration")
     semantic_gate: bool = Field(True, description="leave out pixels whose classes differ")
