@@ -43,6 +43,10 @@ class FineOptions:
             depth (translation) or this angle in radians.
         least_overlap: a result on less common ground has not converged.
         semantic_gate: leave out pixels whose classes differ.
+        redundancy: so many residuals count as one in the information matrix. Pixels and views
+            show the same Gaussians, and the error of a fit is that of two maps, not of pixels:
+            counted one by one, squared errors were 200 to 1100 times the expected ones in
+            synthetic rooms, with sensor noise and without.
     """
 
     optimiser: Literal["dense", "first-order"] = "dense"
@@ -51,6 +55,7 @@ class FineOptions:
     rerender_distance: float = 0.01
     least_overlap: float = 0.1
     semantic_gate: bool = True
+    redundancy: float = 500.0
     dense: JointOptions = field(default_factory=JointOptions)
     first_order: FirstOrderFineOptions = field(default_factory=FirstOrderFineOptions)
 
@@ -168,11 +173,10 @@ class FineRegistration:
             pairs = self._pairs(sources, targets, far)
             estimate = align(pairs, estimate, self.options.dense, finest_only=not far)
             moved = _farthest(sources, drawn_at, estimate.T_target_source)
-            if moved <= self.options.rerender_distance:
-                break
-            if round_ + 1 == self.options.renders:
-                # The answer lies far from the last drawing: it was never seen to be right.
-                estimate = replace(estimate, converged=False)
+            near = moved <= self.options.rerender_distance
+            # Far from the last drawing, an answer was never seen to be right.
+            estimate = replace(estimate, converged=estimate.converged and near)
+            if estimate.converged or round_ + 1 == self.options.renders:
                 break
             far = moved > _FAR
             drawn_at = estimate.T_target_source
@@ -250,7 +254,7 @@ class FineRegistration:
             residual=estimate.scales,
             overlap=check.overlap,
             class_agreement=check.class_agreement,
-            information=estimate.information,
+            information=estimate.information / self.options.redundancy,
             iterations=estimate.iterations,
             renders=renders,
             method=self._method,
