@@ -52,6 +52,7 @@ Place = Literal["room", "kitchen"]
 
 SPAN, STEP = 40, 5  # frames of a submap, and from keyframe to keyframe
 LEAST_OVERLAP = 0.3
+CANDIDATES = 40  # spans drawn for a pair
 MOST_M, MOST_DEG = 0.5, 30.0
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
 
@@ -131,26 +132,33 @@ def kitchen(options: Options) -> Recording:
 
 
 def make_pair(recording: Recording, generator: np.random.Generator) -> Pair:
-    """Two submaps of random spans that overlap enough."""
-    while True:
-        first, second = generator.integers(0, len(recording.frames) - SPAN, size=2)
-        # Keyframes between those of the target; the source is the shorter one.
-        numbers = range(first, first + SPAN, STEP)
-        others = range(second, second + SPAN - 2 * STEP, STEP)
-        if set(numbers) & set(others):
-            others = range(second + 2, second + 2 + SPAN - 2 * STEP, STEP)
-        overlap = overlap_of(recording, numbers, others)
-        if overlap >= LEAST_OVERLAP:
-            break
+    """Two submaps of random spans, with about as much overlap as a number drawn evenly."""
+    wanted = generator.uniform(LEAST_OVERLAP, 1.0)
+    drawn = [spans(len(recording.frames), generator) for _ in range(CANDIDATES)]
+    shares = [overlap_of(recording, *pair) for pair in drawn]
+    possible = [i for i, share in enumerate(shares) if share >= LEAST_OVERLAP]
+    chosen = min(possible, key=lambda i: abs(shares[i] - wanted))
+    numbers, others = drawn[chosen]
     seed = int(generator.integers(2**31))
-    truth = se3.inverse(recording.T_world_camera[first]) @ recording.T_world_camera[others[0]]
+    poses = recording.T_world_camera
+    truth = se3.inverse(poses[numbers[0]]) @ poses[others[0]]
     return Pair(
         target=submap(recording, numbers, seed),
         source=submap(recording, others, seed),
         T_target_source=truth,
         start=truth @ random_motion(generator),
-        overlap=overlap,
+        overlap=shares[chosen],
     )
+
+
+def spans(frames: int, generator: np.random.Generator) -> tuple[range, range]:
+    """Keyframes of a target and of a shorter source, none of which is in both."""
+    first, second = (int(n) for n in generator.integers(0, frames - SPAN, size=2))
+    numbers = range(first, first + SPAN, STEP)
+    others = range(second, second + SPAN - 2 * STEP, STEP)
+    if set(numbers) & set(others):
+        others = range(others.start + STEP // 2, others.stop + STEP // 2, STEP)
+    return numbers, others
 
 
 def overlap_of(recording: Recording, numbers: range, others: range) -> float:

@@ -28,6 +28,8 @@ def test_dense_finds_the_motion_from_nearby(room: Scene, drawer, metres, degrees
     assert result.inliers > 0.95
     assert result.renders == drawer.renders
     assert np.linalg.eigvalsh(result.information)[0] > 0
+    x = se3.log(se3.inverse(result.T_target_source) @ room.T_target_source)
+    assert 0.01 < x @ result.information @ x < 12.6  # chi-square of six: 95 % lie below
 
 
 def test_both_maps_stay_as_they_are(room: Scene):
@@ -42,6 +44,21 @@ def test_a_start_that_shows_nothing_in_common_does_not_converge(room: Scene):
     result = FineRegistration().register(room.target, room.source, away)
     assert not result.converged
     assert "share only" in result.reason
+
+
+def test_an_empty_submap_is_nothing_to_align(room: Scene):
+    none = room.source.gaussians.select(room.source.gaussians.opacities < 0)
+    for part in ({"gaussians": none}, {"keyframes": []}):
+        empty = replace(room.source, **part)
+        result = FineRegistration().register(room.target, empty, room.T_target_source)
+        assert not result.converged
+        assert "shows nothing" in result.reason
+        np.testing.assert_array_equal(result.T_target_source, room.T_target_source)
+    result = FineRegistration().register(
+        replace(room.target, gaussians=none), room.source, room.T_target_source
+    )
+    assert not result.converged
+    assert "share only 0 %" in result.reason
 
 
 def test_the_papers_optimiser_comes_near(room: Scene, drawer):

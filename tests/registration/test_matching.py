@@ -40,6 +40,8 @@ def test_an_offset_is_measured_to_a_fraction_of_a_millimetre(room: Scene, i, j):
     assert mm < 1.0
     assert deg < 0.03
     assert offset.matches >= 12
+    x = se3.log(se3.inverse(offset.T_first_second) @ true_offset(room, i, j))
+    assert 0.01 < x @ offset.information @ x < 12.6  # chi-square of six: 95 % lie below
     assert np.linalg.eigvalsh(offset.information)[0] > 0
 
 

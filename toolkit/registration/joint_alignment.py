@@ -68,8 +68,8 @@ class JointOptions:
     exposure: bool = True
     most_translation_m: float = 0.2
     most_rotation_rad: float = 0.2
-    small_translation_m: float = 5e-5
-    small_rotation_rad: float = 2e-5
+    small_translation_m: float = 1e-4
+    small_rotation_rad: float = 5e-5
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,8 @@ class MatchingOptions:
         largest_width: dense alignment halves images until they are no wider.
         dense: of the dense alignment; a match is good to a pixel or two, so few levels do.
         limits: bounds beyond which the dense alignment is not believed.
+        redundancy: so many residuals count as one in the information matrix. Counted one by
+            one, squared errors were 2 to 13 times the expected ones in synthetic rooms.
     """
 
     features: int = 1500
@@ -53,6 +55,7 @@ class MatchingOptions:
     largest_width: int = 400
     dense: JointOptions = field(default_factory=lambda: JointOptions(levels=3))
     limits: HealthLimits = field(default_factory=HealthLimits)
+    redundancy: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Offset:
         visible: share of the second image's measured pixels that the first explains.
         residual: robust scales of intensity and of depth at 1 m (m).
         information: [6, 6] inverse covariance of x in T_first_second exp(x), translation
-            first. Residuals count as independent, so it is sure of itself.
+            first.
         iterations: steps of the dense alignment.
     """
 
@@ -125,7 +128,7 @@ def _refined(
         matches,
         visible,
         estimate.scales,
-        estimate.information,
+        estimate.information / options.redundancy,
         estimate.iterations,
     )
 

@@ -29,7 +29,7 @@ class RegistrationResult:
         class_agreement: share of the overlapping labelled pixels of the same class, nan
             without semantics.
         information: [6, 6] inverse covariance of x in T_target_source exp(x), translation
-            first. Residuals count as independent, so it is sure of itself.
+            first.
         iterations, renders: steps taken (0 where Open3D does not tell), views drawn.
         method: how it was found.
         reason: why it did not converge, empty where it did.

@@ -112,9 +112,11 @@ def views_of_overlap(
 ) -> list[int]:
     """The source's keyframes that some target keyframe sees most of, the best first.
 
-    Views that share next to nothing are left out, unless there are no others. What stands in
-    between is not considered.
+    Views that share next to nothing are left out, unless all do; then the best one stays. What
+    stands in between is not considered.
     """
+    if not target.keyframes or not source.keyframes:
+        return []
     T_source_target = se3.inverse(T_target_source)
     cameras = [T_source_target @ keyframe.T_map_camera for keyframe in target.keyframes]
     shares = np.array([max(k.share_seen_by(T) for T in cameras) for k in source.keyframes])

@@ -19,8 +19,8 @@ class JointAlignmentSettings(Settings):
     exposure: bool = Field(True, description="estimate gain and bias of every pair")
     most_translation_m: float = Field(0.2, gt=0, description="longest step, m")
     most_rotation_rad: float = Field(0.2, gt=0, description="longest step, rad")
-    small_translation_m: float = Field(5e-5, gt=0, description="a step that ends, m")
-    small_rotation_rad: float = Field(2e-5, gt=0, description="a step that ends, rad")
+    small_translation_m: float = Field(1e-4, gt=0, description="a step that ends, m")
+    small_rotation_rad: float = Field(5e-5, gt=0, description="a step that ends, rad")
 
 
 class MatchingSettings(Settings):
@@ -35,6 +35,7 @@ class MatchingSettings(Settings):
     largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
     dense: JointAlignmentSettings = JointAlignmentSettings(levels=3)
     limits: HealthSettings = HealthSettings()
+    redundancy: float = Field(5.0, ge=1, description="residuals that count as one")
 
 
 class MotionAverageSettings(Settings):
@@ -78,10 +79,11 @@ class FineSettings(Settings):
 
     optimiser: Literal["dense", "first-order"] = Field("dense", description="ours, or the papers'")
     views: int = Field(10, ge=1, description="most views of the source (G: k)")
-    renders: int = Field(4, ge=1, description="drawings of the target from each view, most")
+    renders: int = Field(6, ge=1, description="drawings of the target from each view, most")
     rerender_distance: float = Field(0.01, gt=0, description="motion that asks for a drawing")
     least_overlap: float = Field(0.1, ge=0, le=1, description="less is no registration")
     semantic_gate: bool = Field(True, description="leave out pixels whose classes differ")
+    redundancy: float = Field(500.0, ge=1, description="residuals that count as one")
     dense: JointAlignmentSettings = JointAlignmentSettings()
     first_order: FirstOrderFineSettings = FirstOrderFineSettings()
 
