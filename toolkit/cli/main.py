@@ -21,6 +21,7 @@ JOBS = {
     "evaluate": ("evaluate", "measure a run folder again"),
     "render": ("render", "render views of a map to PNG"),
     "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
+    "explain-loops": ("explain_loops", "draw each suspected loop of a run and its verdict"),
     "query": ("query", "ask a labelled map what is where, how many and how large"),
     "check-data": ("check_data", "read a data set and say what is wrong with it"),
     "make-room": ("make_room", "make a synthetic room with known truth"),

@@ -1,0 +1,11 @@
+"""`semsplat explain-loops` from a checkout: `python apps/explain_loops.py ...`."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from toolkit.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main(["explain-loops", *sys.argv[1:]]))

@@ -1,0 +1,166 @@
+"""`semsplat explain-loops`: a picture of every suspected loop, and what became of it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.finished_run import FinishedRun, open_finished_run
+from toolkit.datasets.base import RecordedDataset
+from toolkit.errors import RunFolderError
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.frustum import Frustum, contained_share, far_end_m, observed_points
+from toolkit.io.images import write_rgb
+from toolkit.io.pictures import LegendEntry, Panel, colour_picture, legend_below, strip
+from toolkit.loops.log import read_loop_log
+
+_log = logging.getLogger(__name__)
+
+_TAKEN, _REFUSED, _PLAIN = (30, 140, 60), (190, 40, 40), (120, 120, 120)
+_POINTS = 1000
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ExplainLoopsOptions:
+    """Draw each suspected loop of a run: its two views, their overlap, the numbers, the verdict."""
+
+    run: tyro.conf.Positional[Path]
+    """The run folder."""
+    out: Path | None = None
+    """Folder for the pictures; RUN/loops without it."""
+    refused: bool = False
+    """Draw those, too, that the search itself refused."""
+    dataset_path: Path | None = None
+    """The data set's folder, if it has moved since the run."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Explain the loops of a run.
+
+    Raises:
+        ToolkitError: there is no finished run, its log or its data set cannot be read.
+    """
+    options = parse_arguments(ExplainLoopsOptions, list(argv), "explain-loops")
+    run = open_finished_run(options.run)
+    records = read_loop_log(run.folder.loops)
+    suspected = [
+        (place, record)
+        for place, record in enumerate(records)
+        if record["kind"] == "candidate" and (record["accepted"] or options.refused)
+    ]
+    for line in summary(records):
+        print(line)
+    if not suspected:
+        return 0
+    out = options.out or run.folder.path / "loops"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot make {out}: {error.strerror}; choose another --out"
+        ) from error
+    dataset = run.open_dataset(options.dataset_path)
+    for place, candidate in tqdm(suspected, unit="loop"):
+        picture = explained(run, dataset, candidate, verdicts_on(candidate, records[place + 1 :]))
+        name = f"frame{candidate['query']:06d}_frame{candidate['match']:06d}.png"
+        write_rgb(out / name, picture.astype(np.float32) / 255.0)
+    _log.info("%d pictures in %s", len(suspected), out)
+    return 0
+
+
+def summary(records: Sequence[Record]) -> list[str]:
+    """The story of a run's loops, a line each."""
+    candidates = [r for r in records if r["kind"] == "candidate"]
+    accepted = [r for r in candidates if r["accepted"]]
+    lines = [f"{len(candidates)} keyframes considered, {len(accepted)} of them suspected"]
+    for record in records:
+        if record["kind"] == "within" and not record["accepted"]:
+            pair = f"frames {record['query']} and {record['match']}"
+            lines.append(f"{pair}: refused, {record['reason']}")
+        elif record["kind"] in ("between", "consistency", "retracted"):
+            pair = f"submaps {record['first']} and {record['second']}"
+            lines.append(f"{pair}: {record['reason'] or 'registered'}{_moved(record)}")
+        elif record["kind"] == "found":
+            lines.append(
+                f"submap {record['second']} begins where submap {record['first']} was found"
+            )
+        elif record["kind"].startswith("correction") and "largest_m" in record:
+            what = "anchors" if record["kind"].endswith("between") else "keyframes"
+            largest = f"{100 * record['largest_m']:.1f} cm"
+            lines.append(f"{record['loops']} loops: {what} move by up to {largest}")
+    return lines
+
+
+def verdicts_on(candidate: Record, later: Sequence[Record]) -> list[Record]:
+    """What later lines of the log say of a candidate: of its frames, or of its submaps."""
+    submaps = {candidate["query_submap"], candidate["match_submap"]}
+    if len(submaps) == 1:
+        frames = (candidate["query"], candidate["match"])
+        found = [r for r in later if r["kind"] == "within" and (r["query"], r["match"]) == frames]
+        return found[:1]
+    about = [r for r in later if {r.get("first"), r.get("second")} == submaps]
+    return [r for r in about if r["kind"] in ("between", "consistency", "retracted")]
+
+
+def explained(
+    run: FinishedRun, dataset: RecordedDataset, candidate: Record, verdicts: Sequence[Record]
+) -> np.ndarray:
+    """The two views of a candidate side by side, and the numbers below."""
+    frames = [dataset[candidate[name]] for name in ("query", "match")]
+    panels = [
+        Panel(f"frame {frame.index}, submap {candidate[submap]}", colour_picture(frame.rgb))
+        for frame, submap in zip(frames, ("query_submap", "match_submap"), strict=True)
+    ]
+    landmarks = candidate["landmark_distance"]
+    told = "tell nothing" if landmarks is None else f"differ by {landmarks:.3f}"
+    entries = [
+        LegendEntry(
+            f"descriptors differ by {candidate['distance']:.3f}, cosine {candidate['cosine']:.3f}; "
+            f"landmarks {told}",
+            _PLAIN,
+        ),
+        LegendEntry(_overlap(run, frames), _PLAIN),
+        _line("search", candidate),
+        *(_line(record["kind"], record) for record in verdicts),
+    ]
+    return legend_below(strip(panels), entries, len(entries))
+
+
+def _line(stage: str, record: Record) -> LegendEntry:
+    text = record["reason"] or "accepted"
+    if record.get("overlap") is not None:
+        text += f"; overlap {100 * record['overlap']:.0f} %, surfaces agree on "
+        text += f"{100 * record['inliers']:.0f} % of it{_moved(record)}"
+    return LegendEntry(f"{stage}: {text}", _TAKEN if record["accepted"] else _REFUSED)
+
+
+def _moved(record: Record) -> str:
+    if record.get("moved_m") is None:
+        return ""
+    turned = np.degrees(record["turned_rad"])
+    return f", {100 * record['moved_m']:.1f} cm and {turned:.2f} degrees off the odometry"
+
+
+def _overlap(run: FinishedRun, frames: Sequence[Frame]) -> str:
+    """How much of the first view the second one sees, from the run's final poses."""
+    poses = {f.index: f.T_map_camera for f in run.tracked}
+    if any(frame.index not in poses for frame in frames):
+        return "no overlap known: a frame has no pose"
+    query, match = frames
+    points = observed_points(query.camera, query.depth_m, _POINTS)
+    points = se3.transform_points(poses[query.index], points[np.isfinite(points).all(axis=1)])
+    volume = Frustum(match.camera, poses[match.index], far_m=far_end_m(match.depth_m))
+    share = contained_share(points, [volume])
+    apart = np.linalg.norm(poses[query.index][:3, 3] - poses[match.index][:3, 3])
+    return f"{100 * share:.0f} % of the first view is in the second, cameras {apart:.2f} m apart"
