@@ -11,7 +11,7 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.log import LoopLog, read_loop_log
 
-CANDIDATE = LoopCandidate(120, 15, 3, 0, 0.19, 0.98195, None, True, "number 1 of 2 by landmarks")
+CANDIDATE = LoopCandidate(120, 15, 3, 0, 0.19, 0.98195, None, "number 1 of 2 by landmarks", True)
 
 
 def test_records_come_back_in_order(tmp_path):

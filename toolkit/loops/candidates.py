@@ -50,8 +50,8 @@ class LoopCandidate:
         distance: of the descriptors, Euclidean.
         cosine: of the descriptors.
         landmark_distance: of the landmark vectors, in [0, sqrt 2]; None where they tell nothing.
+        reason: why it was taken or refused, in plain words.
         accepted: whether it goes on to verification.
-        reason: why, in plain words.
     """
 
     query: int
@@ -61,8 +61,8 @@ class LoopCandidate:
     distance: float
     cosine: float
     landmark_distance: float | None
-    accepted: bool
     reason: str
+    accepted: bool
 
     def record(self) -> dict[str, Any]:
         """The values for a log."""
@@ -277,8 +277,8 @@ class CandidateFinder:
             distance=near.distance,
             cosine=near.cosine,
             landmark_distance=landmarks,
-            accepted=accepted,
             reason=reason,
+            accepted=accepted,
         )
 
 
