@@ -264,8 +264,16 @@ class Slam:
 
     @property
     def exposures(self) -> NDArray[np.float64]:
-        """(gain, bias) [M, 2] of the tracked frames: map = gain * observed + bias."""
-        return np.array([(f.gain, f.bias) for f in self._tracked]).reshape(-1, 2)
+        """(gain, bias) [M, 2] of the tracked frames: map = gain * observed + bias.
+
+        The map is the frame's submap, or once finished the whole one.
+        """
+        known = {} if self.fused is None else self.fused.exposures
+        rows = []
+        for f in self._tracked:
+            gain, bias = known.get(f.submap, (1.0, 0.0))
+            rows.append((gain * f.gain, gain * f.bias + bias))
+        return np.array(rows).reshape(-1, 2)
 
     @property
     def trajectory(self) -> Trajectory:

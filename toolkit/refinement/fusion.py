@@ -9,7 +9,7 @@ since two samplings of one surface hardly ever have their centres in the same pl
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.refinement.exposures import agreed_exposures
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 
@@ -32,27 +33,33 @@ class FusedMap:
 
     Attributes:
         gaussians: N Gaussians. submap: [N] int32, where each came from.
+        exposures: gain and bias of each submap by number, world = gain * submap + bias.
     """
 
     gaussians: GaussianCloud
     submap: Tensor
+    exposures: dict[int, tuple[float, float]]
 
 
 def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     """Join the submaps that can be read. A single one passes unchanged."""
     if len(atlas) == 1:
         cloud = atlas.mapper.gaussians
-        return FusedMap(cloud, torch.zeros(len(cloud), dtype=torch.int32))
-    owners = _owners(atlas, voxel_m)
+        return FusedMap(cloud, torch.zeros(len(cloud), dtype=torch.int32), {0: (1.0, 0.0)})
+    seen = {submap.number: _seen(submap, voxel_m) for submap in _readable(atlas)}
+    owners = _owners(seen)
+    exposures = agreed_exposures({n: (s.voxels, s.colour) for n, s in seen.items()})
     clouds, origin = [], []
     for submap in _readable(atlas):
         voxels = _voxels(submap, voxel_m)
         place = np.searchsorted(owners.voxels, voxels)
         kept = torch.from_numpy(owners.submap[place] == submap.number)
         cloud = submap.gaussians.select(kept).transformed(submap.T_world_submap)
+        gain, bias = exposures[submap.number]
+        cloud = replace(cloud, colours=cloud.colours * gain + bias)
         clouds.append(cloud)
         origin.append(torch.full((len(cloud),), submap.number, dtype=torch.int32))
-    return FusedMap(GaussianCloud.concatenate(clouds), torch.cat(origin))
+    return FusedMap(GaussianCloud.concatenate(clouds), torch.cat(origin), exposures)
 
 
 @dataclass(frozen=True)
@@ -63,21 +70,41 @@ class _Owners:
     submap: NDArray[np.int32]
 
 
-def _owners(atlas: Atlas, voxel_m: float) -> _Owners:
-    keys, weights, numbers = [], [], []
-    for submap in _readable(atlas):
-        voxels, inverse = np.unique(_voxels(submap, voxel_m), return_inverse=True)
-        opacity = submap.gaussians.opacities.double().numpy()
-        solid = np.bincount(inverse, opacity)
-        steps = np.bincount(inverse, opacity * submap.steps.double().numpy())
-        # A submap with a surface there goes before one with a stray Gaussian; then the number
-        # of optimisation steps decides, that is, how often and how long the place was looked at.
-        keys.append(voxels)
-        weights.append(np.where(solid >= _LEAST_OPACITY, 1e12, 0.0) + steps)
-        numbers.append(np.full(len(voxels), submap.number, np.int32))
-    key: NDArray[np.int64] = np.concatenate(keys)
-    number: NDArray[np.int32] = np.concatenate(numbers)
-    weight: NDArray[np.float64] = np.concatenate(weights)
+@dataclass(frozen=True)
+class _Seen:
+    """What a submap has in each voxel of the world.
+
+    Attributes:
+        voxels: [V] int64 keys, ascending.
+        weight: [V]; a submap with a surface there goes before one with a stray Gaussian, then
+            the number of optimisation steps decides: how often and long the place was seen.
+        colour: [V, 3] mean colour, nan where there is no surface.
+    """
+
+    voxels: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    colour: NDArray[np.float64]
+
+
+def _seen(submap: Submap, voxel_m: float) -> _Seen:
+    voxels, inverse = np.unique(_voxels(submap, voxel_m), return_inverse=True)
+    opacity = submap.gaussians.opacities.double().numpy()
+    total = np.bincount(inverse, opacity)
+    solid = total >= _LEAST_OPACITY
+    steps = np.bincount(inverse, opacity * submap.steps.double().numpy())
+    colours = submap.gaussians.colours.double().numpy()
+    sums = [np.bincount(inverse, opacity * channel) for channel in colours.T]
+    mean = np.stack(sums, axis=1) / np.maximum(total, 1e-9)[:, None]
+    mean[~solid] = np.nan
+    return _Seen(voxels, np.where(solid, 1e12, 0.0) + steps, mean)
+
+
+def _owners(seen: dict[int, _Seen]) -> _Owners:
+    key: NDArray[np.int64] = np.concatenate([s.voxels for s in seen.values()])
+    weight: NDArray[np.float64] = np.concatenate([s.weight for s in seen.values()])
+    number: NDArray[np.int32] = np.concatenate(
+        [np.full(len(s.voxels), n, np.int32) for n, s in seen.items()]
+    )
     order = np.lexsort((number, -weight, key))
     key, number = key[order], number[order]
     first = np.ones(len(key), bool)
