@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from registered_room import Scene, scene
+from registered_room import Scene, motion, scene
 
+from toolkit.datasets.synthetic import tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.views import ViewDrawer
 from toolkit.semantics.codes import flat_code
@@ -28,6 +30,13 @@ def semantics() -> SemanticMapping:
 @pytest.fixture(scope="session")
 def labelled_room(semantics: SemanticMapping) -> Scene:
     return scene((0, 8), (12, 4), semantics)
+
+
+@pytest.fixture(scope="session")
+def stranger() -> Keyframe:
+    """A view of another room, at a pose that means nothing."""
+    frames, _ = tiny_room(1, 160, 120, seed=5)
+    return Keyframe.from_frame(frames[0], motion(8, 1.0, 30.0))
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from toolkit.registration.fallbacks import CloudOptions, CloudRegistration, scal
 def test_clouds_find_each_other_from_nothing(room: Scene, search):
     T_new_source = motion(2, 1.0, 70.0)
     far = moved(room.source, T_new_source)
-    registrar = CloudRegistration(CloudOptions(search=search))
+    registrar = CloudRegistration(CloudOptions(search=search, voxel_m=0.08))
     result = registrar.register(room.target, far)
     mm, deg = error(result.T_target_source, room.T_target_source @ se3.inverse(T_new_source))
     assert result.converged, result.reason

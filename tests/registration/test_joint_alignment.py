@@ -42,16 +42,24 @@ def test_pairs_together_find_the_motion_they_share(room: Scene, pairs, seed):
     assert deg < 0.02
 
 
-def test_the_motion_does_not_depend_on_the_source_s_frame(room: Scene, pairs):
-    T_new_source = motion(5, 3.0, 100.0)
+def test_the_motion_does_not_depend_on_the_submaps_frames(room: Scene, pairs):
+    T_new_source, T_other_target = motion(5, 3.0, 100.0), motion(6, 2.0, 80.0)
+    T_target_other = se3.inverse(T_other_target)
     start = room.T_target_source @ motion(1, 0.03, 1.0)
     once = replace(OPTIONS, iterations=1)
     found = align(pairs, Estimate(start), once)
-    told = [replace(p, T_source_frame=T_new_source @ p.T_source_frame) for p in pairs]
-    other = align(told, Estimate(start @ se3.inverse(T_new_source)), once)
+    told = [
+        replace(
+            pair,
+            T_model_target=pair.T_model_target @ T_target_other,
+            T_source_frame=T_new_source @ pair.T_source_frame,
+        )
+        for pair in pairs
+    ]
+    other = align(told, Estimate(T_other_target @ start @ se3.inverse(T_new_source)), once)
     A = se3.adjoint(se3.inverse(T_new_source))
     np.testing.assert_allclose(
-        other.T_target_source @ T_new_source, found.T_target_source, atol=1e-4
+        T_target_other @ other.T_target_source @ T_new_source, found.T_target_source, atol=1e-4
     )
     scale = np.abs(other.information).max()
     np.testing.assert_allclose(
