@@ -6,10 +6,12 @@ from toolkit.submaps.atlas import Atlas
 
 
 def refine_submaps(atlas: Atlas) -> None:
-    """Optimise every submap that can be read, the active one last."""
-    mapper, active = atlas.mapper, atlas.active
-    if active == 0:
+    """Optimise every submap that can be read; all of them rest afterwards."""
+    mapper = atlas.mapper
+    if len(atlas) == 1:
+        # With the optimiser's moments, which a submap that rests gives up.
         mapper.refine()
+        atlas.rest()
         return
     atlas.rest()
     for number in atlas.readable():
