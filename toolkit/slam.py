@@ -224,6 +224,8 @@ class Slam:
             self._closer.close_between(self.atlas, self.atlas.active)
         with self._recorder.timed("refinement"):
             refine_submaps(self.atlas)
+            if self._closer is not None:
+                self._closer.settle(self.atlas)
             self.fused = fuse(self.atlas)
 
     def _remember(
