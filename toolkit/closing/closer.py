@@ -37,7 +37,7 @@ from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.tracker import LocatingTracker, Tracker
+from toolkit.tracking.tracker import LocatingTracker
 
 Array = NDArray[np.float64]
 
@@ -157,10 +157,8 @@ class LoopCloser:
             {"first": found.submap, "second": new, "visible": result.visible_fraction},
         )
 
-    def find(self, frame: Frame, atlas: Atlas, tracker: Tracker) -> Found | None:
-        """Where a lost frame is, if the tracker can look for it."""
-        if not isinstance(tracker, LocatingTracker):
-            return None
+    def find(self, frame: Frame, atlas: Atlas, tracker: LocatingTracker) -> Found | None:
+        """Where a lost frame is, None if it looks like no keyframe or fits none."""
         return self._parts.relocaliser.find(frame, atlas, tracker)
 
     @property
