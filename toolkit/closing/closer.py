@@ -51,6 +51,8 @@ class ClosingOptions:
     Attributes:
         within, between: loops inside submaps and between them.
         least_visible: share of the second image of a pair that the first must explain.
+        least_shared: share of what a suspected keyframe observed that the other one must see,
+            once their submaps are registered.
         drift_confidence: the keyframes of a submap stay where they are unless its loops
             contradict them with so much confidence. A pair of images is no better than a
             centimetre; a map that was tracked well is, and would be disturbed for nothing.
@@ -59,6 +61,7 @@ class ClosingOptions:
     within: bool = True
     between: bool = True
     least_visible: float = 0.4
+    least_shared: float = 0.3
     drift_confidence: float = 0.99
 
 
@@ -109,6 +112,9 @@ class LoopCloser:
         """Take note of the active submap's newest keyframe."""
         with self._recorder.timed("loop detection"):
             considered = self._detector.observe(atlas)
+        if self._detector.searched:
+            query = atlas.mapper.keyframes[-1].index
+            self._record("search", {"query": query, "considered": len(considered)})
         for candidate in considered:
             self._record("candidate", candidate.record())
         self._suspected += [c for c in considered if c.accepted]
@@ -176,7 +182,8 @@ class LoopCloser:
             found = False
             for other in sorted({c.match_submap for c in mine}):
                 edge = self._registered(atlas, other, number)
-                if edge is not None:
+                pairs = [c for c in mine if c.match_submap == other]
+                if edge is not None and self._confirmed(atlas, edge, pairs):
                     self.loops.append(edge)
                     found = True
             return found and self._correct_between(atlas)
@@ -266,6 +273,26 @@ class LoopCloser:
             return None
         T = result.T_target_source
         return self._parts.loop_noise.edge(first, second, T, result.information)
+
+    def _confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: list[LoopCandidate]) -> bool:
+        """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
+
+        Submaps that overlap anyhow can be registered whatever was suspected; without this they
+        would be taken for a proof of it.
+        """
+        matches = {k.index: k for k in atlas.submap(edge.first).keyframes}
+        queries = {k.index: k for k in atlas.submap(edge.second).keyframes}
+        confirmed = 0
+        for pair in pairs:
+            seen = queries[pair.query].points_in_map()
+            points = se3.transform_points(edge.T_first_second, seen)
+            shared = float(matches[pair.match].reaches(points).mean()) if len(points) else 0.0
+            enough = shared >= self.options.least_shared
+            reason = "" if enough else f"the views share only {100 * shared:.0f} %"
+            values = {"query": pair.query, "match": pair.match, "shared": shared}
+            self._record("verified", values | _verdict(reason))
+            confirmed += enough
+        return confirmed > 0
 
     def _correct_between(self, atlas: Atlas) -> bool:
         """Move the anchors to where all loops that agree put them."""

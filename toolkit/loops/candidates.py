@@ -165,9 +165,12 @@ class CandidateFinder:
         self._submaps.append(keyframe.submap)
         self._travelled_m.append(keyframe.travelled_m)
         self._class_counts.append(np.array(keyframe.class_counts, np.int64))
-        if len(self) % self.options.search_every:
-            return []
-        return self.search(number, map_counts)
+        return self.search(number, map_counts) if self.search_was_due else []
+
+    @property
+    def search_was_due(self) -> bool:
+        """Whether the newest keyframe was one at which loops are searched for."""
+        return len(self) > 0 and len(self) % self.options.search_every == 0
 
     def search(
         self, number: int, map_counts: NDArray[np.int64] | None = None

@@ -67,6 +67,11 @@ class LoopDetector:
             )
         )
 
+    @property
+    def searched(self) -> bool:
+        """Whether loops were searched for at the newest keyframe."""
+        return self._finder.search_was_due
+
     def alike(self, keyframe: Keyframe, count: int) -> list[Sighting]:
         """The keyframes that look most like a view, nearest first."""
         return self._finder.alike(self._described(keyframe), count)
