@@ -34,8 +34,9 @@ class There:
         return self.frames[index]
 
 
-def found(query, match, kind="verified", accepted=True):
-    return {"kind": kind, "query": query, "match": match, "accepted": accepted}
+def found(query, match, kind="verified", accepted=True, apart_m=0.1):
+    pair = {"query": query, "match": match, "apart_m": apart_m}
+    return {"kind": kind, "accepted": accepted} | pair
 
 
 SEARCHES = [{"kind": "search", "query": q, "considered": 3} for q in (5, 8, 10)]
@@ -59,6 +60,11 @@ def test_verified_and_suspected_are_told_apart():
 def test_a_loop_within_the_gap_is_none():
     metrics = run_loop_metrics([*SEARCHES, found(8, 7)], There(), GAP)
     assert metrics["loop_precision_percent"] == 0.0
+
+
+def test_the_same_things_seen_from_elsewhere_are_no_claim():
+    metrics = run_loop_metrics([*SEARCHES, found(10, 4, apart_m=0.8)], There(), GAP)
+    assert metrics["loops_accepted"] == 0 and metrics["loop_precision_percent"] is None
 
 
 def test_nothing_is_said_without_searches_or_truth():

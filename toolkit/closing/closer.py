@@ -223,7 +223,8 @@ class LoopCloser:
         if offset is None:
             self._record("within", verdict | {"accepted": False, "reason": "images do not match"})
             return None
-        verdict |= {"matches": offset.matches, "visible": offset.visible}
+        apart_m = float(np.linalg.norm(offset.T_first_second[:3, 3]))
+        verdict |= {"matches": offset.matches, "visible": offset.visible, "apart_m": apart_m}
         if offset.visible < self.options.least_visible:
             reason = f"only {100 * offset.visible:.0f} % of the view is shared"
             self._record("within", verdict | {"accepted": False, "reason": reason})
@@ -284,12 +285,19 @@ class LoopCloser:
         queries = {k.index: k for k in atlas.submap(edge.second).keyframes}
         confirmed = 0
         for pair in pairs:
-            seen = queries[pair.query].points_in_map()
-            points = se3.transform_points(edge.T_first_second, seen)
-            shared = float(matches[pair.match].reaches(points).mean()) if len(points) else 0.0
+            query, match = queries[pair.query], matches[pair.match]
+            points = se3.transform_points(edge.T_first_second, query.points_in_map())
+            shared = float(match.reaches(points).mean()) if len(points) else 0.0
+            T_first_query = edge.T_first_second @ query.T_map_camera
+            apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
             enough = shared >= self.options.least_shared
             reason = "" if enough else f"the views share only {100 * shared:.0f} %"
-            values = {"query": pair.query, "match": pair.match, "shared": shared}
+            values = {
+                "query": pair.query,
+                "match": pair.match,
+                "shared": shared,
+                "apart_m": apart_m,
+            }
             self._record("verified", values | _verdict(reason))
             confirmed += enough
         return confirmed > 0

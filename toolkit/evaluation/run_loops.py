@@ -22,6 +22,9 @@ def run_loop_metrics(
 ) -> Metrics:
     """Precision, recall and F1 of the loops that a run verified, and of those it suspected.
 
+    A verified pair is farther apart than a loop may be where the same things were seen from
+    elsewhere: its edge is as good, and the run knows the distance, so it claims no loop there.
+
     Args:
         records: the lines of loops.jsonl.
         dataset: with the truth; every frame is read once.
@@ -38,7 +41,9 @@ def run_loop_metrics(
     verified = [
         (r["query"], r["match"])
         for r in records
-        if r["kind"] in ("within", "verified") and r["accepted"]
+        if r["kind"] in ("within", "verified")
+        and r["accepted"]
+        and r["apart_m"] < options.most_distance_m
     ]
     suspected = [
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]
