@@ -170,6 +170,7 @@ class Slam:
                 exposure = (found.result.gain, found.result.bias)
                 atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
         self._closer.join(atlas, found)
+        self._closer.close_between(atlas, atlas.active - 1)
         self._closer.observe(atlas)
         _log.warning(
             "submap %d begins at frame %d, %s",
@@ -220,7 +221,9 @@ class Slam:
             return self._labeller.label(frame, T_world_camera)
 
     def finish(self) -> None:
-        """Refine every submap over its keyframes and join them."""
+        """Refine every submap over its keyframes and join them; nothing without a map."""
+        if not self.mapper.keyframes:
+            return
         self._close_within()
         if self._closer is not None:
             self._closer.close_between(self.atlas, self.atlas.active)
