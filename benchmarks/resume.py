@@ -1,6 +1,7 @@
 """Kills runs at random moments, resumes them, and compares with an uninterrupted one.
 
     python benchmarks/resume.py --room DIR --kills 10
+    python benchmarks/resume.py --room DIR --frames 150 --extra "--image-size 160 120 ..."
 
 The results must be the same bytes: trajectory.txt, map.ply, loops.jsonl, and metrics.json
 but for times and memory.
@@ -36,6 +37,8 @@ class Options:
     """Frames of each run."""
     seed: int = 0
     """Of the moments."""
+    extra: str = ""
+    """Further options of every run, in one string."""
 
 
 def main() -> int:
@@ -67,7 +70,8 @@ def main() -> int:
 def _command(options: Options, out: Path) -> list[str]:
     command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
     command += ["--dataset.kind", "synthetic", "--dataset.path", str(options.room)]
-    return [*command, "--max-frames", str(options.frames), "--checkpoint.every-s", "1"]
+    command += ["--max-frames", str(options.frames), "--checkpoint.every-s", "1"]
+    return [*command, *options.extra.split()]
 
 
 def _run_killed(command: list[str], out: Path, after_s: float) -> str:

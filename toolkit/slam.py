@@ -22,7 +22,7 @@ from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.result import Health, TrackingResult
-from toolkit.tracking.tracker import Tracker
+from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
 
@@ -133,22 +133,25 @@ class Slam:
         Found in the active submap, tracking goes on there. Found in another one, or nowhere for
         too long, a new submap begins.
         """
-        if self._closer is None:
+        tracker = self.tracker
+        if self._closer is None or not isinstance(tracker, LocatingTracker):
             return lost
         with self._recorder.timed("relocalisation"):
-            found = self._closer.find(frame, self.atlas, self.tracker)
+            found = self._closer.find(frame, self.atlas, tracker)
         if found is not None and found.submap == self.atlas.active:
-            self.tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
+            tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("frame %d is found again in submap %d", frame.index, found.submap)
             return found.result
         if not may_map:
             return lost
         if found is not None:
             self._begin_at(frame, found)
+            tracker.go_on_from(frame.timestamp_s, np.eye(4))
             return replace(found.result, T_map_camera=np.eye(4))
-        if self._lost_in_a_row < self._closer.patience or self.tracker.first_pose(frame) is None:
+        if self._lost_in_a_row < self._closer.patience or tracker.first_pose(frame) is None:
             return lost
         self._begin_at(frame, None)
+        tracker.go_on_from(frame.timestamp_s, np.eye(4))
         return replace(lost, T_map_camera=np.eye(4), health=Health.GOOD, reason="")
 
     def _begin_at(self, frame: Frame, found: Found | None) -> None:
@@ -166,7 +169,6 @@ class Slam:
             else:
                 exposure = (found.result.gain, found.result.bias)
                 atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
-        self.tracker.go_on_from(frame.timestamp_s, np.eye(4))
         self._closer.join(atlas, found)
         self._closer.observe(atlas)
         _log.warning(
@@ -224,6 +226,8 @@ class Slam:
             self._closer.close_between(self.atlas, self.atlas.active)
         with self._recorder.timed("refinement"):
             refine_submaps(self.atlas)
+            if self._closer is not None:
+                self._closer.settle(self.atlas)
             self.fused = fuse(self.atlas)
 
     def _remember(

@@ -159,6 +159,27 @@ class TestBetween:
         assert all("reason" in r for r in records if r["kind"] in ("candidate", "between"))
 
 
+class TestSettle:
+    def test_pairs_that_overlap_are_measured_again(self, frames):
+        atlas, closer, registrar = closed(frames)
+        closer.close_between(atlas, atlas.active)
+        held = len(closer.loops)
+        atlas.rest()
+        registrar.asked.clear()
+        closer.settle(atlas)
+        # One small room: every submap sees what the others see.
+        count = len(atlas)
+        assert len(registrar.asked) == count * (count - 1) // 2 >= held
+        assert len(closer.loops) >= held
+
+    def test_without_a_loop_nothing_is_touched(self, frames):
+        atlas, closer, registrar = closed(frames, {"fails": True})
+        closer.close_between(atlas, atlas.active)
+        before = bits(atlas)
+        registrar.asked.clear()
+        assert not closer.settle(atlas) and not registrar.asked and bits(atlas) == before
+
+
 class TestState:
     def test_it_goes_on_as_if_nothing_had_been(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,3 +69,8 @@ def fingerprint(slam: Slam) -> dict[str, bytes]:
     out["frames"] = repr((slam.tracked_indices, slam.lost_frames)).encode()
     out["path"] = slam.trajectory.T_world_camera.tobytes()
     return out
+
+
+def blind_frames(frames: Iterable[Frame]) -> list[Frame]:
+    """Frames of a covered lens."""
+    return [replace(f, rgb=np.zeros_like(f.rgb), depth_m=np.zeros_like(f.depth_m)) for f in frames]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.sights import Sights
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
@@ -36,7 +37,7 @@ from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.tracker import LocatingTracker, Tracker
+from toolkit.tracking.tracker import LocatingTracker
 
 Array = NDArray[np.float64]
 
@@ -156,10 +157,8 @@ class LoopCloser:
             {"first": found.submap, "second": new, "visible": result.visible_fraction},
         )
 
-    def find(self, frame: Frame, atlas: Atlas, tracker: Tracker) -> Found | None:
-        """Where a lost frame is, if the tracker can look for it."""
-        if not isinstance(tracker, LocatingTracker):
-            return None
+    def find(self, frame: Frame, atlas: Atlas, tracker: LocatingTracker) -> Found | None:
+        """Where a lost frame is, None if it looks like no keyframe or fits none."""
         return self._parts.relocaliser.find(frame, atlas, tracker)
 
     @property
@@ -181,6 +180,32 @@ class LoopCloser:
                     self.loops.append(edge)
                     found = True
             return found and self._correct_between(atlas)
+
+    def settle(self, atlas: Atlas) -> bool:
+        """Measure all overlaps again on finished submaps; whether anchors moved (stage 2 of G).
+
+        The papers render the joined map at each keyframe and move the anchors by gradients.
+        Registration of each pair that overlaps asks the same question with second-order steps,
+        and its answers can be weighed and refused.
+        """
+        if not self.loops or not self.options.between:
+            return False
+        with self._recorder.timed("anchors settle"):
+            held = {(loop.first, loop.second): loop for loop in self.loops}
+            measured = []
+            for first, second in self._overlapping(atlas, set(held)):
+                edge = self._registered(atlas, first, second)
+                edge = edge or held.get((first, second))
+                measured += [] if edge is None else [edge]
+            self.loops = measured
+            return self._correct_between(atlas)
+
+    def _overlapping(self, atlas: Atlas, held: set[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Pairs of submaps with a loop, or whose keyframes see the same places."""
+        views = {number: Sights.of(atlas.submap(number)) for number in atlas.readable()}
+        pairs = [(a, b) for a in views for b in views if a < b]
+        least = self.options.least_visible
+        return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
 
     def _measured(self, atlas: Atlas, candidate: LoopCandidate) -> PoseEdge | None:
         """A loop edge between what two keyframes of the active submap observed."""

@@ -66,6 +66,6 @@ def _solved(pairs: list[tuple], values: NDArray[np.float64]) -> NDArray[np.float
         residual = J @ values[at]
         weight = 1.0 / (1.0 + (residual / _SCALE) ** 2)
         H[np.ix_(at, at)] += J.T @ (J * weight[:, None])
-    solved: NDArray[np.float64] = np.linalg.solve(H, g)
+    solved = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
     solved[:2] = start[:2]
     return solved

@@ -1,0 +1,92 @@
+"""`semsplat explain-loops`: every suspicion has its picture, every verdict its line."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import pytest
+
+from toolkit.cli.explain_loops import main, summary, verdicts_on
+from toolkit.errors import FormatError, RunFolderError
+
+CANDIDATE = {
+    "kind": "candidate",
+    "query": 8,
+    "match": 1,
+    "query_submap": 1,
+    "match_submap": 0,
+    "distance": 0.11,
+    "cosine": 0.994,
+    "landmark_distance": None,
+    "accepted": True,
+    "reason": "number 1 of 1 by landmarks",
+}
+REFUSED = CANDIDATE | {"match": 2, "accepted": False, "reason": "descriptors differ by 0.5"}
+BETWEEN = {
+    "kind": "between",
+    "first": 0,
+    "second": 1,
+    "overlap": 0.5,
+    "inliers": 0.97,
+    "moved_m": 0.064,
+    "turned_rad": 0.01,
+    "accepted": True,
+    "reason": "",
+}
+CORRECTION = {"kind": "correction between", "loops": 1, "largest_m": 0.05, "largest_rad": 0.01}
+WITHIN = {"kind": "within", "query": 8, "match": 1, "accepted": False, "reason": "no match"}
+
+
+@pytest.fixture
+def looped(run):
+    """A run with a loop in its log."""
+    lines = [CANDIDATE, REFUSED, BETWEEN, CORRECTION]
+    (run / "loops.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return run
+
+
+def test_each_suspicion_has_a_picture(looped, capsys):
+    assert main([str(looped)]) == 0
+    (picture,) = (looped / "loops").iterdir()
+    assert picture.name == "frame000008_frame000001.png"
+    assert cv2.imread(str(picture)).shape[1] > 2 * 64
+    told = capsys.readouterr().out
+    assert "2 keyframes considered, 1 of them suspected" in told
+    assert "submaps 0 and 1: registered, 6.4 cm" in told and "anchors move by up to 5.0 cm" in told
+
+
+def test_refused_ones_on_request_and_elsewhere(looped, tmp_path):
+    assert main([str(looped), "--refused", "--out", str(tmp_path / "pictures")]) == 0
+    assert len(list((tmp_path / "pictures").iterdir())) == 2
+
+
+def test_a_run_without_loops_has_nothing_to_draw(run, capsys):
+    assert main([str(run)]) == 0
+    assert "0 keyframes considered" in capsys.readouterr().out
+    assert not (run / "loops").exists()
+
+
+def test_what_cannot_be_read_is_named(looped, tmp_path):
+    with pytest.raises(RunFolderError, match="holds no run"):
+        main([str(tmp_path)])
+    (looped / "loops.jsonl").write_text("no json\n{}\n")
+    with pytest.raises(FormatError, match=r"loops\.jsonl"):
+        main([str(looped)])
+
+
+def test_a_verdict_belongs_to_its_frames_or_its_submaps():
+    inside = CANDIDATE | {"query_submap": 0}
+    other = WITHIN | {"match": 5}
+    assert verdicts_on(inside, [other, WITHIN, BETWEEN]) == [WITHIN]
+    assert verdicts_on(CANDIDATE, [WITHIN, BETWEEN, BETWEEN | {"first": 2}]) == [BETWEEN]
+
+
+def test_the_story_tells_what_was_refused():
+    lines = summary(
+        [CANDIDATE, WITHIN, BETWEEN | {"accepted": False, "reason": "only 3 % overlap"}]
+    )
+    assert lines[1:] == [
+        "frames 8 and 1: refused, no match",
+        "submaps 0 and 1: only 3 % overlap, 6.4 cm and 0.57 degrees off the odometry",
+    ]
