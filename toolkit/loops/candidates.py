@@ -159,15 +159,24 @@ class CandidateFinder:
         Raises:
             ValueError: the keyframe does not fit those before.
         """
+        number = self.remember(keyframe)
+        if len(self) % self.options.search_every:
+            return []
+        return self.search(number, map_counts)
+
+    def remember(self, keyframe: DescribedKeyframe) -> int:
+        """Remember a keyframe without a search; its number.
+
+        Raises:
+            ValueError: the keyframe does not fit those before.
+        """
         self._check(keyframe)
         number = self._index.add(keyframe.descriptor)
         self._frames.append(keyframe.frame)
         self._submaps.append(keyframe.submap)
         self._travelled_m.append(keyframe.travelled_m)
         self._class_counts.append(np.array(keyframe.class_counts, np.int64))
-        if len(self) % self.options.search_every:
-            return []
-        return self.search(number, map_counts)
+        return number
 
     def search(
         self, number: int, map_counts: NDArray[np.int64] | None = None
