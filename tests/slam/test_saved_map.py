@@ -28,11 +28,12 @@ def room():
     return first_steps(12)
 
 
-def new_slam(patience=3, most_keyframes=150, folder=None):
+def new_slam(patience=3, most_keyframes=150, folder=None, **loops):
     settings = LoopClosureSettings.model_validate(
         {
             "relocalisation": {"patience": patience},
             "registration": {"coarse": {"matching": {"least_matches": 6}}},
+            **loops,
         }
     )
     mapper = Mapper(replace(FEW, keyframes=KeyframePolicy(interval=2)), np.random.default_rng(0))
@@ -144,3 +145,16 @@ def test_it_goes_on_from_a_checkpoint_to_the_same_bits(room, saved, cut, tmp_pat
     for slam in (whole, other):
         slam.finish()
     assert np.array_equal(whole.gaussians.means, other.gaussians.means)
+
+
+def test_a_submap_of_its_own_is_joined_by_a_loop(room, saved):
+    slam = begun(
+        saved,
+        relocalisation={"patience": 1, "least_visible": 1.0},  # nothing is ever found
+        candidates={"search_every": 1, "distance": 0.5, "most_landmark_distance": 2.0},
+    )
+    fed(slam, back(room))
+    assert max(errors_m(slam, room)) > 0.1, "it began at a guess"
+    slam.finish()
+    assert max(errors_m(slam, room)) < 0.04
+    assert np.array_equal(slam.atlas.T_world_submap(1), saved[1].T_world_submap)

@@ -44,16 +44,24 @@ def open_saved_map(settings: RunSettings, dataset: Dataset) -> FinishedRun | Non
             "--map looks for the camera in the saved map: it needs --poses slam and --loops.use"
         )
     saved = open_finished_run(settings.map)
-    here, there = settings.loops.features, saved.settings.loops.features
-    described = all(submap.descriptors.size for submap in saved.submaps.values())
-    if here != there or not described:
-        has = f"--loops.features.kind {there.kind}, source {there.source}" if described else "none"
-        raise SettingsError(
-            f"--map {settings.map}: its keyframes' descriptors are not of these settings' kind "
-            f"({here.kind}, {here.source}) but {has}; make the two agree"
-        )
+    _check_descriptors(saved, settings)
     _check_semantics(saved, settings, dataset)
     return saved
+
+
+def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
+    if not all(submap.descriptors.size for submap in saved.submaps.values()):
+        raise SettingsError(
+            f"--map {settings.map}: its keyframes have no descriptors, by which places are "
+            "recognised; make that map again with --loops.use"
+        )
+    here, there = settings.loops.features, saved.settings.loops.features
+    if here != there:
+        raise SettingsError(
+            f"--map {settings.map}: its keyframes are described by --loops.features.kind "
+            f"{there.kind}, source {there.source}, not by {here.kind}, {here.source}; set "
+            "--loops.features as that run did"
+        )
 
 
 def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset) -> None:
