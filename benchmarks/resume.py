@@ -1,7 +1,7 @@
 """Kills runs at random moments, resumes them, and compares with an uninterrupted one.
 
     python benchmarks/resume.py --room DIR --kills 10
-    python benchmarks/resume.py --room DIR --frames 150 --extra "--image-size 160 120 ..."
+    python benchmarks/resume.py --room DIR --frames 150 "--extra=--image-size 160 120 ..."
 
 The results must be the same bytes: trajectory.txt, map.ply, loops.jsonl, and metrics.json
 but for times and memory.

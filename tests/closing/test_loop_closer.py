@@ -136,7 +136,9 @@ class TestBetween:
 
     def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
-        atlas, closer, _ = closed(frames, {"wrong": True}, log)
+        # As between identical rooms, where the views do agree.
+        options = ClosingOptions(least_shared=0.0)
+        atlas, closer, _ = closed(frames, {"wrong": True}, log, options)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert bits(atlas) == before
@@ -144,6 +146,14 @@ class TestBetween:
             r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "consistency"
         ]
         assert "odometry" in refused["reason"] and not refused["accepted"]
+
+    def test_submaps_that_fit_prove_no_other_suspicion(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        options = ClosingOptions(least_shared=1.01)
+        atlas, closer, _ = closed(frames, log=log, options=options)
+        assert not closer.close_between(atlas, atlas.active) and not closer.loops
+        refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "verified"]
+        assert refused and not any(r["accepted"] for r in refused)
 
     def test_it_can_be_left_out(self, frames):
         atlas, closer, registrar = closed(frames, options=ClosingOptions(between=False))
@@ -155,7 +165,7 @@ class TestBetween:
         closer.close_between(atlas, atlas.active)
         records = read_loop_log(tmp_path / "loops.jsonl")
         kinds = {record["kind"] for record in records}
-        assert {"candidate", "between", "correction between"} <= kinds
+        assert {"search", "candidate", "between", "verified", "correction between"} <= kinds
         assert all("reason" in r for r in records if r["kind"] in ("candidate", "between"))
 
 

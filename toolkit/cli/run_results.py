@@ -14,9 +14,11 @@ from toolkit import __version__
 from toolkit.cli.finished_run import alignment_of, measured, reading_of
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.images import psnr_db
+from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
 from toolkit.evaluation.report import ReportContent, ReportView, write_report
+from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -25,6 +27,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_rgb
 from toolkit.io.pictures import view_strip
 from toolkit.io.splats import SplatLabels
+from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.run_folder import RunFolder
@@ -83,11 +86,22 @@ def write_results(
     _log.info("measuring the run")
     reading = reading_of(semantics, slam.taxonomy, dataset)
     metrics = cost_metrics(costs) | measured(gaussians, tracked, dataset, settings, reading)
+    metrics |= _loop_metrics(dataset, folder, settings)
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(gaussians, semantics, slam.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder)
     write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
     _log.info("wrote %s, with report.html in it", folder.path)
+
+
+def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> Metrics:
+    if settings.poses == "given" or not settings.loops.use:
+        return {}
+    candidates = settings.loops.candidates
+    options = LoopTruthOptions(
+        least_gap_frames=candidates.least_gap_frames, least_gap_m=candidates.least_gap_m
+    )
+    return run_loop_metrics(read_loop_log(folder.loops), dataset, options)
 
 
 def splat_labels(decoding: Decoding, least_confidence: float) -> SplatLabels:

@@ -52,6 +52,8 @@ class ClosingOptions:
     Attributes:
         within, between: loops inside submaps and between them.
         least_visible: share of the second image of a pair that the first must explain.
+        least_shared: share of what a suspected keyframe observed that the other one must see,
+            once their submaps are registered.
         drift_confidence: the keyframes of a submap stay where they are unless its loops
             contradict them with so much confidence. A pair of images is no better than a
             centimetre; a map that was tracked well is, and would be disturbed for nothing.
@@ -60,6 +62,7 @@ class ClosingOptions:
     within: bool = True
     between: bool = True
     least_visible: float = 0.4
+    least_shared: float = 0.3
     drift_confidence: float = 0.99
 
 
@@ -117,6 +120,9 @@ class LoopCloser:
         """Take note of the active submap's newest keyframe."""
         with self._recorder.timed("loop detection"):
             considered = self._detector.observe(atlas)
+        if self._detector.searched:
+            query = atlas.mapper.keyframes[-1].index
+            self._record("search", {"query": query, "considered": len(considered)})
         for candidate in considered:
             self._record("candidate", candidate.record())
         self._suspected += [c for c in considered if c.accepted]
@@ -184,7 +190,8 @@ class LoopCloser:
             found = False
             for other in sorted({c.match_submap for c in mine}):
                 edge = self._registered(atlas, other, number)
-                if edge is not None:
+                pairs = [c for c in mine if c.match_submap == other]
+                if edge is not None and self._confirmed(atlas, edge, pairs):
                     self.loops.append(edge)
                     found = True
             return found and self._correct_between(atlas)
@@ -225,7 +232,8 @@ class LoopCloser:
         if offset is None:
             self._record("within", verdict | {"accepted": False, "reason": "images do not match"})
             return None
-        verdict |= {"matches": offset.matches, "visible": offset.visible}
+        apart_m = float(np.linalg.norm(offset.T_first_second[:3, 3]))
+        verdict |= {"matches": offset.matches, "visible": offset.visible, "apart_m": apart_m}
         if offset.visible < self.options.least_visible:
             reason = f"only {100 * offset.visible:.0f} % of the view is shared"
             self._record("within", verdict | {"accepted": False, "reason": reason})
@@ -275,6 +283,33 @@ class LoopCloser:
             return None
         T = result.T_target_source
         return self._parts.loop_noise.edge(first, second, T, result.information)
+
+    def _confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: list[LoopCandidate]) -> bool:
+        """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
+
+        Submaps that overlap anyhow can be registered whatever was suspected; without this they
+        would be taken for a proof of it.
+        """
+        matches = {k.index: k for k in atlas.submap(edge.first).keyframes}
+        queries = {k.index: k for k in atlas.submap(edge.second).keyframes}
+        confirmed = 0
+        for pair in pairs:
+            query, match = queries[pair.query], matches[pair.match]
+            points = se3.transform_points(edge.T_first_second, query.points_in_map())
+            shared = float(match.reaches(points).mean()) if len(points) else 0.0
+            T_first_query = edge.T_first_second @ query.T_map_camera
+            apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
+            enough = shared >= self.options.least_shared
+            reason = "" if enough else f"the views share only {100 * shared:.0f} %"
+            values = {
+                "query": pair.query,
+                "match": pair.match,
+                "shared": shared,
+                "apart_m": apart_m,
+            }
+            self._record("verified", values | _verdict(reason))
+            confirmed += enough
+        return confirmed > 0
 
     def _correct_between(self, atlas: Atlas) -> bool:
         """Move the anchors to where all loops that agree put them."""

@@ -160,9 +160,7 @@ class CandidateFinder:
             ValueError: the keyframe does not fit those before.
         """
         number = self.remember(keyframe)
-        if len(self) % self.options.search_every:
-            return []
-        return self.search(number, map_counts)
+        return self.search(number, map_counts) if self.search_was_due else []
 
     def remember(self, keyframe: DescribedKeyframe) -> int:
         """Remember a keyframe without a search; its number.
@@ -177,6 +175,11 @@ class CandidateFinder:
         self._travelled_m.append(keyframe.travelled_m)
         self._class_counts.append(np.array(keyframe.class_counts, np.int64))
         return number
+
+    @property
+    def search_was_due(self) -> bool:
+        """Whether the newest keyframe was one at which loops are searched for."""
+        return len(self) > 0 and len(self) % self.options.search_every == 0
 
     def search(
         self, number: int, map_counts: NDArray[np.int64] | None = None

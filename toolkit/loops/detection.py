@@ -92,6 +92,11 @@ class LoopDetector:
         counts = self._counts(keyframe)
         return DescribedKeyframe(keyframe.index, submap, self._travelled_m, descriptor, counts)
 
+    @property
+    def searched(self) -> bool:
+        """Whether loops were searched for at the newest keyframe."""
+        return self._finder.search_was_due
+
     def alike(self, keyframe: Keyframe, count: int) -> list[Sighting]:
         """The keyframes that look most like a view, nearest first."""
         return self._finder.alike(self._described(keyframe), count)

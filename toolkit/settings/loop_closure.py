@@ -36,6 +36,7 @@ class ClosingSettings(Settings):
     within: bool = Field(True, description="inside submaps, between keyframes")
     between: bool = Field(True, description="between submaps, by registration")
     least_visible: float = Field(0.4, ge=0, le=1, description="share of a pair's view in common")
+    least_shared: float = Field(0.3, ge=0, le=1, description="of a suspected pair's views")
     drift_confidence: float = Field(
         0.99, gt=0, lt=1, description="of loops against the keyframes that they move"
     )

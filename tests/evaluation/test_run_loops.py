@@ -1,0 +1,72 @@
+"""Figures of loops from a run's log."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.evaluation.loops import LoopTruthOptions
+from toolkit.evaluation.run_loops import run_loop_metrics
+from toolkit.geometry.trajectory import Trajectory
+
+GAP = LoopTruthOptions(least_gap_frames=6, least_gap_m=0.0)
+
+
+class There:
+    """A walk and the same walk again, as a data set."""
+
+    def __init__(self, truth=True):
+        frames, path = tiny_room(6, 64, 48)
+        again = [replace(f, index=6 + f.index, timestamp_s=6.0 + f.timestamp_s) for f in frames]
+        self.frames = [*frames, *again]
+        times = np.array([f.timestamp_s for f in self.frames])
+        poses = np.concatenate([path.T_world_camera] * 2)
+        self.ground_truth = Trajectory(times, poses) if truth else None
+        self.camera = frames[0].camera
+
+    def __len__(self):
+        return len(self.frames)
+
+    def __getitem__(self, index):
+        return self.frames[index]
+
+
+def found(query, match, kind="verified", accepted=True, apart_m=0.1):
+    pair = {"query": query, "match": match, "apart_m": apart_m}
+    return {"kind": kind, "accepted": accepted} | pair
+
+
+SEARCHES = [{"kind": "search", "query": q, "considered": 3} for q in (5, 8, 10)]
+
+
+def test_verified_and_suspected_are_told_apart():
+    records = [
+        *SEARCHES,
+        found(8, 2, "candidate"),
+        found(10, 4, "candidate"),
+        found(10, 4),
+        found(8, 2, accepted=False),
+    ]
+    metrics = run_loop_metrics(records, There(), GAP)
+    assert metrics["loop_precision_percent"] == 100.0
+    assert metrics["loop_recall_percent"] == pytest.approx(50.0)
+    assert metrics["loop_recall_suspected_percent"] == pytest.approx(100.0)
+    assert metrics["loops_searched"] == 3
+
+
+def test_a_loop_within_the_gap_is_none():
+    metrics = run_loop_metrics([*SEARCHES, found(8, 7)], There(), GAP)
+    assert metrics["loop_precision_percent"] == 0.0
+
+
+def test_the_same_things_seen_from_elsewhere_are_no_claim():
+    metrics = run_loop_metrics([*SEARCHES, found(10, 4, apart_m=0.8)], There(), GAP)
+    assert metrics["loops_accepted"] == 0 and metrics["loop_precision_percent"] is None
+
+
+def test_nothing_is_said_without_searches_or_truth():
+    assert run_loop_metrics([found(8, 2)], There(), GAP) == {}
+    assert run_loop_metrics(SEARCHES, There(truth=False), GAP) == {}
