@@ -67,16 +67,14 @@ def main(out: Path, images: Iterable[CameraImage], camera: Camera) -> int:
 
     for index, image in enumerate(images):
         result = slam.process_frame(as_frame(index, image, camera))
-        if result.T_map_camera is None:
+        if result.T_world_camera is None:
             print(f"frame {index}: lost; go back to where the camera has been")
         else:
-            x, y, z = result.T_map_camera[:3, 3]
-            print(
-                f"frame {index}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, map of {slam.mapper.gaussians}"
-            )
+            x, y, z = result.T_world_camera[:3, 3]
+            print(f"frame {index}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, map of {slam.gaussians}")
     slam.finish()
 
-    write_splat_ply(out, slam.mapper.gaussians)
+    write_splat_ply(out, slam.gaussians)
     write_tum(out.with_suffix(".txt"), slam.trajectory)
     print(f"wrote {out} and {out.with_suffix('.txt')} ({slam.trajectory})")
     return 0

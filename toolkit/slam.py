@@ -35,15 +35,18 @@ class FrameResult:
 
     Attributes:
         index: the frame's index in its sequence.
-        T_map_camera: [4, 4] float64 pose in the map's frame, or None if the frame is lost.
+        T_map_camera: [4, 4] float64 pose in the frame of the active submap, or None if the
+            frame is lost.
         tracking: the tracker's full answer; None for the frame that started the map.
         mapping: what mapping did; None unless the frame became a keyframe.
+        T_world_camera: the same pose in the world, as it is known by now: loops move it.
     """
 
     index: int
     T_map_camera: NDArray[np.float64] | None
     tracking: TrackingResult | None
     mapping: MappingResult | None
+    T_world_camera: NDArray[np.float64] | None = None
 
     @property
     def lost(self) -> bool:
@@ -149,7 +152,8 @@ class Slam:
             T_map_camera = self._allocate(frame, tracking)
 
         self._remember(frame, T_map_camera, tracking)
-        return FrameResult(frame.index, T_map_camera, tracking, mapping)
+        T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
+        return FrameResult(frame.index, T_map_camera, tracking, mapping, T_world_camera)
 
     def _recovered(self, frame: Frame, lost: TrackingResult, may_map: bool) -> TrackingResult:
         """Where a lost frame is after all, in the active submap; the lost answer if nowhere.
@@ -192,6 +196,7 @@ class Slam:
                 exposure = (found.result.gain, found.result.bias)
                 atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
         self._closer.join(atlas, found)
+        self._closer.close_between(atlas, atlas.active - 1)
         self._closer.observe(atlas)
         _log.warning(
             "submap %d begins at frame %d, %s",
@@ -250,7 +255,9 @@ class Slam:
             return self._labeller.label(frame, T_world_camera)
 
     def finish(self) -> None:
-        """Refine every submap over its keyframes and join them."""
+        """Refine every submap over its keyframes and join them; nothing without a map."""
+        if not self.mapper.keyframes:
+            return
         self._close_within()
         if self._closer is not None:
             self._closer.close_between(self.atlas, self.atlas.active)

@@ -93,6 +93,13 @@ class TestPath:
         assert fingerprint(watched) == fingerprint(plain)
 
 
+def test_without_a_map_there_is_nothing_to_finish(room):
+    slam = new_slam()
+    slam.process_frame(blind(room.frames[0]))
+    slam.finish()
+    assert len(slam.gaussians) == 0 and slam.lost_frames == [0]
+
+
 class TestHeldOut:
     def test_held_out_frames_are_tracked_and_not_mapped(self, room):
         slam = new_slam()

@@ -235,6 +235,12 @@ class TestAtlas:
         assert len(cut.atlas) > 1
         assert np.allclose(cut.trajectory.T_world_camera, room[1].T_world_camera, atol=1e-9)
 
+    def test_a_result_has_its_place_in_the_world(self, room, tmp_path):
+        slam = cut_slam(room, tmp_path)
+        results = [slam.process_frame(frame) for frame in room[0]]
+        told = np.array([result.T_world_camera for result in results])
+        assert np.allclose(told, room[1].T_world_camera, atol=1e-9)
+
     def test_the_boundary_belongs_to_both(self, cut):
         atlas = cut.atlas
         for number in range(1, len(atlas)):

@@ -40,7 +40,7 @@ from toolkit.tracking.odometry import frame_to_model
 
 # Steps of 15 cm and 15 degrees in these directions (of `small_motion`) are too large for the
 # tracker's own levels, and not for odometry.
-TOO_FAR = [9, 11]
+TOO_FAR = [21, 39]
 
 
 def level_of(frame: Frame) -> FrameLevel:
