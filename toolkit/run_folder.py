@@ -165,6 +165,11 @@ class RunFolder:
             raise RunFolderError(f"no checkpoint in {self.checkpoints} can be read; start anew")
         return None
 
+    @property
+    def has_checkpoint(self) -> bool:
+        """Whether there is any, whole or damaged."""
+        return bool(self._generations())
+
     def _generations(self) -> list[tuple[Path, int]]:
         """(folder, serial number) of the generations, newest first."""
         found = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -21,7 +22,8 @@ from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.result import Health, TrackingResult
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.result import Health, TrackingResult, not_tracked
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
@@ -93,6 +95,23 @@ class Slam:
         self.lost_frames: list[int] = []
         self._lost_in_a_row = 0
 
+    def begin_in(self, submaps: Iterable[Submap]) -> None:
+        """Begin in the map of an earlier run, before the first frame.
+
+        Each frame is lost until one is found there; after the patience of relocalisation a
+        submap begins that a loop may join later. The world is the earlier run's.
+
+        Args:
+            submaps: as `Atlas.begin_in` takes them, with descriptors of this run's kind.
+
+        Raises:
+            ValueError: nothing here can look for a camera.
+        """
+        if self._closer is None or not isinstance(self.tracker, LocatingTracker):
+            raise ValueError("a saved map needs loop closure, and a tracker that can locate")
+        self.atlas.begin_in(submaps)
+        self._closer.begin_in(self.atlas)
+
     def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
         """Track one frame and, where it adds something, map it.
 
@@ -102,7 +121,12 @@ class Slam:
         tracking = None
         if self._labels_first:
             frame = self._labelled(frame, None)
-        if not self.mapper.keyframes:
+        if not self.atlas.begun:
+            tracking = self._recovered(
+                frame, not_tracked("it is not found in the saved map"), may_map
+            )
+            T_map_camera = None if tracking.lost else tracking.T_map_camera
+        elif not self.mapper.keyframes:
             T_map_camera = self.tracker.first_pose(frame) if may_map else None
         else:
             with self._recorder.timed("tracking"):
@@ -142,7 +166,7 @@ class Slam:
             return lost
         with self._recorder.timed("relocalisation"):
             found = self._closer.find(frame, self.atlas, tracker)
-        if found is not None and found.submap == self.atlas.active:
+        if found is not None and self.atlas.begun and found.submap == self.atlas.active:
             tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("frame %d is found again in submap %d", frame.index, found.submap)
             return found.result
@@ -161,15 +185,13 @@ class Slam:
     def _begin_at(self, frame: Frame, found: Found | None) -> None:
         """Begin a submap at a frame, joined to where it was found or to nothing yet."""
         assert self._closer is not None
-        atlas, place = self.atlas, self._tracked[-1]
+        atlas = self.atlas
         if self._labeller is not None and not self._labels_first:
             frame = self._labelled(frame, None)
         self._close_within()
         with self._recorder.timed("mapping"):
             if found is None:
-                T_map_camera = atlas.keyframe_poses(place.submap)[place.keyframe]
-                T_map_camera = T_map_camera @ self._T_keyframe_camera[-1]
-                atlas.begin_at(frame, place.submap, T_map_camera, inherit=False)
+                atlas.begin_at(frame, *self._last_place(), inherit=False)
             else:
                 exposure = (found.result.gain, found.result.bias)
                 atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
@@ -184,6 +206,14 @@ class Slam:
             if found
             else "joined to nothing until a loop is found",
         )
+
+    def _last_place(self) -> tuple[int, NDArray[np.float64]]:
+        """Submap and pose of the last frame that had one; in a saved map, before any, its end."""
+        if not self._tracked:
+            return self.atlas.active, np.eye(4)
+        last = self._tracked[-1]
+        T_submap_keyframe = self.atlas.keyframe_poses(last.submap)[last.keyframe]
+        return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
 
     def _allocate(self, frame: Frame, tracking: TrackingResult | None) -> NDArray[np.float64]:
         """Begin the next submap where it is time; the newest keyframe's pose in the active one."""
@@ -203,7 +233,7 @@ class Slam:
 
     def _close_within(self) -> None:
         """Close the active submap's own loops; the tracker follows its newest keyframe."""
-        if self._closer is None:
+        if self._closer is None or not self.mapper.keyframes:
             return
         before = self.mapper.keyframes[-1].T_map_camera
         if self._closer.close_within(self.atlas):
@@ -254,9 +284,12 @@ class Slam:
 
     @property
     def keyframe_indices(self) -> list[int]:
-        """Frame indices of all keyframes, in order; one on a boundary counts once."""
+        """Frame indices of all keyframes, in order; one on a boundary counts once.
+
+        Those of a saved map are no frames of this sequence.
+        """
         atlas = self.atlas
-        return sorted({i for n in range(len(atlas)) for i in atlas.keyframe_poses(n)})
+        return sorted({i for n in range(atlas.saved, len(atlas)) for i in atlas.keyframe_poses(n)})
 
     @property
     def keyframe_count(self) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, poses
+from room_runs import RoomRuns, make_room_runs
 
 from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.gaussians.cloud import GaussianCloud
@@ -48,3 +49,8 @@ def run(tmp_path, gaussians, recording) -> Path:
     folder.write_json(folder.frames, {"frames": rows, "lost": [9], "keyframes": [0, 5]})
     folder.write_json(folder.metrics, {"tracking_ms_per_frame": 12.5, "psnr_db": 1.0})
     return folder.path
+
+
+@pytest.fixture(scope="session")
+def room_runs(tmp_path_factory) -> RoomRuns:
+    return make_room_runs(tmp_path_factory.mktemp("room_runs"))

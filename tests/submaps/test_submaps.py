@@ -25,6 +25,7 @@ from toolkit.submaps.allocation import (
     share_inside,
 )
 from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.given import GivenPoses
@@ -350,3 +351,20 @@ class TestFusion:
         cut.atlas.lost.append(0)
         cut.finish()
         assert 0 not in cut.fused.submap.unique().tolist()
+
+
+class TestSavedSubmaps:
+    def test_the_last_version_of_each_is_read(self, tmp_path):
+        store = SubmapStore(tmp_path)
+        for seed in range(12):  # past the first version of two digits
+            store.put(some_submap(3, seed=seed))
+        store.put(some_submap(12, seed=5))
+        (tmp_path / ".writing-x").mkdir()
+        anchors = {12: np.eye(4), 3: se3.exp(np.arange(6) * 0.2)}
+        saved = SavedSubmaps(SubmapStore.newest(tmp_path), anchors)
+        assert list(saved) == [3, 12] and len(saved) == 2
+        assert torch.equal(saved[3].gaussians.means, some_submap(3, seed=11).gaussians.means)
+        assert np.array_equal(saved[3].T_world_submap, anchors[3])
+
+    def test_a_folder_that_is_not_there_has_none(self, tmp_path):
+        assert 0 not in SubmapStore.newest(tmp_path / "none")

@@ -58,6 +58,8 @@ def main(argv: Sequence[str]) -> int:
         (place, record)
         for place, record in enumerate(records)
         if record["kind"] == "candidate" and (record["accepted"] or options.refused)
+        # The frames of a saved map are not in this run's data set.
+        if record["match"] >= 0
     ]
     for line in summary(records):
         print(line)

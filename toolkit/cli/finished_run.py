@@ -18,6 +18,7 @@ from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.evaluation.semantic_views import SemanticReading
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.run_folder import RunFolder
@@ -25,6 +26,8 @@ from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.files import load
 from toolkit.settings.run import RunSettings
+from toolkit.submaps.saved import SavedSubmaps
+from toolkit.submaps.store import SubmapStore
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class FinishedRun:
         keyframes: indices of the keyframes.
         semantics: how its features are read; without channels where it has none.
         taxonomy: the tree of its labels, or None.
+        anchors: T_world_submap [4, 4] of each submap that it could read, by number.
     """
 
     folder: RunFolder
@@ -50,6 +54,22 @@ class FinishedRun:
     keyframes: list[int]
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
+    anchors: dict[int, NDArray[np.float64]]
+
+    @property
+    def submaps(self) -> SavedSubmaps:
+        """Its submaps as they were at its end.
+
+        Raises:
+            RunFolderError: it left none, or one is missing.
+        """
+        store = SubmapStore.newest(self.folder.submaps, self.settings.submaps.memory_mb)
+        if not self.anchors or not all(number in store for number in self.anchors):
+            raise RunFolderError(
+                f"{self.folder.submaps} lacks submaps of the run, which one of an older version "
+                "did not keep; run again"
+            )
+        return SavedSubmaps(store, self.anchors)
 
     @property
     def dataset_path(self) -> Path | None:
@@ -100,6 +120,7 @@ def open_finished_run(path: Path) -> FinishedRun:
             tracked=_tracked(content["frames"], folder.read_trajectory().T_world_camera),
             lost=[int(i) for i in content["lost"]],
             keyframes=[int(i) for i in content["keyframes"]],
+            anchors=_anchors(content.get("submaps", [])),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
@@ -156,6 +177,17 @@ def _read_frames(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunFolderError(f"{path} holds no dictionary; run again")
     return content
+
+
+def _anchors(rows: list[dict[str, Any]]) -> dict[int, NDArray[np.float64]]:
+    anchors = {
+        int(row["number"]): np.array(row["T_world_submap"], np.float64).reshape(4, 4)
+        for row in rows
+        if not row["lost"]
+    }
+    if not all(se3.is_rigid(T) for T in anchors.values()):
+        raise ValueError("the pose of a submap is not rigid")
+    return anchors
 
 
 def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[TrackedFrame]:

@@ -22,6 +22,7 @@ JOBS = {
     "render": ("render", "render views of a map to PNG"),
     "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
     "explain-loops": ("explain_loops", "draw each suspected loop of a run and its verdict"),
+    "register": ("register", "find where one run's map lies in another's, and merge the two"),
     "query": ("query", "ask a labelled map what is where, how many and how large"),
     "check-data": ("check_data", "read a data set and say what is wrong with it"),
     "make-room": ("make_room", "make a synthetic room with known truth"),

@@ -16,8 +16,9 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.run_results import held_out, write_results
+from toolkit.cli.saved_map import begin_in_map, labeller_of, open_saved_map
 from toolkit.closing.factory import ClosingContext, build_loop_closer
-from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
@@ -25,7 +26,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.run_folder import RunFolder
-from toolkit.semantics.factory import build_code, build_labeller
+from toolkit.semantics.factory import build_code
 from toolkit.settings.files import dump, load
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
@@ -60,6 +61,9 @@ def main(argv: Sequence[str]) -> int:
     settings = _with_path(program.settings, path)
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
     config = dump(settings)
+    # Before a folder is made: it is of no use with another map.
+    begun = program.resume and RunFolder(program.out).has_checkpoint
+    saved = None if begun else open_saved_map(settings, dataset)
     if program.resume:
         folder = RunFolder.open(program.out)
         folder.check_config(config)
@@ -69,6 +73,10 @@ def main(argv: Sequence[str]) -> int:
     watch = StageRecorder()
     slam = build_slam(settings, dataset, watch, folder)
     folder.check_taxonomy(slam.taxonomy)
+    if saved is not None:
+        begin_in_map(slam, saved)
+        # What it began in is the run's own from here on, and need not be there to resume.
+        _save(slam, folder, 0)
     _process(slam, dataset, folder, settings, watch)
     write_results(slam, dataset, folder, settings, watch)
     return 0
@@ -82,8 +90,7 @@ def build_slam(
     Args:
         folder: where submaps rest and loops are written down; None keeps all in memory.
     """
-    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    labeller = build_labeller(settings.semantics, dataset.label_names, stems)
+    labeller = labeller_of(settings, dataset)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
     mapper = build_mapper(
         settings.mapping,

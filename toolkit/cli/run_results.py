@@ -66,7 +66,8 @@ def write_results(
         # What is measured is what the file holds, which is rounded.
         features = gaussians.features.half().float()
         gaussians = replace(gaussians, features=features)
-        labels = _labels(semantics.decode_gaussians(features), settings.semantics.least_confidence)
+        decoding = semantics.decode_gaussians(features)
+        labels = splat_labels(decoding, settings.semantics.least_confidence)
     tracked = [
         TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
         for index, time, T, (gain, bias) in zip(
@@ -103,7 +104,8 @@ def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) ->
     return run_loop_metrics(read_loop_log(folder.loops), dataset, options)
 
 
-def _labels(decoding: Decoding, least_confidence: float) -> SplatLabels:
+def splat_labels(decoding: Decoding, least_confidence: float) -> SplatLabels:
+    """The columns of a map's file; levels below the confidence are left open."""
     levels = decoding.backed_off(least_confidence)
     return SplatLabels(decoding.class_ids, levels, decoding.confidence)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,13 @@ class LoopCloser:
         self._recorder = recorder or NullRecorder()
         self._links: list[PoseEdge] = []
         self._suspected: list[LoopCandidate] = []
+
+    def begin_in(self, atlas: Atlas) -> None:
+        """Take note of the saved map that an atlas begins with, which is rigid from now on."""
+        self._detector.take_over(atlas.submap(number) for number in range(atlas.saved))
+        for first, second in pairwise(range(atlas.saved)):
+            T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
+            self._links.append(PoseEdge(first, second, T, _SURE))
 
     def observe(self, atlas: Atlas) -> None:
         """Take note of the active submap's newest keyframe."""
@@ -210,7 +218,8 @@ class LoopCloser:
     def _overlapping(self, atlas: Atlas, held: set[tuple[int, int]]) -> list[tuple[int, int]]:
         """Pairs of submaps with a loop, or whose keyframes see the same places."""
         views = {number: Sights.of(atlas.submap(number)) for number in atlas.readable()}
-        pairs = [(a, b) for a in views for b in views if a < b]
+        # Two submaps of a saved map stay as they are.
+        pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
         least = self.options.least_visible
         return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
 
@@ -324,7 +333,8 @@ class LoopCloser:
         self.loops = [loop for loop in self.loops if not any(loop is e for e in taken_back)]
         correction = PoseCorrection.of(graph, solution)
         for number, T in correction.T_new.items():
-            atlas.move(number, T)
+            if number >= atlas.saved:
+                atlas.move(number, T)
         self._record(
             "correction between",
             {"loops": len(self.loops), **_moved(correction)},

@@ -34,6 +34,8 @@ def run_loop_metrics(
         Flat figures; "_suspected" are by descriptors and landmarks alone. Empty where nothing
         was searched, or nothing is known.
     """
+    # The frames of a saved map have negative indices, and no truth in this data set.
+    records = [r for r in records if r.get("match", 0) >= 0]
     searched = [r["query"] for r in records if r["kind"] == "search"]
     if not searched or dataset.ground_truth is None:
         return {}

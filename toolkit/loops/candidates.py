@@ -159,13 +159,22 @@ class CandidateFinder:
         Raises:
             ValueError: the keyframe does not fit those before.
         """
+        number = self.remember(keyframe)
+        return self.search(number, map_counts) if self.search_was_due else []
+
+    def remember(self, keyframe: DescribedKeyframe) -> int:
+        """Remember a keyframe without a search; its number.
+
+        Raises:
+            ValueError: the keyframe does not fit those before.
+        """
         self._check(keyframe)
         number = self._index.add(keyframe.descriptor)
         self._frames.append(keyframe.frame)
         self._submaps.append(keyframe.submap)
         self._travelled_m.append(keyframe.travelled_m)
         self._class_counts.append(np.array(keyframe.class_counts, np.int64))
-        return self.search(number, map_counts) if self.search_was_due else []
+        return number
 
     @property
     def search_was_due(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from toolkit.loops.candidates import (
 )
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.submap import Submap
 
 # Class ids [H, W] to colours [3, H, W] in [0, 1].
 Painter = Callable[[NDArray[np.integer]], Tensor]
@@ -53,19 +54,43 @@ class LoopDetector:
         keyframe = atlas.mapper.keyframes[-1]
         descriptor = self._described(keyframe)
         atlas.describe(descriptor)
-        place = (atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera)[:3, 3]
+        T_world_camera = atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera
+        return self._finder.add(self._passed(keyframe, atlas.active, T_world_camera, descriptor))
+
+    def take_over(self, submaps: Iterable[Submap]) -> None:
+        """Remember the keyframes of an earlier run, with the descriptors that it gave them.
+
+        The path goes on beyond the gap that keeps neighbours apart: no frame of this run is a
+        neighbour of one of that.
+        """
+        last = None
+        for submap in submaps:
+            for keyframe, descriptor in zip(submap.keyframes, submap.descriptors, strict=True):
+                # One on a boundary is in two submaps.
+                if last is not None and keyframe.index <= last:
+                    continue
+                last = keyframe.index
+                T_world_camera = submap.T_world_camera(keyframe)
+                self._finder.remember(
+                    self._passed(keyframe, submap.number, T_world_camera, descriptor)
+                )
+        self._travelled_m += self._finder.options.least_gap_m
+        self._last = None
+
+    def _passed(
+        self,
+        keyframe: Keyframe,
+        submap: int,
+        T_world_camera: NDArray[np.float64],
+        descriptor: NDArray[np.float32],
+    ) -> DescribedKeyframe:
+        """A keyframe with the length of the path up to it."""
+        place = T_world_camera[:3, 3]
         if self._last is not None:
             self._travelled_m += float(np.linalg.norm(place - self._last))
         self._last = place
-        return self._finder.add(
-            DescribedKeyframe(
-                frame=keyframe.index,
-                submap=atlas.active,
-                travelled_m=self._travelled_m,
-                descriptor=descriptor,
-                class_counts=self._counts(keyframe),
-            )
-        )
+        counts = self._counts(keyframe)
+        return DescribedKeyframe(keyframe.index, submap, self._travelled_m, descriptor, counts)
 
     @property
     def searched(self) -> bool:

@@ -8,7 +8,7 @@ since two samplings of one surface hardly ever have their centres in the same pl
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,11 +46,21 @@ def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     if len(atlas) == 1:
         cloud = atlas.mapper.gaussians
         return FusedMap(cloud, torch.zeros(len(cloud), dtype=torch.int32), {0: (1.0, 0.0)})
-    seen = {submap.number: _seen(submap, voxel_m) for submap in _readable(atlas)}
+    return fuse_submaps(lambda: _readable(atlas), voxel_m)
+
+
+def fuse_submaps(submaps: Callable[[], Iterable[Submap]], voxel_m: float = VOXEL_M) -> FusedMap:
+    """Join any submaps, each placed by its `T_world_submap`; the first one's exposure stays.
+
+    Args:
+        submaps: gives them one after another, twice the same, so that they need not all be in
+            memory; at least one, of different numbers and equal feature channels.
+    """
+    seen = {submap.number: _seen(submap, voxel_m) for submap in submaps()}
     owners = _owners(seen)
     exposures = agreed_exposures({n: (s.voxels, s.colour) for n, s in seen.items()})
     clouds, origin = [], []
-    for submap in _readable(atlas):
+    for submap in submaps():
         voxels = _voxels(submap, voxel_m)
         place = np.searchsorted(owners.voxels, voxels)
         kept = torch.from_numpy(owners.submap[place] == submap.number)

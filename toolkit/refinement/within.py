@@ -6,7 +6,10 @@ from toolkit.submaps.atlas import Atlas
 
 
 def refine_submaps(atlas: Atlas) -> None:
-    """Optimise every submap that can be read; all of them rest afterwards."""
+    """Optimise every submap that can be read; all of them rest afterwards.
+
+    Those of a saved map were refined at the end of the run that made them.
+    """
     mapper = atlas.mapper
     if len(atlas) == 1:
         # With the optimiser's moments, which a submap that rests gives up.
@@ -14,7 +17,7 @@ def refine_submaps(atlas: Atlas) -> None:
         atlas.rest()
         return
     atlas.rest()
-    for number in atlas.readable():
+    for number in (n for n in atlas.readable() if n >= atlas.saved):
         submap = atlas.submap(number)
         mapper.take(submap.content)
         mapper.refine()

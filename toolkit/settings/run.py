@@ -40,6 +40,7 @@ class RunSettings(Settings):
     max_frames: int | None = Field(None, ge=1, description="stop after so many")
     hold_out: int | None = Field(None, ge=2, description="keep every n-th frame out of the map")
     poses: Literal["slam", "given"] = Field("slam", description="track, or take the truth's")
+    map: Path | None = Field(None, description="folder of a finished run to begin in and extend")
     backend: Literal["auto", "native", "reference", "cuda"] = Field("auto", description="renderer")
     tracking: TrackingSettings = TrackingSettings()
     mapping: MappingSettings = MappingSettings()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,6 +46,10 @@ class Atlas:
     Args:
         mapper: works on the active submap.
         allocation: when the next one begins; None keeps a single one.
+
+    Attributes:
+        saved: so many submaps, the first ones, are of an earlier run: they are known, and
+            neither optimised nor moved any more.
     """
 
     def __init__(
@@ -57,6 +62,7 @@ class Atlas:
         self.mapper = mapper
         self.verdicts: list[AllocationVerdict] = []
         self.lost: list[int] = []
+        self.saved = 0
         self._allocation = allocation
         self._store = store or SubmapStore()
         self._boundary = boundary or BoundaryOptions()
@@ -73,6 +79,27 @@ class Atlas:
 
     def __len__(self) -> int:
         return len(self._anchors)
+
+    @property
+    def begun(self) -> bool:
+        """Whether a submap is being mapped; not before the camera is found in a saved map."""
+        return self._in_mapper(self.active)
+
+    def begin_in(self, submaps: Iterable[Submap]) -> None:
+        """Begin with the submaps of an earlier run, before the first frame.
+
+        No submap is active until `begin_at` begins one.
+
+        Args:
+            submaps: numbered from 0, at least one; their keyframes have negative indices.
+        """
+        self._anchors, self._descriptors = [], []
+        for submap in submaps:
+            self._anchors.append(submap.T_world_submap)
+            self._descriptors.append(submap.descriptors)
+            self._keyframes.append({k.index: k.T_map_camera for k in submap.keyframes})
+            self._store.put(submap)
+        self.saved = len(self._anchors)
 
     def T_world_submap(self, number: int) -> NDArray[np.float64]:
         """[4, 4] pose of an anchor."""
@@ -188,8 +215,8 @@ class Atlas:
         """Begin a submap at a frame that lies somewhere in an older one."""
         old = self.submap(self.active)
         content = self._inherited(frame, around, T_around_camera)
-        self._keyframes.append({k.index: k.T_map_camera for k in old.keyframes})
-        self._store.put(old)
+        if self.begun:
+            self.rest()
         self._anchors.append(around.T_world_submap @ T_around_camera)
         self._descriptors.append(self._boundary_row(old, frame.index))
         self.mapper.take(content)
@@ -238,7 +265,8 @@ class Atlas:
             arrays[f"indices/{number}"] = np.array(list(poses), np.int64)
             arrays[f"poses/{number}"] = np.array(list(poses.values())).reshape(-1, 4, 4)
         verdicts = [verdict.values() for verdict in self.verdicts]
-        return arrays, {"store": self._store.state(), "verdicts": verdicts}
+        values = {"store": self._store.state(), "verdicts": verdicts, "saved": self.saved}
+        return arrays, values
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Take over an earlier `state`; submaps that cannot be read are named and left out."""
@@ -250,8 +278,10 @@ class Atlas:
                 int(index): np.array(T)
                 for index, T in zip(arrays[f"indices/{n}"], arrays[f"poses/{n}"], strict=True)
             }
-            for n in range(count - 1)
+            for n in range(count)
+            if f"indices/{n}" in arrays
         ]
+        self.saved = int(values["saved"])
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
         self.lost = self._store.restore(values["store"])
         self._checkpoints = [dict(values["store"])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 from pathlib import Path
 
@@ -11,6 +12,9 @@ from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.submaps.submap import Submap
 
 _log = logging.getLogger(__name__)
+
+# Number and version, as `_name` writes them.
+_NAME = re.compile(r"(\d{4,})_(\d+)")
 
 
 class SubmapStore:
@@ -28,6 +32,21 @@ class SubmapStore:
         self.folder, self.budget_mb = folder, budget_mb
         self._versions: dict[int, int] = {}
         self._held: dict[int, Submap] = {}  # the least recently used first
+
+    @classmethod
+    def newest(cls, folder: Path, budget_mb: float = 500.0) -> SubmapStore:
+        """The submaps of a folder that a store wrote, each in its last version."""
+        store = cls(folder, budget_mb)
+        for path in folder.iterdir() if folder.is_dir() else ():
+            found = _NAME.fullmatch(path.name)
+            if found:
+                number, version = int(found[1]), int(found[2])
+                store._versions[number] = max(version, store._versions.get(number, 0))
+        return store
+
+    def __contains__(self, number: int) -> bool:
+        """Whether a submap was ever put."""
+        return number in self._versions
 
     def put(self, submap: Submap) -> None:
         """Keep a submap, or its new content.

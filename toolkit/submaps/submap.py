@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,15 @@ class Submap:
     def content(self) -> MapContent:
         """What a mapper works on; shared, not copied."""
         return MapContent(self.gaussians, self.keyframes, self.seeded_by, self.steps)
+
+    def renumbered(self, number: int, later_by: int) -> Submap:
+        """The same submap as another's number, its frames' indices moved by so many."""
+        return replace(
+            self,
+            number=number,
+            keyframes=[replace(k, index=k.index + later_by) for k in self.keyframes],
+            seeded_by=self.seeded_by + later_by,
+        )
 
     @property
     def megabytes(self) -> float:

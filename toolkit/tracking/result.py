@@ -52,3 +52,19 @@ class TrackingResult:
     def lost(self) -> bool:
         """Whether the pose must not be used for mapping."""
         return self.health is Health.LOST
+
+
+def not_tracked(reason: str) -> TrackingResult:
+    """The answer for a frame that nothing can be tracked against."""
+    return TrackingResult(
+        T_map_camera=np.eye(4),
+        converged=False,
+        iterations=0,
+        renders=0,
+        intensity_residual=float("nan"),
+        depth_residual_m=float("nan"),
+        visible_fraction=0.0,
+        information=np.zeros((6, 6)),
+        health=Health.LOST,
+        reason=reason,
+    )

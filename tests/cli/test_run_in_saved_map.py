@@ -1,0 +1,135 @@
+"""run --map: the camera is found in a finished run's map, and the outputs are of both."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from room_runs import walk
+from test_register import other_tree, without_descriptors, without_submaps
+
+from toolkit.cli import run as program
+from toolkit.cli.finished_run import open_finished_run
+from toolkit.cli.main import main
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.geometry import se3
+from toolkit.io.splats import read_splats
+
+
+@pytest.fixture(scope="module")
+def extended(room_runs, tmp_path_factory) -> Path:
+    """The second walk, mapped in the first one's map."""
+    out = tmp_path_factory.mktemp("extended") / "run"
+    assert main(walk(room_runs.recordings[1], out, "--map", str(room_runs.a))) == 0
+    return out
+
+
+def error_of(capsys, words: list[str]) -> str:
+    assert main(words) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith("semsplat: error: ")
+    return line
+
+
+def test_the_path_is_in_the_world_of_the_saved_map(extended, room_runs):
+    run = open_finished_run(extended)
+    assert not run.lost and [f.index for f in run.tracked] == list(range(9))
+    truth = tiny_room(14, 96, 72)[1].T_world_camera
+    T_a_world = se3.inverse(truth[0])
+    for frame in run.tracked:
+        difference = se3.inverse(T_a_world @ truth[13 - frame.index]) @ frame.T_map_camera
+        assert np.linalg.norm(difference[:3, 3]) < 0.03
+
+
+def test_the_map_is_the_whole(extended, room_runs):
+    splats, before = (read_splats(run / "map.ply") for run in (extended, room_runs.a))
+    assert set(splats.extra["submap"].tolist()) == {0, 1}
+    assert len(splats.means) > len(before.means)
+    assert (splats.labels.label > 0).mean() > 0.95
+    run = open_finished_run(extended)
+    assert list(run.submaps) == [0, 1] and np.array_equal(run.anchors[0], np.eye(4))
+    old, new = (run.submaps[n].keyframes for n in (0, 1))
+    assert max(k.index for k in old) < 0 <= min(k.index for k in new)
+    assert min(run.keyframes) == 0
+
+
+def test_other_programs_take_it(extended, tmp_path, capsys):
+    assert main(["explain-loops", str(extended), "--refused"]) == 0
+    assert "submap 1 begins where submap 0 was found" in capsys.readouterr().out
+    assert main(["evaluate", str(extended), "--max-views", "1"]) == 0
+    assert main(["query", str(extended), "--list"]) == 0
+
+
+def stopped_after(frames: int, monkeypatch) -> None:
+    """Let a run end itself after so many frames, as if it had been killed."""
+    held = program.held_out
+
+    def counted(index: int, settings: object) -> bool:
+        if index == frames:
+            raise KeyboardInterrupt
+        return held(index, settings)
+
+    monkeypatch.setattr(program, "held_out", counted)
+
+
+@pytest.mark.parametrize("frames", [0, 4])
+def test_it_resumes_to_the_same_without_the_saved_run(
+    extended, room_runs, tmp_path, monkeypatch, frames
+):
+    saved, out = shutil.copytree(room_runs.a, tmp_path / "saved"), tmp_path / "run"
+    words = walk(room_runs.recordings[1], out, "--map", str(saved))
+    words += ["--checkpoint.every-keyframes", "1"]
+    with monkeypatch.context() as patch:
+        stopped_after(frames, patch)
+        assert main(words) == 130
+    shutil.rmtree(saved)
+    assert main([*words, "--resume"]) == 0
+    for name in ("trajectory.txt", "map.ply", "loops.jsonl"):
+        assert (out / name).read_bytes() == (extended / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (without_submaps, "run again"),
+        (without_descriptors, "--loops.use"),
+        (other_tree, "--semantics.taxonomy"),
+    ],
+)
+def test_maps_that_cannot_be_extended(room_runs, tmp_path, capsys, damage, said):
+    saved = shutil.copytree(room_runs.a, tmp_path / "saved")
+    damage(saved)
+    words = walk(room_runs.recordings[1], tmp_path / "run", "--map", str(saved))
+    line = error_of(capsys, words)
+    assert said in line and str(saved) in line
+    assert not (tmp_path / "run").exists(), "so that the same --out can be given again"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--map", "A/nothing"], "no run"),
+        (["--map", "A", "--poses", "given"], "--poses slam"),
+        (["--map", "A", "--loops.no-use"], "--loops.use"),
+        (["--map", "A", "--loops.features.source", "both"], "--loops.features"),
+        (["--map", "A", "--semantics.code.kind", "flat"], "--semantics.code"),
+        (["--map", "A", "--semantics.code.kind", "none"], "labels"),
+    ],
+)
+def test_bad_input(room_runs, tmp_path, capsys, words, said):
+    words = [str(room_runs.a) + word[1:] if word[0] == "A" else word for word in words]
+    line = error_of(capsys, walk(room_runs.recordings[1], tmp_path / "run", *words))
+    assert said in line
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_camera_that_is_nowhere_maps_on_its_own(room_runs, tmp_path):
+    """Patience is shorter than the walk, and nothing may count as found."""
+    more = ["--loops.relocalisation.patience", "2", "--loops.relocalisation.least-visible", "1.0"]
+    words = walk(room_runs.recordings[1], tmp_path / "run", "--map", str(room_runs.a), *more)
+    assert main([*words, "--loops.closing.no-between"]) == 0
+    frames = json.loads((tmp_path / "run/frames.json").read_text())
+    assert frames["lost"] == [0, 1] and len(frames["submaps"]) == 2

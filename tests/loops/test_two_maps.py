@@ -1,0 +1,105 @@
+"""Which submaps of two maps are compared, and which registration is believed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.loops.two_maps import (
+    AlikeSubmaps,
+    MapRegistration,
+    alike_submaps,
+    choose,
+    register_at,
+)
+from toolkit.loops.verification import VerificationOptions
+from toolkit.registration.result import RegistrationResult, failed
+from toolkit.submaps.submap import Submap
+from toolkit.tracking.alignment import Scales
+
+
+def submap(number, rows, T_world_submap=None):
+    rows = np.array(rows, np.float32).reshape(-1, 2)
+    T = np.eye(4) if T_world_submap is None else T_world_submap
+    return Submap(number, T, GaussianCloud.empty(), [], descriptors=rows)
+
+
+def unit(*degrees):
+    return [[np.cos(np.radians(d)), np.sin(np.radians(d))] for d in degrees]
+
+
+def test_the_most_alike_come_first():
+    first = {0: submap(0, unit(0, 5)), 2: submap(2, unit(90, 95))}
+    second = {0: submap(0, unit(93)), 1: submap(1, unit(40, 41))}
+    pairs = alike_submaps(first, second, 9)
+    assert [(p.first, p.second) for p in pairs] == [(2, 0), (0, 1), (2, 1), (0, 0)]
+    # 93 degrees lies 3 from 90, and 2 from 95.
+    chords = [2 * np.sin(np.radians(d) / 2) for d in (2, 3)]
+    assert pairs[0].distance == pytest.approx(np.mean(chords), abs=1e-3)
+    assert alike_submaps(first, second, 2) == pairs[:2]
+
+
+def test_submaps_without_descriptors_are_left_out():
+    first = {0: submap(0, []), 1: submap(1, unit(0))}
+    (pair,) = alike_submaps(first, {0: submap(0, unit(10))}, 9)
+    assert (pair.first, pair.second) == (1, 0)
+
+
+def result(T, overlap=0.7):
+    scales = Scales(0.02, 0.003)
+    information = np.eye(6) * 1e8
+    return RegistrationResult(
+        T, True, 0.95, scales, overlap, float("nan"), information, 1, 1, "test"
+    )
+
+
+def test_the_worlds_motion_follows_from_the_submaps():
+    T_a, T_b, T_ab = (se3.exp(np.arange(6) * 0.1 + k) for k in (0.0, 0.3, -0.2))
+
+    class Registrar:
+        def register(self, target, source, T_target_source=None):
+            assert T_target_source is None
+            return result(T_ab)
+
+    found = register_at(
+        AlikeSubmaps(0, 0, 0.1),
+        {0: submap(0, unit(0), T_a)},
+        {0: submap(0, unit(0), T_b)},
+        Registrar(),
+        VerificationOptions(),
+    )
+    assert not found.reason
+    assert np.allclose(found.T_first_second, T_a @ T_ab @ se3.inverse(T_b))
+
+
+def told(metres, overlap=0.7, reason=""):
+    T = se3.exp(np.array([metres, 0, 0, 0, 0, 0.0]))
+    return MapRegistration(AlikeSubmaps(0, 0, 0.1), result(T, overlap), reason, T)
+
+
+def test_the_majority_is_believed_and_then_the_larger_overlap():
+    alone = told(9.0, overlap=0.99)
+    two = [told(1.0, 0.5), told(1.1, 0.6)]
+    choice = choose([alone, *two])
+    assert choice.best is two[1] and (choice.verified, choice.agreeing) == (3, 2)
+    assert choose([alone, told(1.0)]).best is alone
+
+
+def test_what_was_refused_has_no_vote():
+    refused = [told(1.0, reason="no"), told(1.0, reason="no")]
+    kept = told(5.0)
+    assert choose([*refused, kept]).best is kept
+    assert choose(refused) is None
+    assert choose([]) is None
+
+
+def test_a_failure_says_why():
+    class Nothing:
+        def register(self, target, source, T_target_source=None):
+            return failed("test", "nothing in common")
+
+    maps = {0: submap(0, unit(0))}
+    found = register_at(AlikeSubmaps(0, 0, 0.1), maps, maps, Nothing(), VerificationOptions())
+    assert found.reason == "nothing in common"

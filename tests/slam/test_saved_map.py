@@ -1,0 +1,160 @@
+"""A run that begins in the map of an earlier one: found, extended, and never moved."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_room import FEW, blind_frames, fed, fingerprint, first_steps
+
+from toolkit.closing.factory import ClosingContext, build_loop_closer
+from toolkit.geometry import se3
+from toolkit.mapping.keyframes import KeyframePolicy
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.settings.loop_closure import LoopClosureSettings
+from toolkit.slam import Slam
+from toolkit.submaps.allocation import Allocation, AllocationOptions
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.store import SubmapStore
+from toolkit.tracking.dense import DenseTracker
+
+
+@pytest.fixture(scope="module")
+def room():
+    return first_steps(12)
+
+
+def new_slam(patience=3, most_keyframes=150, folder=None, **loops):
+    settings = LoopClosureSettings.model_validate(
+        {
+            "relocalisation": {"patience": patience},
+            "registration": {"coarse": {"matching": {"least_matches": 6}}},
+            **loops,
+        }
+    )
+    mapper = Mapper(replace(FEW, keyframes=KeyframePolicy(interval=2)), np.random.default_rng(0))
+    closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
+    allocation = Allocation(AllocationOptions(most_keyframes=most_keyframes), 0)
+    atlas = Atlas(mapper, allocation, SubmapStore(folder))
+    return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
+
+
+@pytest.fixture(scope="module")
+def saved(room):
+    """Two submaps of the first half of the path, under the numbers that a saved map has."""
+    slam = new_slam(most_keyframes=3)
+    fed(slam, room.frames[:8])
+    slam.finish()
+    assert len(slam.atlas) > 1
+    return [slam.atlas.submap(n).renumbered(n, -100) for n in range(len(slam.atlas))]
+
+
+def copies(saved):
+    return [replace(s, gaussians=s.gaussians.select(s.steps >= 0)) for s in saved]
+
+
+def back(room):
+    """The path from its end to its beginning, as a second sequence."""
+    return [
+        replace(f, index=k, timestamp_s=k / 30.0) for k, f in enumerate(reversed(room.frames[4:]))
+    ]
+
+
+def errors_m(slam, room):
+    truth = room.truth.T_world_camera[::-1]
+    poses = zip(slam.tracked_indices, slam.trajectory.T_world_camera, strict=True)
+    return [np.linalg.norm((se3.inverse(truth[index]) @ T)[:3, 3]) for index, T in poses]
+
+
+def begun(saved, **options):
+    slam = new_slam(**options)
+    slam.begin_in(copies(saved))
+    return slam
+
+
+def test_the_camera_is_found_and_the_world_is_the_saved_ones(room, saved):
+    slam = begun(saved)
+    results = fed(slam, back(room))
+    assert not results[0].lost and results[0].mapping is None
+    assert slam.atlas.active == len(saved) and slam.atlas.saved == len(saved)
+    assert max(errors_m(slam, room)) < 0.03
+    assert min(slam.keyframe_indices) == 0, "keyframes of the saved map are not its own"
+
+
+def test_the_saved_map_stays_as_it_is_and_is_told_with_the_new_one(room, saved):
+    slam = begun(saved)
+    fed(slam, back(room))
+    slam.finish()
+    for old in saved:
+        now = slam.atlas.submap(old.number)
+        assert np.array_equal(now.T_world_submap, old.T_world_submap)
+        assert np.array_equal(now.gaussians.means, old.gaussians.means)
+    assert slam.fused.exposures[0] == (1.0, 0.0)
+    assert {0, len(saved)} <= set(slam.fused.submap.tolist())
+
+
+def test_frames_are_lost_until_one_is_found(room, saved):
+    slam = begun(saved, patience=50)
+    frames = back(room)
+    results = fed(slam, [*blind_frames(frames[:2]), *frames[2:5]])
+    assert [r.lost for r in results] == [True, True, False, False, False]
+    assert "saved map" in results[0].tracking.reason
+    assert max(errors_m(slam, room)) < 0.03
+
+
+def test_a_held_out_frame_begins_nothing(room, saved):
+    slam = begun(saved)
+    frame = back(room)[0]
+    assert slam.process_frame(frame, may_map=False).lost and not slam.atlas.begun
+
+
+def strange(frames):
+    return [
+        replace(f, rgb=np.ascontiguousarray(f.rgb[::-1, ::-1, ::-1]), depth_m=f.depth_m[::-1] + 2.0)
+        for f in frames
+    ]
+
+
+def test_where_nothing_is_found_a_submap_of_its_own_begins(room, saved):
+    slam = begun(saved, patience=2)
+    results = fed(slam, strange(back(room)[:5]))
+    assert [r.lost for r in results[:2]] == [True, True] and not results[-1].lost
+    assert len(slam.atlas) == len(saved) + 1
+    slam.finish()
+    assert len(slam.gaussians) > sum(len(s.gaussians) for s in saved) / 2
+
+
+@pytest.mark.parametrize("cut", [0, 1, 4])
+def test_it_goes_on_from_a_checkpoint_to_the_same_bits(room, saved, cut, tmp_path):
+    frames = back(room)[:6]
+    frames[:2] = blind_frames(frames[:2])
+    whole = begun(saved, patience=50, folder=tmp_path / "whole")
+    fed(whole, frames[:cut])
+    state = whole.state()
+    shutil.copytree(tmp_path / "whole", tmp_path / "other")
+    other = new_slam(patience=50, folder=tmp_path / "other")
+    other.restore(state[0], json.loads(json.dumps(state[1])))
+    assert other.atlas.saved == len(saved) and other.atlas.begun == (cut == 4)
+    fed(whole, frames[cut:])
+    fed(other, frames[cut:])
+    assert fingerprint(whole) == fingerprint(other)
+    for slam in (whole, other):
+        slam.finish()
+    assert np.array_equal(whole.gaussians.means, other.gaussians.means)
+
+
+def test_a_submap_of_its_own_is_joined_by_a_loop(room, saved):
+    slam = begun(
+        saved,
+        relocalisation={"patience": 1, "least_visible": 1.0},  # nothing is ever found
+        candidates={"search_every": 1, "distance": 0.5, "most_landmark_distance": 2.0},
+    )
+    fed(slam, back(room))
+    assert max(errors_m(slam, room)) > 0.1, "it began at a guess"
+    slam.finish()
+    assert max(errors_m(slam, room)) < 0.04
+    assert np.array_equal(slam.atlas.T_world_submap(1), saved[1].T_world_submap)

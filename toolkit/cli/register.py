@@ -1,0 +1,241 @@
+"""`semsplat register`: where one run's map lies in another's, and both as one map."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.finished_run import FinishedRun, open_finished_run
+from toolkit.cli.merged_map import merge, not_one_tree, shared_reading
+from toolkit.errors import RunFolderError, SettingsError, ToolkitError
+from toolkit.geometry import se3
+from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.splats import write_splat_ply
+from toolkit.io.trajectories import write_tum
+from toolkit.loops.two_maps import (
+    Choice,
+    MapRegistration,
+    alike_submaps,
+    choose,
+    register_at,
+)
+from toolkit.loops.verification import VerificationOptions
+from toolkit.registration.factory import build_drawer, build_registrar
+from toolkit.settings.loop_closure import VerificationSettings
+from toolkit.settings.registration import RegistrationSettings
+from toolkit.submaps.saved import SavedSubmaps
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RegisterOptions:
+    """Find where the map of RUN_B lies in that of RUN_A, and write both as one map in A's frame."""
+
+    run_a: tyro.conf.Positional[Path]
+    """The run whose frame the merged map has."""
+    run_b: tyro.conf.Positional[Path]
+    """The run that is moved."""
+    out: Path
+    """Folder to write, new or empty: map.ply, register.json, trajectory_a.txt, trajectory_b.txt."""
+    pairs: int = 6
+    """Pairs of submaps that are registered, the most alike first."""
+    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    verification: VerificationSettings = field(default_factory=VerificationSettings)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Register two runs and merge their maps.
+
+    Raises:
+        ToolkitError: a run or its submaps cannot be read, their descriptors cannot be
+            compared, no registration can be verified, or the result cannot be written.
+    """
+    options = parse_arguments(RegisterOptions, list(argv), "register")
+    _check(options)
+    a, b = open_finished_run(options.run_a), open_finished_run(options.run_b)
+    submaps_a, submaps_b = a.submaps, b.submaps
+    _check_descriptors(a, b, submaps_a, submaps_b)
+    objection = not_one_tree(a, b)
+    found = _registered(options, a, b, (submaps_a, submaps_b))
+    choice = choose(found)
+    if choice is None:
+        raise ToolkitError(_nothing_holds(options, found))
+    T_a_b = choice.best.T_first_second
+    merged = merge(a, b, submaps_a, submaps_b, T_a_b)
+    report = _report(options, found, choice) | {
+        "gaussians": len(merged.gaussians),
+        "gaussians_a": sum(len(s.gaussians) for s in submaps_a.values()),
+        "gaussians_b": sum(len(s.gaussians) for s in submaps_b.values()),
+        "labels": merged.labels is not None,
+        "no_labels_because": objection,
+    }
+    for line in _lines(report, choice):
+        print(line)
+    _make(options.out)
+    write_splat_ply(options.out / "map.ply", merged.gaussians, merged.columns())
+    if merged.taxonomy is not None:
+        merged.taxonomy.save(options.out / "taxonomy.yaml")
+    write_tum(options.out / "trajectory_a.txt", a.folder.read_trajectory())
+    write_tum(options.out / "trajectory_b.txt", b.folder.read_trajectory().transformed(T_a_b))
+    text = json.dumps(report, indent=1, allow_nan=False) + "\n"
+    write_bytes(options.out / "register.json", text.encode())
+    print(f"wrote {len(merged.gaussians)} Gaussians to {options.out / 'map.ply'}")
+    return 0
+
+
+def _check(options: RegisterOptions) -> None:
+    """What can be told before a long job.
+
+    Raises:
+        SettingsError: a value is out of range.
+        RunFolderError: --out is in use.
+    """
+    if options.pairs < 1:
+        raise SettingsError(f"--pairs must be at least 1, got {options.pairs}")
+    out = options.out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RunFolderError(f"{out} is not an empty folder; choose another --out")
+
+
+def _check_descriptors(
+    a: FinishedRun, b: FinishedRun, submaps_a: SavedSubmaps, submaps_b: SavedSubmaps
+) -> None:
+    """Refuse runs whose keyframes were not described, or by different means.
+
+    Raises:
+        SettingsError: so it is; the settings are named.
+    """
+    lengths = []
+    for run, submaps in ((a, submaps_a), (b, submaps_b)):
+        length = max(submap.descriptors.shape[1] for submap in submaps.values())
+        if not length:
+            raise SettingsError(
+                f"the keyframes of {run.folder.path} have no descriptors, by which places are "
+                "recognised; run again with --loops.use"
+            )
+        lengths.append(length)
+    before, after = a.settings.loops.features, b.settings.loops.features
+    if lengths[0] != lengths[1] or before != after:
+        raise SettingsError(
+            f"{a.folder.path} has descriptors of {lengths[0]} numbers ({_named(before)}), "
+            f"{b.folder.path} of {lengths[1]} ({_named(after)}): they cannot be compared; run one "
+            "of them again with the other's --loops.features"
+        )
+
+
+def _named(features: Any) -> str:
+    return f"loops.features.kind {features.kind}, source {features.source}"
+
+
+def _registered(
+    options: RegisterOptions,
+    a: FinishedRun,
+    b: FinishedRun,
+    submaps: tuple[SavedSubmaps, SavedSubmaps],
+) -> list[MapRegistration]:
+    backend = a.settings.backend
+    drawer = build_drawer(options.registration, shared_reading(a, b), backend)
+    registrar = build_registrar(options.registration, a.settings.seed, drawer)
+    verification = VerificationOptions(**options.verification.model_dump())
+    pairs = alike_submaps(*submaps, options.pairs)
+    return [
+        register_at(pair, *submaps, registrar, verification)
+        for pair in tqdm(pairs, unit="pair of submaps")
+    ]
+
+
+def _nothing_holds(options: RegisterOptions, found: list[MapRegistration]) -> str:
+    nearest = found[0]
+    return (
+        f"no place of {options.run_b} can be verified in {options.run_a}, of {len(found)} pair(s) "
+        f"of submaps tried; the most alike, {nearest.pair.first} and {nearest.pair.second}: "
+        f"{nearest.reason}; try more --pairs, or record a place that both show"
+    )
+
+
+def _report(
+    options: RegisterOptions, found: list[MapRegistration], choice: Choice
+) -> dict[str, Any]:
+    """What register.json holds: the choice, and every pair that was tried."""
+    best = choice.best
+    return {
+        "run_a": str(options.run_a),
+        "run_b": str(options.run_b),
+        "T_a_b": best.T_first_second.tolist(),
+        "submap_a": best.pair.first,
+        "submap_b": best.pair.second,
+        **_figures(best),
+        "verified": choice.verified,
+        "agreeing": choice.agreeing,
+        "tried": [_figures(f) | _verdict(f) for f in found],
+    }
+
+
+def _figures(found: MapRegistration) -> dict[str, Any]:
+    result = found.result
+    values = {
+        "method": result.method,
+        "overlap": result.overlap,
+        "inliers": result.inliers,
+        "class_agreement": result.class_agreement,
+        "intensity": result.residual.intensity,
+        "depth_m": result.residual.depth_m,
+    }
+    # JSON has no nan: what was not measured is null.
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
+
+
+def _verdict(found: MapRegistration) -> dict[str, Any]:
+    pair = found.pair
+    return {
+        "submap_a": pair.first,
+        "submap_b": pair.second,
+        "descriptor_distance": pair.distance,
+        "accepted": not found.reason,
+        "reason": found.reason,
+    }
+
+
+def _lines(report: dict[str, Any], choice: Choice) -> list[str]:
+    """The result in plain words."""
+    T: NDArray[np.float64] = choice.best.T_first_second
+    turned = math.degrees(float(se3.rotation_angle_rad(T[:3, :3])))
+    tried = len(report["tried"])
+    classes = report["class_agreement"]
+    told = "" if classes is None else f", classes on {100 * classes:.0f} %"
+    lines = [
+        f"{tried} pair(s) of submaps registered, {choice.verified} verified, "
+        f"{choice.agreeing} of them agree",
+        f"submap {report['submap_b']} of B lies in submap {report['submap_a']} of A: "
+        f"overlap {100 * report['overlap']:.0f} %, surfaces agree on "
+        f"{100 * report['inliers']:.0f} % of it{told}; residuals {report['intensity']:.3f} in "
+        f"intensity, {1000 * report['depth_m']:.1f} mm in depth at 1 m",
+        f"B's world lies {np.linalg.norm(T[:3, 3]):.3f} m and {turned:.1f} degrees from A's",
+    ]
+    if choice.agreeing < choice.verified:
+        lines.append(
+            "caution: verified pairs contradict each other, as two places that look the same do; "
+            "register.json has them all"
+        )
+    if report["no_labels_because"]:
+        lines.append(f"without labels: {report['no_labels_because']}")
+    return lines
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
