@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.closing.closer import ClosingOptions, ClosingParts, LoopCloser
+from toolkit.closing.closer import LoopCloser
+from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from toolkit.closing.closer import ClosingOptions
+from toolkit.closing.parts import ClosingOptions
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.loops.candidates import CandidateOptions
 from toolkit.loops.landmarks import LandmarkOptions

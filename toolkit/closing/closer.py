@@ -8,13 +8,16 @@ between submaps registration gives it, and only anchors move.
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.keyframe_loops import KeyframeLoops
+from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.records import figures_of, moved_by, verdict
 from toolkit.closing.sights import Sights
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame, NullRecorder, Recorder
@@ -22,69 +25,21 @@ from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
-from toolkit.loops.relocalisation import Found, Relocaliser
-from toolkit.loops.verification import VerificationOptions, objection
-from toolkit.pose_graph.chi_square import quantile
-from toolkit.pose_graph.consistency import ConsistencyOptions, OdometryChain, consistent_loops
+from toolkit.loops.relocalisation import Found
+from toolkit.loops.verification import objection
+from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import (
     PoseCorrection,
-    correct_keyframes,
-    keyframe_graph,
     submap_graph,
 )
 from toolkit.pose_graph.graph import PoseEdge
-from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
-from toolkit.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.registration.matching import MatchingOptions, measure_offset
-from toolkit.registration.result import Registrar, RegistrationResult, register_pair
+from toolkit.registration.result import register_pair
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.tracker import LocatingTracker
 
 Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class ClosingOptions:
-    """Which loops are closed, and how an edge is weighed.
-
-    Attributes:
-        within, between: loops inside submaps and between them.
-        least_visible: share of the second image of a pair that the first must explain.
-        least_shared: share of what a suspected keyframe observed that the other one must see,
-            once their submaps are registered.
-        drift_confidence: the keyframes of a submap stay where they are unless its loops
-            contradict them with so much confidence. A pair of images is no better than a
-            centimetre; a map that was tracked well is, and would be disturbed for nothing.
-    """
-
-    within: bool = True
-    between: bool = True
-    least_visible: float = 0.4
-    least_shared: float = 0.3
-    drift_confidence: float = 0.99
-
-
-@dataclass(frozen=True)
-class ClosingParts:
-    """What closes loops.
-
-    Attributes:
-        registrar: of submaps. matching: of pairs of keyframes. relocaliser: of lost frames.
-        verification, consistency: what must hold before an edge enters the graph.
-        noise: of odometry. loop_noise: of loop edges.
-        optimiser: of pose graphs.
-    """
-
-    registrar: Registrar
-    matching: MatchingOptions
-    relocaliser: Relocaliser
-    verification: VerificationOptions
-    consistency: ConsistencyOptions
-    noise: OdometryNoise
-    loop_noise: LoopNoise
-    optimiser: PoseGraphOptimiser
 
 
 class LoopCloser:
@@ -114,7 +69,7 @@ class LoopCloser:
         self._detector.take_over(atlas.submap(number) for number in range(atlas.saved))
         for first, second in pairwise(range(atlas.saved)):
             T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
-            self._links.append(PoseEdge(first, second, T, _SURE))
+            self._links.append(PoseEdge(first, second, T, _RIGID))
 
     def observe(self, atlas: Atlas) -> None:
         """Take note of the active submap's newest keyframe."""
@@ -135,8 +90,7 @@ class LoopCloser:
         if not mine or not self.options.within:
             return False
         with self._recorder.timed("loops within submaps"):
-            loops = [loop for c in mine if (loop := self._measured(atlas, c)) is not None]
-            return bool(loops) and self._correct_within(atlas, loops)
+            return KeyframeLoops(self._parts, self.options, self._record).close(atlas, mine)
 
     def link(self, atlas: Atlas, information: Array) -> None:
         """Remember the odometry from the resting submap's anchor to the one that just began.
@@ -223,51 +177,9 @@ class LoopCloser:
         least = self.options.least_visible
         return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
 
-    def _measured(self, atlas: Atlas, candidate: LoopCandidate) -> PoseEdge | None:
-        """A loop edge between what two keyframes of the active submap observed."""
-        keyframes = {k.index: k for k in atlas.mapper.keyframes}
-        first, second = keyframes[candidate.match], keyframes[candidate.query]
-        offset = measure_offset(first, second, self._parts.matching)
-        verdict: dict[str, Any] = {"match": first.index, "query": second.index}
-        if offset is None:
-            self._record("within", verdict | {"accepted": False, "reason": "images do not match"})
-            return None
-        apart_m = float(np.linalg.norm(offset.T_first_second[:3, 3]))
-        verdict |= {"matches": offset.matches, "visible": offset.visible, "apart_m": apart_m}
-        if offset.visible < self.options.least_visible:
-            reason = f"only {100 * offset.visible:.0f} % of the view is shared"
-            self._record("within", verdict | {"accepted": False, "reason": reason})
-            return None
-        self._record("within", verdict | {"accepted": True, "reason": ""})
-        T = offset.T_first_second
-        return self._parts.loop_noise.edge(first.index, second.index, T, offset.information)
-
-    def _correct_within(self, atlas: Atlas, loops: list[PoseEdge]) -> bool:
-        submap = atlas.submap(atlas.active)
-        odometry = []
-        for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
-            way = [first.T_map_camera, second.T_map_camera]
-            odometry.append(self._parts.noise.along(first.index, second.index, way, _SURE))
-        kept = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency).kept
-        agreed = [loops[k] for k in kept]
-        poses = {k.index: k.T_map_camera for k in submap.keyframes}
-        chi2 = sum(loop.chi2(poses[loop.first], poses[loop.second]) for loop in agreed)
-        drifted = chi2 > quantile(self.options.drift_confidence, 6 * max(len(agreed), 1))
-        values = {"submap": submap.number, "loops": len(agreed), "chi2": chi2, "applied": drifted}
-        if not drifted:
-            self._record("correction within", values)
-            return False
-        graph = keyframe_graph(submap, odometry, agreed)
-        solution = self._parts.optimiser.optimise(graph)
-        correction = PoseCorrection.of(graph, solution)
-        self._record("correction within", values | _moved(correction))
-        correct_keyframes(submap, correction)
-        atlas.put(submap)
-        return True
-
     def _registered(self, atlas: Atlas, first: int, second: int) -> PoseEdge | None:
         """A loop edge between two submaps, or None where nothing can be verified."""
-        verdict: dict[str, Any] = {"first": first, "second": second}
+        values: dict[str, Any] = {"first": first, "second": second}
         T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
         try:
             result = register_pair(
@@ -275,10 +187,10 @@ class LoopCloser:
             )
         except ToolkitError as error:
             # A submap whose file is lost must not end the run.
-            self._record("between", verdict | {"accepted": False, "reason": str(error)})
+            self._record("between", values | {"accepted": False, "reason": str(error)})
             return None
         reason = objection(result, self._parts.verification)
-        self._record("between", verdict | _figures(result, T) | _verdict(reason))
+        self._record("between", values | figures_of(result, T) | verdict(reason))
         if reason:
             return None
         T = result.T_target_source
@@ -307,7 +219,7 @@ class LoopCloser:
                 "shared": shared,
                 "apart_m": apart_m,
             }
-            self._record("verified", values | _verdict(reason))
+            self._record("verified", values | verdict(reason))
             confirmed += enough
         return confirmed > 0
 
@@ -319,7 +231,7 @@ class LoopCloser:
             if place not in agreement.kept:
                 reason = agreement.reason(place)
                 values = {"first": loop.first, "second": loop.second}
-                self._record("consistency", values | _verdict(reason))
+                self._record("consistency", values | verdict(reason))
         self.loops = [self.loops[k] for k in agreement.kept]
         if not self.loops:
             return False
@@ -329,7 +241,7 @@ class LoopCloser:
         taken_back = [graph.edges[k] for k in solution.retracted]
         for edge in taken_back:
             values = {"first": edge.first, "second": edge.second}
-            self._record("retracted", values | _verdict("contradicts the rest of the graph"))
+            self._record("retracted", values | verdict("contradicts the rest of the graph"))
         self.loops = [loop for loop in self.loops if not any(loop is e for e in taken_back)]
         correction = PoseCorrection.of(graph, solution)
         for number, T in correction.T_new.items():
@@ -337,7 +249,7 @@ class LoopCloser:
                 atlas.move(number, T)
         self._record(
             "correction between",
-            {"loops": len(self.loops), **_moved(correction)},
+            {"loops": len(self.loops), **moved_by(correction)},
         )
         _log.info(
             "%d loops between submaps: anchors move by up to %.1f cm",
@@ -385,31 +297,5 @@ class LoopCloser:
 # Where a lost camera may be, m and rad: anywhere within the building.
 _GUESS = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
 
-# Between neighbouring keyframes the tracker is sure; the floors of the noise are what counts.
-_SURE = np.eye(6) * 1e9
-
-
-def _moved(correction: PoseCorrection) -> dict[str, float]:
-    return {"largest_m": correction.largest_m, "largest_rad": correction.largest_rad}
-
-
-def _verdict(reason: str) -> dict[str, Any]:
-    return {"accepted": not reason, "reason": reason}
-
-
-def _figures(result: RegistrationResult, T_before: Array) -> dict[str, Any]:
-    """A registration for the log."""
-    change = se3.inverse(T_before) @ result.T_target_source
-    values = {
-        "method": result.method,
-        "overlap": result.overlap,
-        "inliers": result.inliers,
-        "class_agreement": result.class_agreement,
-        "intensity": result.residual.intensity,
-        "depth_m": result.residual.depth_m,
-        "moved_m": float(np.linalg.norm(change[:3, 3])),
-        "turned_rad": float(se3.rotation_angle_rad(change[:3, :3])),
-    }
-    return {
-        k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()
-    }
+# Submaps of a saved map do not move among themselves.
+_RIGID = np.eye(6) * 1e9

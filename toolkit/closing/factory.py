@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.closing.closer import ClosingOptions, ClosingParts, LoopCloser
+from toolkit.closing.closer import LoopCloser
+from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.features.factory import build_describer
 from toolkit.frame import Recorder
 from toolkit.loops.candidates import CandidateFinder, CandidateOptions

@@ -1,0 +1,55 @@
+"""What loop closure is made of, and its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from toolkit.loops.relocalisation import Relocaliser
+from toolkit.loops.verification import VerificationOptions
+from toolkit.pose_graph.consistency import ConsistencyOptions
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.registration.matching import MatchingOptions
+from toolkit.registration.result import Registrar
+
+
+@dataclass(frozen=True)
+class ClosingOptions:
+    """Which loops are closed, and how an edge is weighed.
+
+    Attributes:
+        within, between: loops inside submaps and between them.
+        least_visible: share of the second image of a pair that the first must explain.
+        least_shared: share of what a suspected keyframe observed that the other one must see,
+            once their submaps are registered.
+        drift_confidence: the keyframes of a submap stay where they are unless its loops
+            contradict them with so much confidence. A pair of images is no better than a
+            centimetre; a map that was tracked well is, and would be disturbed for nothing.
+    """
+
+    within: bool = True
+    between: bool = True
+    least_visible: float = 0.4
+    least_shared: float = 0.3
+    drift_confidence: float = 0.99
+
+
+@dataclass(frozen=True)
+class ClosingParts:
+    """What closes loops.
+
+    Attributes:
+        registrar: of submaps. matching: of pairs of keyframes. relocaliser: of lost frames.
+        verification, consistency: what must hold before an edge enters the graph.
+        noise: of odometry. loop_noise: of loop edges.
+        optimiser: of pose graphs.
+    """
+
+    registrar: Registrar
+    matching: MatchingOptions
+    relocaliser: Relocaliser
+    verification: VerificationOptions
+    consistency: ConsistencyOptions
+    noise: OdometryNoise
+    loop_noise: LoopNoise
+    optimiser: PoseGraphOptimiser
