@@ -105,6 +105,14 @@ class RunFolder:
             raise RunFolderError(f"{path} holds no run: there is no config.yaml in it")
         return folder
 
+    def discard(self) -> None:
+        """Take back a folder that was just created, before anything was written into it."""
+        for path in (self.config, self.loops):
+            path.unlink(missing_ok=True)
+        for path in (self.renders, self.checkpoints, self.path):
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
+
     def check_config(self, config: str) -> None:
         """Refuse to go on with other settings than those the run began with.
 

@@ -76,7 +76,7 @@ def test_a_models_tokens_are_those_of_the_library(tiny_dinov2, views):
 
 
 def test_a_model_without_a_folder_names_the_setting():
-    with pytest.raises(SettingsError, match=r"--features\.dinov2\.folder"):
+    with pytest.raises(SettingsError, match=r"--loops\.features\.dinov2\.folder"):
         build_encoder(FeatureSettings(kind="dinov2"))
 
 

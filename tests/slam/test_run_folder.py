@@ -146,3 +146,17 @@ def test_trajectory_and_map_come_back(folder):
     found = folder.read_map()
     for name in ("means", "log_radii", "opacity_logits", "colours"):
         assert torch.allclose(getattr(found, name), getattr(cloud, name), atol=1e-5), name
+
+
+def test_a_folder_that_came_to_nothing_can_be_made_again(tmp_path):
+    folder = RunFolder.create(tmp_path / "run", "seed: 0\n")
+    folder.discard()
+    assert not folder.path.exists()
+    RunFolder.create(tmp_path / "run", "seed: 0\n")
+
+
+def test_what_a_run_wrote_is_not_taken_back(tmp_path):
+    folder = RunFolder.create(tmp_path / "run", "seed: 0\n")
+    (folder.renders / "view.png").write_bytes(b"view")
+    folder.discard()
+    assert (folder.renders / "view.png").exists()

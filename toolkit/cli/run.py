@@ -21,7 +21,7 @@ from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError, SettingsError
+from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
@@ -69,9 +69,14 @@ def main(argv: Sequence[str]) -> int:
         folder.check_config(config)
     else:
         folder = RunFolder.create(program.out, config)
-    _log_to(folder.log)
     watch = StageRecorder()
-    slam = build_slam(settings, dataset, watch, folder)
+    try:
+        slam = build_slam(settings, dataset, watch, folder)
+    except ToolkitError:
+        if not program.resume:
+            folder.discard()  # so that the same --out can be given again
+        raise
+    _log_to(folder.log)
     folder.check_taxonomy(slam.taxonomy)
     if saved is not None:
         begin_in_map(slam, saved)
