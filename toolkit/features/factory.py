@@ -25,8 +25,8 @@ def build_encoder(settings: FeatureSettings) -> Encoder:
     model = settings.dinov2
     if model.folder is None:
         raise SettingsError(
-            "--loops.features.kind dinov2 needs --loops.features.dinov2.folder DIR with a downloaded model, "
-            "or take --loops.features.kind builtin"
+            "--loops.features.kind dinov2 needs --loops.features.dinov2.folder DIR with a "
+            "downloaded model, or take --loops.features.kind builtin"
         )
     # Not before it is asked for: transformers takes seconds to load.
     from toolkit.features.dinov2 import Dinov2Encoder
