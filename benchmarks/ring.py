@@ -1,11 +1,12 @@
 """A long walk through a ring of rooms, with and without what takes its drift out.
 
-    python benchmarks/ring.py RING [--image-size 160 120] [--drift 0.0005] [--seeds N]
+    python benchmarks/ring.py RING [--image-size 160 120] [--drift 0.0001] [--seeds N]
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 900 --sensor-noise`. Each row
 adds one thing: loops between submaps, loops inside them, refinement at the end. `--drift` turns
 and shifts every tracked pose a little, always the same way (radians and metres a frame), as bad
-odometry would: where the camera explores, the error stays in the map.
+odometry would: where the camera explores, the error stays in the map. It takes little: 0.0005
+loses the camera after 32 frames of 160x120 where no loops find it again.
 """
 
 from __future__ import annotations
