@@ -26,7 +26,7 @@ from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.io.arrays import read_array_tree, write_array_tree
+from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import SplatLabels, read_splats, write_splat_ply
 from toolkit.io.trajectories import read_tum, write_tum
@@ -270,9 +270,7 @@ class RunFolder:
         """The state of what reads the features, empty where there are none."""
         if not self.semantics.is_dir():
             return {}
-        arrays = read_array_tree(self.semantics).arrays
-        head = "reader/"
-        return {n[len(head) :]: a for n, a in arrays.items() if n.startswith(head)}
+        return arrays_below(read_array_tree(self.semantics).arrays, "reader/")
 
     def write_trajectory(self, trajectory: Trajectory) -> None:
         """`trajectory.txt` in TUM format."""

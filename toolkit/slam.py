@@ -15,6 +15,7 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.arrays import arrays_below
 from toolkit.loops.relocalisation import Found
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.fusion import FusedMap, fuse
@@ -360,16 +361,13 @@ class Slam:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Take over an earlier `state`."""
 
-        def below(prefix: str) -> dict[str, NDArray]:
-            return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
-
-        self.mapper.restore(below("mapper/"), values["mapper"])
-        self.atlas.restore(below("atlas/"), values["atlas"])
+        self.mapper.restore(arrays_below(arrays, "mapper/"), values["mapper"])
+        self.atlas.restore(arrays_below(arrays, "atlas/"), values["atlas"])
         if self._closer is not None:
-            self._closer.restore(below("closer/"), values["closer"])
-        self.tracker.restore(below("tracker/"))
+            self._closer.restore(arrays_below(arrays, "closer/"), values["closer"])
+        self.tracker.restore(arrays_below(arrays, "tracker/"))
         if self._labeller is not None:
-            self._labeller.segmenter.restore(below("segmenter/"))
+            self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
         self._tracked = [_TrackedFrame(**f) for f in values["tracked"]]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
         self.lost_frames = [int(i) for i in values["lost_frames"]]

@@ -22,6 +22,7 @@ from toolkit.closing.sights import Sights
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
+from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
@@ -280,9 +281,7 @@ class LoopCloser:
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Take over an earlier `state`, and cut the log back to it."""
-        head = "detector/"
-        mine = {name[len(head) :]: a for name, a in arrays.items() if name.startswith(head)}
-        self._detector.restore(mine)
+        self._detector.restore(arrays_below(arrays, "detector/"))
         made = []
         for name, ends in zip(("loops", "links"), values["ends"], strict=True):
             make = PoseEdge.loop if name == "loops" else PoseEdge

@@ -13,9 +13,8 @@ from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.features.factory import build_describer
 from toolkit.frame import Recorder
-from toolkit.loops.candidates import CandidateFinder, CandidateOptions
 from toolkit.loops.detection import LoopDetector
-from toolkit.loops.landmarks import LandmarkOptions
+from toolkit.loops.factory import build_candidate_finder
 from toolkit.loops.log import LoopLog
 from toolkit.loops.relocalisation import RelocalisationOptions, Relocaliser
 from toolkit.loops.verification import VerificationOptions
@@ -30,6 +29,7 @@ from toolkit.registration.factory import build_drawer, build_registrar, matching
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.loop_closure import LoopClosureSettings
+from toolkit.settings.loops import LoopSettings
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,8 @@ def build_loop_closer(
         ToolkitError: FAISS is missing, or the encoder's weights are.
     """
     describer = build_describer(settings.features)
-    finder = CandidateFinder(
-        describer.dimensions,
-        describer.threshold,
-        CandidateOptions(**settings.candidates.model_dump()),
-        LandmarkOptions(**settings.landmarks.model_dump()),
-    )
+    found = LoopSettings(candidates=settings.candidates, landmarks=settings.landmarks)
+    finder = build_candidate_finder(found, describer)
     taxonomy = context.taxonomy
     painter = None
     if taxonomy is not None:

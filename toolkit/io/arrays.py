@@ -39,6 +39,11 @@ class ArrayTree:
     metadata: dict[str, Any]
 
 
+def arrays_below(arrays: Mapping[str, NDArray], prefix: str) -> dict[str, NDArray]:
+    """The arrays whose names begin so, without it."""
+    return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
+
+
 def write_array_tree(
     folder: PathLike, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]
 ) -> None:

@@ -15,6 +15,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.io.arrays import arrays_below
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.depth_filter import denoised
@@ -226,11 +227,11 @@ class Mapper:
         """Take over an earlier `state`."""
         tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
         self.gaussians = GaussianCloud(**tensors)
-        self.optimiser.restore(_below(arrays, "optimiser/"))
+        self.optimiser.restore(arrays_below(arrays, "optimiser/"))
         self.seeded_by = torch.from_numpy(np.array(arrays["seeded_by"]))
-        self.semantics.restore(_below(arrays, "semantics/"))
+        self.semantics.restore(arrays_below(arrays, "semantics/"))
         self.keyframes = [
-            Keyframe.from_state(_below(arrays, f"keyframes/{number}/"), value)
+            Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), value)
             for number, value in enumerate(values["keyframes"])
         ]
         self._generator.bit_generator.state = values["generator"]
@@ -341,8 +342,3 @@ class Mapper:
             self.optimiser.keep(~bad)
             self.seeded_by = self.seeded_by[~bad]
         return count
-
-
-def _below(arrays: dict[str, NDArray], prefix: str) -> dict[str, NDArray]:
-    """The arrays whose names begin so, without it."""
-    return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.io.arrays import arrays_below
 from toolkit.losses.semantic import SemanticLoss
 from toolkit.rendering import SurfaceView
 from toolkit.rendering.output import BASE_CHANNELS
@@ -166,6 +167,4 @@ class SemanticMapping:
             return
         self._told = torch.from_numpy(np.array(arrays["told"]))
         if self._loss.network is not None:
-            head = "network/"
-            mine = {k[len(head) :]: a for k, a in arrays.items() if k.startswith(head)}
-            self._loss.network.restore(mine)
+            self._loss.network.restore(arrays_below(arrays, "network/"))

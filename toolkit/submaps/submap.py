@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io.arrays import arrays_below
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import MapContent
 from toolkit.mapping.sparse_adam import PARAMETERS
@@ -87,11 +88,8 @@ class Submap:
         def tensor(name: str) -> Tensor:
             return torch.from_numpy(np.array(arrays[name]))
 
-        def below(prefix: str) -> dict[str, NDArray]:
-            return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
-
         keyframes = [
-            Keyframe.from_state(below(f"keyframes/{number}/"), value)
+            Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), value)
             for number, value in enumerate(values["keyframes"])
         ]
         return cls(
