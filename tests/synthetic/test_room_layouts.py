@@ -122,6 +122,12 @@ def test_a_shorter_walk_is_the_start_of_a_longer_one():
     np.testing.assert_allclose(start, whole[:31], atol=1e-9)
 
 
+def test_the_hall_is_four_times_the_rooms():
+    rooms, hall = LAYOUTS["rooms"](), LAYOUTS["hall"]()
+    assert len(hall.rooms) - 1 == 4 * (len(rooms.rooms) - 1)
+    assert len(set(hall.looks)) == len(hall.rooms)
+
+
 def test_twin_rooms_are_identical_but_for_their_place():
     layout = LAYOUTS["twins"]()
     first, _, third, _ = layout.rooms

@@ -8,7 +8,7 @@ between submaps registration gives it, and only anchors move.
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
@@ -103,7 +103,9 @@ class LoopCloser:
         boundary = next(iter(atlas.keyframe_poses(new)))
         poses = atlas.keyframe_poses(new - 1)
         way = [T for index, T in poses.items() if index <= boundary]
-        self._links.append(self._parts.noise.along(new - 1, new, way, information))
+        edge = self._parts.noise.along(new - 1, new, way, information)
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
 
     def join(self, atlas: Atlas, found: Found | None) -> None:
         """Remember how a submap that began at a lost frame lies to the others.

@@ -82,6 +82,12 @@ def rooms_with_corridor() -> Layout:
     return _corridor_layout(("office", "bedroom", "dining"), (1, 2, 3))
 
 
+def hall_of_rooms() -> Layout:
+    """Twelve different rooms on one long corridor: four times as much as three of them."""
+    styles = ("office", "bedroom", "dining", "living")
+    return _corridor_layout(styles * 3, tuple(range(1, 9)) + tuple(range(10, 14)))
+
+
 def twin_rooms() -> Layout:
     """Two identical rooms beside a third, on one corridor: what looks equal is not."""
     return _corridor_layout(("office", "living", "office"), (1, 2, 1))
@@ -199,4 +205,5 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "rooms": rooms_with_corridor,
     "ring": ring_of_rooms,
     "twins": twin_rooms,
+    "hall": hall_of_rooms,
 }
