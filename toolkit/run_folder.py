@@ -1,7 +1,7 @@
 """What a run leaves on disk: outputs, and checkpoints from which it continues.
 
-    config.yaml  trajectory.txt  map.ply  frames.json  renders/  metrics.json  report.html
-    taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
+    config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
+    report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
 
 Checkpoints come in two generations: the older one is replaced, so a whole one exists at any
 moment. They fall on frame boundaries and change no state.
@@ -28,6 +28,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.covariances import write_covariances
 from toolkit.io.splats import SplatLabels, read_splats, write_splat_ply
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.semantics.taxonomy import Taxonomy
@@ -58,6 +59,7 @@ class RunFolder:
         self.path = path
         self.config = path / "config.yaml"
         self.trajectory = path / "trajectory.txt"
+        self.covariances = path / "covariances.txt"
         self.map = path / "map.ply"
         self.frames = path / "frames.json"
         self.renders = path / "renders"
@@ -272,9 +274,13 @@ class RunFolder:
             return {}
         return arrays_below(read_array_tree(self.semantics).arrays, "reader/")
 
-    def write_trajectory(self, trajectory: Trajectory) -> None:
-        """`trajectory.txt` in TUM format."""
+    def write_trajectory(
+        self, trajectory: Trajectory, covariances: NDArray[np.float64] | None = None
+    ) -> None:
+        """`trajectory.txt` in TUM format, and `covariances.txt` [M, 6, 6] where they are known."""
         write_tum(self.trajectory, trajectory)
+        if covariances is not None:
+            write_covariances(self.covariances, trajectory.timestamps_s, covariances)
 
     def read_trajectory(self) -> Trajectory:
         """The poses of `trajectory.txt`."""

@@ -78,7 +78,7 @@ def write_results(
             strict=True,
         )
     ]
-    folder.write_trajectory(trajectory)
+    folder.write_trajectory(trajectory, slam.covariances)
     folder.write_map(gaussians, labels, None if slam.fused is None else slam.fused.submap)
     folder.write_json(folder.frames, _frames(slam, tracked))
     # Before evaluation, which has memory needs of its own.

@@ -32,6 +32,7 @@ class BoundarySettings(Settings):
     """Where one submap ends and the next begins."""
 
     steps: int = Field(24, ge=0, description="optimisation around it before the old one rests")
+    bundle_adjustment: bool = Field(False, description="of the keyframes' poses around it too")
     inherit: bool = Field(True, description="begin with copies of what the anchor sees")
 
 
