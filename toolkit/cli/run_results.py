@@ -68,16 +68,7 @@ def write_results(
         gaussians = replace(gaussians, features=features)
         decoding = semantics.decode_gaussians(features)
         labels = splat_labels(decoding, settings.semantics.least_confidence)
-    tracked = [
-        TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
-        for index, time, T, (gain, bias) in zip(
-            slam.tracked_indices,
-            trajectory.timestamps_s,
-            trajectory.T_world_camera,
-            slam.exposures.tolist(),
-            strict=True,
-        )
-    ]
+    tracked = tracked_frames(slam, settings)
     folder.write_trajectory(trajectory, slam.covariances)
     folder.write_map(gaussians, labels, None if slam.fused is None else slam.fused.submap)
     folder.write_json(folder.frames, _frames(slam, tracked))
@@ -92,6 +83,21 @@ def write_results(
     views = _render_views(final, tracked, dataset, folder)
     write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
     _log.info("wrote %s, with report.html in it", folder.path)
+
+
+def tracked_frames(slam: Slam, settings: RunSettings) -> list[TrackedFrame]:
+    """Every frame that has a pose, as evaluation takes it."""
+    trajectory = slam.trajectory
+    return [
+        TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
+        for index, time, T, (gain, bias) in zip(
+            slam.tracked_indices,
+            trajectory.timestamps_s,
+            trajectory.T_world_camera,
+            slam.exposures.tolist(),
+            strict=True,
+        )
+    ]
 
 
 def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> Metrics:
