@@ -1,6 +1,6 @@
 """A long walk through a ring of rooms, with and without what takes its drift out.
 
-    python benchmarks/ring.py RING [--table loops] [--image-size 160 120] [--drift 0.08] [--seeds N]
+    python benchmarks/ring.py RING [--table loops] [--image-size 160 120] [--drift 0.08] [--seeds N] [--store F]
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 900 --sensor-noise`; with
 several seeds, RING-0, RING-1 and so on, made with `--seed N`, where they exist. Tables:
@@ -114,6 +114,8 @@ class Options:
     """Error of each new submap's place, in metres."""
     seeds: int = 1
     """Seeds 0, 1, ...; a row is their median."""
+    store: Path | None = None
+    """Where figures of finished walks are kept; what is in there is not walked again."""
     only: tuple[str, ...] = ()
     """Names of rows; all without it."""
     frames: int | None = None
@@ -141,14 +143,33 @@ def main() -> None:
     print(describe_machine(), flush=True)
     print(f"\n{options.room.name}, drift {options.drift}, {options.seeds} seeds\n")
     columns, rows = TABLES[options.table]
+    chosen = {name: row for name, row in rows.items() if not options.only or name in options.only}
+    runs: dict[str, list[Row]] = {name: [] for name in chosen}
+    for seed in range(options.seeds):
+        for name, values in chosen.items():
+            runs[name].append(remembered(options, name, values, seed))
     print("| | " + " | ".join(columns) + " |")
     print("|---" * (len(columns) + 1) + "|", flush=True)
-    for name, values in rows.items():
-        if options.only and name not in options.only:
-            continue
-        runs = [walked(options, values, seed) for seed in range(options.seeds)]
-        cells = [_median([run.get(column) for run in runs]) for column in columns]
+    for name, found in runs.items():
+        cells = [_median([run.get(column) for run in found]) for column in columns]
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+
+
+def remembered(options: Options, name: str, values: Row, seed: int) -> Row:
+    """The figures of a walk, from the store if they are there."""
+    key = [options.room.name, options.image_size, options.frames, options.drift, name, seed]
+    known = []
+    if options.store is not None and options.store.exists():
+        known = [json.loads(line) for line in options.store.read_text().splitlines()]
+    for entry in known:
+        if entry["walk"] == json.loads(json.dumps(key)):
+            figures: Row = entry["figures"]
+            return figures
+    figures = walked(options, values, seed)
+    if options.store is not None:
+        with options.store.open("a") as file:
+            file.write(json.dumps({"walk": key, "figures": figures}) + "\n")
+    return figures
 
 
 def walked(options: Options, values: Row, seed: int) -> Row:
