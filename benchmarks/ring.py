@@ -1,6 +1,6 @@
 """A long walk through a ring of rooms, with and without what takes its drift out.
 
-    python benchmarks/ring.py RING [--table loops] [--image-size 160 120] [--drift 0.08] [--seeds N] [--store F]
+    python benchmarks/ring.py RING [--table loops] [--image-size 160 120] [--drift 0.08]
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 900 --sensor-noise`; with
 several seeds, RING-0, RING-1 and so on, made with `--seed N`, where they exist. Tables:
