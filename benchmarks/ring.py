@@ -222,7 +222,8 @@ def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Row:
     shell = [number for number, name in names.items() if name in SHELL]
     psnr = None
     if near:
-        psnr = measure_run(slam.gaussians, near, dataset)["psnr_db"]
+        assert slam.fused is not None
+        psnr = measure_run(slam.fused, near, dataset)["psnr_db"]
     cut = sum(_objects(dataset[boundary].labels, shell) for boundary in boundaries)
     return {"objects cut": cut, "psnr at boundaries": psnr}
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -20,7 +21,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
@@ -29,7 +29,8 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.covariances import write_covariances
-from toolkit.io.splats import SplatLabels, read_splats, write_splat_ply
+from toolkit.io.splat_parts import write_splat_parts
+from toolkit.io.splats import SplatLabels, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -212,20 +213,14 @@ class RunFolder:
             )
 
     def write_map(
-        self,
-        gaussians: GaussianCloud,
-        labels: SplatLabels | None = None,
-        submap: Tensor | None = None,
+        self, parts: Iterable[tuple[GaussianCloud, SplatLabels | None, int | None]]
     ) -> None:
         """`map.ply`, a standard 3DGS file, with labels where the map has semantics.
 
         Args:
-            submap: [N] int32, the submap that each Gaussian is of.
+            parts: Gaussians, their labels, and the number of the submap that they are of.
         """
-        columns = labels.columns() if labels else {}
-        if submap is not None:
-            columns["submap"] = submap.numpy()
-        write_splat_ply(self.map, gaussians, columns or None)
+        write_splat_parts(self.map, (_with_columns(*part) for part in parts))
 
     def read_map(self) -> GaussianCloud:
         """The Gaussians of `map.ply`, with their features where the run left any."""
@@ -238,10 +233,10 @@ class RunFolder:
         return replace(cloud, features=torch.from_numpy(features))
 
     def write_semantics(
-        self, features: Tensor, reader: dict[str, NDArray], taxonomy: Taxonomy
+        self, features: NDArray[np.float16], reader: dict[str, NDArray], taxonomy: Taxonomy
     ) -> None:
         """`semantics/`: the map's features, in half precision, and the state of their reader."""
-        arrays = {"features": features.numpy().astype(np.float16)}
+        arrays: dict[str, NDArray] = {"features": features}
         arrays |= {f"reader/{name}": array for name, array in reader.items()}
         metadata = {"version": __version__, "taxonomy": taxonomy.digest}
         write_array_tree(self.semantics, arrays, metadata)
@@ -289,6 +284,15 @@ class RunFolder:
     def write_json(self, path: Path, content: dict[str, Any]) -> None:
         """A JSON file of this folder, atomically."""
         write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def _with_columns(
+    gaussians: GaussianCloud, labels: SplatLabels | None, submap: int | None
+) -> tuple[GaussianCloud, dict[str, NDArray]]:
+    columns = labels.columns() if labels else {}
+    if submap is not None:
+        columns["submap"] = np.full(len(gaussians), submap, np.int32)
+    return gaussians, columns
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
