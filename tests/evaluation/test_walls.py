@@ -66,6 +66,19 @@ def test_haze_and_floaters_are_no_wall(wall):
     assert found["floaters_percent"] == pytest.approx(20.0, abs=0.1)
 
 
+def test_a_triangle_without_area_spoils_nothing(tmp_path):
+    corners = np.array(
+        [[0, 0, 1], [2, 0, 1], [2, 2, 1], [0, 2, 1], [0, 1, 1.01], [1, 1, 1.01], [2, 1, 1.01]],
+        np.float32,
+    )
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], np.int32)
+    path = tmp_path / "mesh.ply"
+    write_mesh(path, TriangleMesh(corners, np.zeros((7, 3), np.float32), triangles))
+    found = figures(cloud([0.0, 0.04]), path)
+    assert found["wall_thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)
+    assert found["floaters_percent"] == 0.0
+
+
 def test_too_few_say_nothing(wall):
     assert figures(cloud([0.0], count=20), wall)["wall_thickness_cm"] is None
 

@@ -69,17 +69,19 @@ def wall_thickness(
         DependencyError: Open3D cannot be loaded.
     """
     surface = _Surface(mesh)
-    patches, offsets_m, count = [], [], 0
+    patches, offsets_m, count, found = [], [], 0, 0
     for part in scene.parts():
         solid = part.select(part.opacities >= _LEAST_OPACITY)
         points = solid.transformed(T_world_map).means.numpy()
         closest, normals = surface.closest(points)
         offset_m = np.einsum("ij,ij->i", points - closest, normals).astype(np.float64)
         near = np.linalg.norm(points - closest, axis=1) <= _MOST_OFFSET_M
-        patches.append(_patch_keys(closest[near], normals[near]))
-        offsets_m.append(offset_m[near])
+        # A triangle without area has no normal; its neighbours tell of the same wall.
+        kept = near & np.isfinite(offset_m)
+        patches.append(_patch_keys(closest[kept], normals[kept]))
+        offsets_m.append(offset_m[kept])
         count += len(points)
-    found = sum(map(len, patches))
+        found += int(near.sum())
     floaters = 1.0 - found / count if count else 0.0
     return WallThickness(_spreads(np.concatenate(patches), np.concatenate(offsets_m)), floaters)
 
