@@ -16,6 +16,7 @@ from toolkit.loops.candidates import (
     LoopCandidate,
 )
 from toolkit.loops.factory import build_candidate_finder
+from toolkit.loops.landmarks import LandmarkOptions
 from toolkit.settings.loops import CandidateSettings, LandmarkSettings, LoopSettings
 
 pytest.importorskip("faiss")
@@ -86,6 +87,14 @@ def test_landmarks_that_differ_refuse_a_twin():
     twin = next(c for c in found[PLACES + 20] if c.match // 5 == 5)
     assert not twin.accepted
     assert "landmarks differ by 1.4" in twin.reason
+
+
+@pytest.mark.parametrize("weighting", ["sqrt", "linear", "paper"])
+def test_every_weighting_tells_a_twin_from_the_place_itself(weighting):
+    finder = CandidateFinder(D, THRESHOLD, OPTIONS, LandmarkOptions(weighting))
+    found = [finder.add(keyframe(n)) for n in range(PLACES + 21)]
+    assert accepted(found[-1])[0] == 20
+    assert not next(c for c in found[-1] if c.match // 5 == 5).accepted
 
 
 def test_every_considered_keyframe_is_returned_once_with_a_reason():

@@ -143,14 +143,11 @@ class CandidateFinder:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(
-        self, keyframe: DescribedKeyframe, map_counts: NDArray[np.int64] | None = None
-    ) -> list[LoopCandidate]:
+    def add(self, keyframe: DescribedKeyframe) -> list[LoopCandidate]:
         """Remember a keyframe and, if its turn has come, search for its loops.
 
         Args:
             keyframe: the next one, with a later frame than the last.
-            map_counts: [C] Gaussians of each class in the map, for the paper's landmarks only.
 
         Returns:
             What was considered, best first: those taken, then those refused. Nothing, too,
@@ -160,7 +157,7 @@ class CandidateFinder:
             ValueError: the keyframe does not fit those before.
         """
         number = self.remember(keyframe)
-        return self.search(number, map_counts) if self.search_was_due else []
+        return self.search(number) if self.search_was_due else []
 
     def remember(self, keyframe: DescribedKeyframe) -> int:
         """Remember a keyframe without a search; its number.
@@ -181,16 +178,16 @@ class CandidateFinder:
         """Whether the newest keyframe was one at which loops are searched for."""
         return len(self) > 0 and len(self) % self.options.search_every == 0
 
-    def search(
-        self, number: int, map_counts: NDArray[np.int64] | None = None
-    ) -> list[LoopCandidate]:
+    def search(self, number: int) -> list[LoopCandidate]:
         """Candidates for the keyframe that was added as the `number`-th, from 0; as `add`."""
         options = self.options
         among = np.flatnonzero(self._beyond_gap(number))
         found = self._index.search(self._index.descriptor(number), options.considered, among)
         if not found:
             return []
-        vectors = landmark_vectors(np.stack(self._class_counts), self._landmarks, map_counts)
+        counts = np.stack(self._class_counts)
+        # The paper's weighting counts over the map, which holds what its keyframes observed.
+        vectors = landmark_vectors(counts, self._landmarks, map_counts=counts.sum(axis=0))
         limit = self._threshold_of(number)
         judged = [
             self._judged(
