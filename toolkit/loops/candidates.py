@@ -6,6 +6,7 @@ this; so each search gives every keyframe it considered, taken or refused, with 
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -85,7 +86,8 @@ class CandidateOptions:
     Attributes:
         search_every: keyframes from one search to the next (G: 6).
         considered: the nearest so many keyframes are looked at.
-        kept: of those that pass, at most so many, the best by landmarks (G: 1).
+        kept: of those that pass, at most so many, the best by landmarks (G: 1), but one of
+            each submap before a second one.
         threshold: "fixed" takes the encoder's own, "adaptive" what the keyframe's own
             neighbours look like, since places differ in how fast their look changes.
         distance: replaces the encoder's threshold.
@@ -195,15 +197,8 @@ class CandidateFinder:
             )
             for near in found
         ]
-        taken = sorted((c for c in judged if c.accepted), key=_rank)
         refused = [c for c in judged if not c.accepted]
-        total = len(taken)
-        for place, candidate in enumerate(taken):
-            kept = place < options.kept
-            order = f"number {place + 1} of {total} by landmarks"
-            reason = order if kept else f"{order}, {options.kept} are kept"
-            taken[place] = replace(candidate, accepted=kept, reason=reason)
-        return taken + refused
+        return _chosen([c for c in judged if c.accepted], options.kept) + refused
 
     def alike(self, descriptor: NDArray[np.float32], count: int) -> list[Sighting]:
         """The keyframes that look most like a view of descriptor [D], nearest first."""
@@ -289,6 +284,28 @@ class CandidateFinder:
             reason=reason,
             accepted=accepted,
         )
+
+
+def _chosen(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
+    """Candidates in order of preference, all but the first few refused.
+
+    The best by landmarks of each submap come before the second ones: neighbours say the same,
+    and where two places look alike those of the wrong one could be all that is asked.
+    """
+    ranked = sorted(passed, key=_rank)
+    turns: Counter[int] = Counter()
+    numbered = []
+    for place, candidate in enumerate(ranked):
+        numbered.append((turns[candidate.match_submap], place, candidate))
+        turns[candidate.match_submap] += 1
+    chosen = []
+    for turn, place, candidate in sorted(numbered, key=lambda entry: entry[:2]):
+        reason = f"number {place + 1} of {len(ranked)} by landmarks, {turn + 1} of its submap"
+        accepted = len(chosen) < kept
+        if not accepted:
+            reason += f"; {kept} are kept"
+        chosen.append(replace(candidate, accepted=accepted, reason=reason))
+    return chosen
 
 
 def _rank(candidate: LoopCandidate) -> tuple[float, float]:
