@@ -91,6 +91,9 @@ def test_a_verdict_belongs_to_its_frames_or_its_submaps():
     inside = CANDIDATE | {"query_submap": 0}
     other = WITHIN | {"match": 5}
     assert verdicts_on(inside, [other, WITHIN, BETWEEN]) == [WITHIN]
+    taken, against = WITHIN | {"accepted": True}, WITHIN | {"kind": "consistency"}
+    assert verdicts_on(inside, [taken, other, against]) == [taken, against]
+    assert summary([inside, taken, against])[1:] == ["frames 8 and 1: refused, no match"]
     assert verdicts_on(CANDIDATE, [WITHIN, BETWEEN, BETWEEN | {"first": 2}]) == [BETWEEN]
     another = VERIFIED | {"match": 2}
     assert verdicts_on(CANDIDATE, [BETWEEN, VERIFIED, another]) == [BETWEEN, VERIFIED]

@@ -97,9 +97,10 @@ def summary(records: Sequence[Record]) -> list[str]:
     accepted = [r for r in candidates if r["accepted"]]
     lines = [f"{len(candidates)} keyframes considered, {len(accepted)} of them suspected"]
     for record in records:
-        if record["kind"] == "within" and not record["accepted"]:
+        if record["kind"] in ("within", "consistency") and "query" in record:
             pair = f"frames {record['query']} and {record['match']}"
-            lines.append(f"{pair}: refused, {record['reason']}")
+            if not record["accepted"]:
+                lines.append(f"{pair}: refused, {record['reason']}")
         elif record["kind"] in ("between", "consistency", "retracted"):
             pair = f"submaps {record['first']} and {record['second']}"
             lines.append(f"{pair}: {record['reason'] or 'registered'}{_moved(record)}")
@@ -119,8 +120,8 @@ def verdicts_on(candidate: Record, later: Sequence[Record]) -> list[Record]:
     submaps = {candidate["query_submap"], candidate["match_submap"]}
     if len(submaps) == 1:
         frames = (candidate["query"], candidate["match"])
-        found = [r for r in later if r["kind"] == "within" and (r["query"], r["match"]) == frames]
-        return found[:1]
+        found = [r for r in later if (r.get("query"), r.get("match")) == frames]
+        return [r for r in found if r["kind"] in ("within", "consistency")]
     about = [r for r in later if {r.get("first"), r.get("second")} == submaps]
     pair = (candidate["query"], candidate["match"])
     return [

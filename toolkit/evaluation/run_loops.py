@@ -62,16 +62,19 @@ def run_loop_metrics(
 
 def _accepted(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Verdicts on pairs of frames that were taken for loops to the end."""
-    taken_back = {
-        (r["first"], r["second"]) for r in records if r["kind"] in ("consistency", "retracted")
-    }
+    taken_back = {_about(r) for r in records if r["kind"] in ("consistency", "retracted")}
     return [
         r
         for r in records
-        if r["kind"] in ("within", "verified")
-        and r["accepted"]
-        and (r.get("first"), r.get("second")) not in taken_back
+        if r["kind"] in ("within", "verified") and r["accepted"] and _about(r) not in taken_back
     ]
+
+
+def _about(record: dict[str, Any]) -> tuple[str, int, int]:
+    """What a verdict is about: an edge between two submaps, or between two keyframes of one."""
+    if "first" in record:
+        return "submaps", record["first"], record["second"]
+    return "keyframes", record["match"], record["query"]
 
 
 def true_views(dataset: Dataset) -> TrueViews:
