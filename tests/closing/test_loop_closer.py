@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.datasets.synthetic import tiny_room
@@ -24,7 +25,7 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.pose_graph.consistency import ConsistencyOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.registration.matching import MatchingOptions
+from toolkit.registration.matching import MatchingOptions, Offset
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.allocation import Allocation, AllocationOptions
 from toolkit.submaps.atlas import Atlas, BoundaryOptions
@@ -68,14 +69,16 @@ class TrueRegistrar:
 DRIFT = se3.exp(np.array([0.02, 0.0, 0.015, 0.0, 0.01, 0.0]))
 
 
-def closed(frames, registrar_changes=None, log=None, options=None, nearby_changes=None):
+def closed(
+    frames, registrar_changes=None, log=None, options=None, nearby_changes=None, most_keyframes=3
+):
     """An atlas of three submaps, the last of which drifted, and its closer.
 
     The second registrar is as wrong as the first unless it is told otherwise.
     """
     atlas = Atlas(
         Mapper(FEW, np.random.default_rng(0)),
-        Allocation(AllocationOptions(most_keyframes=3), 0),
+        Allocation(AllocationOptions(most_keyframes=most_keyframes), 0),
         boundary=BoundaryOptions(steps=0),
     )
     truth = {0: np.eye(4)}
@@ -188,6 +191,27 @@ class TestBetween:
         kinds = {record["kind"] for record in records}
         assert {"search", "candidate", "between", "verified", "correction between"} <= kinds
         assert all("reason" in r for r in records if r["kind"] in ("candidate", "between"))
+
+
+class TestWithin:
+    def test_a_look_alike_that_the_odometry_rules_out_is_refused(
+        self, frames, tmp_path, monkeypatch
+    ):
+        # Two views of one submap agree to the pixel, and the camera walked metres in between.
+        same = Offset(np.eye(4), 50, 0.9, Scales(0.02, 0.003), np.eye(6) * 1e8)
+        monkeypatch.setattr(keyframe_loops, "measure_offset", lambda *_: same)
+        away = np.eye(4)
+        away[0, 3] = 4.0
+        moved = [(f, away @ T if f.index >= 20 else T) for f, T in frames]
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, _ = closed(moved, log=log, most_keyframes=100)
+        before = bits(atlas)
+        assert not closer.close_within(atlas) and bits(atlas) == before
+        records = read_loop_log(tmp_path / "loops.jsonl")
+        taken = {(r["match"], r["query"]) for r in records if r["kind"] == "within"}
+        refused = {(r["match"], r["query"]) for r in records if r["kind"] == "consistency"}
+        far = {(match, query) for match, query in taken if query >= 20}
+        assert far and far <= refused <= taken
 
 
 class TestSettle:
