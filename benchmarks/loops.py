@@ -35,11 +35,12 @@ from scipy.stats import rankdata
 from tqdm import tqdm
 
 from toolkit.cli.run import build_slam
+from toolkit.cli.run_results import tracked_frames
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
 from toolkit.evaluation.run_loops import run_loop_metrics, true_views
-from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run
+from toolkit.evaluation.run_metrics import MeasureOptions, measure_run
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.colour_histogram import ColourHistogramEncoder
@@ -168,7 +169,9 @@ def walked(options: Options, room: Path, dataset: Dataset, loops: Values) -> Val
         slam.finish()
         records = read_loop_log(folder.loops) if settings.loops.use else []
         measured = MeasureOptions(settings.backend, max_views=_VIEWS)
-        metrics = measure_run(slam.gaussians, tracked(slam), dataset, options=measured)
+        assert slam.fused is not None
+        frames = tracked_frames(slam, settings)
+        metrics = measure_run(slam.fused, frames, dataset, options=measured)
     return {
         **metrics,
         **run_loop_metrics(records, dataset, truth_options(settings)),
@@ -192,15 +195,6 @@ def false_edges(slam: Slam, dataset: Dataset) -> int:
         error = loop.residual(T_world_first, T_world_second)
         count += bool(np.linalg.norm(error[:3]) > LoopTruthOptions().most_distance_m)
     return count
-
-
-def tracked(slam: Slam) -> list[TrackedFrame]:
-    """The frames of a finished run that have a pose."""
-    path = slam.trajectory
-    rows = zip(
-        slam.tracked_indices, path.timestamps_s, path.T_world_camera, slam.exposures, strict=True
-    )
-    return [TrackedFrame(i, float(t), T, *map(float, exposure)) for i, t, T, exposure in rows]
 
 
 def truth_options(settings: RunSettings) -> LoopTruthOptions:

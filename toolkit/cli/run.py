@@ -104,8 +104,7 @@ def build_slam(
         watch,
         build_semantic_mapping(settings.semantics, code, settings.seed),
     )
-    classes = len(labeller.taxonomy) if labeller else 0
-    atlas = build_atlas(settings.submaps, mapper, classes, folder.submaps if folder else None)
+    atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if settings.poses == "slam":
         tracker = build_tracker(settings.tracking, settings.backend, watch, code)
         closer = None

@@ -8,7 +8,8 @@ between submaps registration gives it, and only anchors move.
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +20,7 @@ from toolkit.closing.keyframe_loops import KeyframeLoops
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import figures_of, moved_by, verdict
 from toolkit.closing.sights import Sights
+from toolkit.closing.uncertainty import frame_covariances
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
@@ -103,7 +105,9 @@ class LoopCloser:
         boundary = next(iter(atlas.keyframe_poses(new)))
         poses = atlas.keyframe_poses(new - 1)
         way = [T for index, T in poses.items() if index <= boundary]
-        self._links.append(self._parts.noise.along(new - 1, new, way, information))
+        edge = self._parts.noise.along(new - 1, new, way, information)
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
 
     def join(self, atlas: Atlas, found: Found | None) -> None:
         """Remember how a submap that began at a lost frame lies to the others.
@@ -276,6 +280,22 @@ class LoopCloser:
             100 * correction.largest_m,
         )
         return True
+
+    def covariances(
+        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
+    ) -> Array:
+        """How sure frames are; see `frame_covariances`."""
+        anchors = [np.zeros((6, 6))]
+        if len(atlas) > 1 and not self.loops:
+            chain = OdometryChain(self._links)
+            anchors += [chain.covariance(0, number) for number in range(1, len(atlas))]
+        elif len(atlas) > 1:
+            poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
+            graph = submap_graph(poses, self._links, self.loops)
+            solution = self._parts.optimiser.optimise(graph)
+            assert solution.covariances is not None
+            anchors = list(solution.covariances)
+        return frame_covariances(anchors, submaps, T_submap_camera, self._parts.noise)
 
     def _record(self, kind: str, values: dict[str, Any]) -> None:
         if self._log is not None:
