@@ -19,6 +19,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below
 from toolkit.loops.relocalisation import Found
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.pose_graph.graph import PoseEdge
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller
@@ -262,6 +263,11 @@ class Slam:
     def keyframe_count(self) -> int:
         """How many keyframes there are."""
         return len(self.keyframe_indices)
+
+    @property
+    def loops(self) -> list[PoseEdge]:
+        """The loop edges between submaps that are held now."""
+        return [] if self._closer is None else list(self._closer.loops)
 
     @property
     def taxonomy(self) -> Taxonomy | None:

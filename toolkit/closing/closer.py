@@ -147,11 +147,14 @@ class LoopCloser:
             return False
         with self._recorder.timed("loops between submaps"):
             found = False
+            # Where a lost frame was found, two submaps are joined before they are registered.
+            held = {(loop.first, loop.second): loop for loop in self.loops}
             for other in sorted({c.match_submap for c in mine}):
-                edge = self._registered(atlas, other, number)
+                new = self._registered(atlas, other, number)
+                edge = new or held.get((other, number))
                 pairs = [c for c in mine if c.match_submap == other]
-                if edge is not None and self._confirmed(atlas, edge, pairs):
-                    self.loops.append(edge)
+                if edge is not None and self._confirmed(atlas, edge, pairs) and new is not None:
+                    self.loops.append(new)
                     found = True
             return found and self._correct_between(atlas)
 
@@ -183,23 +186,36 @@ class LoopCloser:
         return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
 
     def _registered(self, atlas: Atlas, first: int, second: int) -> PoseEdge | None:
-        """A loop edge between two submaps, or None where nothing can be verified."""
+        """A loop edge between two submaps, or None where nothing can be verified.
+
+        Alike keyframes can lead to another place that looks the same. Where the odometry rules
+        that out, the submaps are laid over each other once more where the odometry has them.
+        """
         values: dict[str, Any] = {"first": first, "second": second}
         T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
-        try:
-            result = register_pair(
-                self._parts.registrar, atlas.submap(first), atlas.submap(second), T
+        for registrar in (self._parts.registrar, self._parts.nearby):
+            try:
+                result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
+            except ToolkitError as error:
+                # A submap whose file is lost must not end the run.
+                self._record("between", values | {"accepted": False, "reason": str(error)})
+                return None
+            edge = self._parts.loop_noise.edge(
+                first, second, result.T_target_source, result.information
             )
-        except ToolkitError as error:
-            # A submap whose file is lost must not end the run.
-            self._record("between", values | {"accepted": False, "reason": str(error)})
-            return None
-        reason = objection(result, self._parts.verification)
-        self._record("between", values | figures_of(result, T) | verdict(reason))
-        if reason:
-            return None
-        T = result.T_target_source
-        return self._parts.loop_noise.edge(first, second, T, result.information)
+            impossible = self._against_odometry(edge)
+            reason = objection(result, self._parts.verification) or impossible
+            self._record("between", values | figures_of(result, T) | verdict(reason))
+            if not reason:
+                return edge
+            if not impossible:
+                break
+        return None
+
+    def _against_odometry(self, edge: PoseEdge) -> str:
+        """Why the odometry rules a loop out, empty where it does not."""
+        agreement = consistent_loops(OdometryChain(self._links), [edge], self._parts.consistency)
+        return agreement.reason(0)
 
     def _confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: list[LoopCandidate]) -> bool:
         """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
@@ -219,6 +235,8 @@ class LoopCloser:
             enough = shared >= self.options.least_shared
             reason = "" if enough else f"the views share only {100 * shared:.0f} %"
             values = {
+                "first": edge.first,
+                "second": edge.second,
                 "query": pair.query,
                 "match": pair.match,
                 "shared": shared,

@@ -60,8 +60,12 @@ class KeyframeLoops:
         for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
             way = [first.T_map_camera, second.T_map_camera]
             odometry.append(self._parts.noise.along(first.index, second.index, way, SURE))
-        kept = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency).kept
-        agreed = [loops[k] for k in kept]
+        agreement = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency)
+        for place, loop in enumerate(loops):
+            if place not in agreement.kept:
+                pair = {"match": loop.first, "query": loop.second}
+                self._record("consistency", pair | verdict(agreement.reason(place)))
+        agreed = [loops[k] for k in agreement.kept]
         poses = {keyframe.index: keyframe.T_map_camera for keyframe in submap.keyframes}
         chi2 = sum(loop.chi2(poses[loop.first], poses[loop.second]) for loop in agreed)
         drifted = chi2 > quantile(self._options.drift_confidence, 6 * max(len(agreed), 1))
