@@ -110,7 +110,9 @@ class DrawingSettings(Settings):
 class RegistrationSettings(Settings):
     """Which registration of submaps, and its values."""
 
-    kind: Literal["sgr", "two-way", "clouds"] = Field("sgr", description="the method")
+    kind: Literal["sgr", "coarse", "fine", "two-way", "clouds"] = Field(
+        "sgr", description="both stages, one alone, coarse and two-way, or Open3D on clouds"
+    )
     drawing: DrawingSettings = DrawingSettings()
     coarse: CoarseSettings = CoarseSettings()
     fine: FineSettings = FineSettings()
