@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import SensorModel, tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
+from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.features.factory import build_describer
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.semantics.factory import build_code
-from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.factory import build_code, choose_taxonomy
 from toolkit.settings.run import RunSettings
 from toolkit.submaps.submap import Submap
 
@@ -81,7 +80,7 @@ def room(frames: int, size: tuple[int, int], seed: int, noise: bool) -> Recordin
     """A synthetic room with its true labels, with or without a sensor's noise."""
     made, truth = tiny_room(frames, *size, seed, SensorModel() if noise else None)
     settings = RunSettings()
-    tree = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
+    tree = choose_taxonomy("auto", {number: name for name, number in CLASS_IDS.items()})
     code = build_code(settings.semantics.code, tree)
     semantics = build_semantic_mapping(settings.semantics, code, seed)
     return Recording(made, truth.T_world_camera, semantics)
@@ -151,7 +150,7 @@ def draw_pairs(
         if pieces[a].frames & pieces[b].frames:
             continue
         if len(pieces[a].frames) < len(pieces[b].frames):
-            a, b = b, a  # noqa: PLW2901
+            a, b = b, a
         share = overlap(pieces[a], pieces[b])
         if share >= LEAST_OVERLAP:
             possible.append((share, a, b))

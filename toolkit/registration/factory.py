@@ -76,6 +76,7 @@ def coarse_options(settings: CoarseSettings) -> CoarseOptions:
         pairs=settings.pairs,
         offsets=settings.offsets,
         least_agreeing=settings.least_agreeing,
+        enough=settings.enough,
         matching=matching_options(settings.matching),
         average=AverageOptions(**settings.average.model_dump()),
     )

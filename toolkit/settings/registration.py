@@ -55,6 +55,7 @@ class CoarseSettings(Settings):
         "measured", description="between a pair's images, or none (G)"
     )
     least_agreeing: int = Field(2, ge=1, description="fewest pairs that agree")
+    enough: int = Field(4, ge=1, description="pairs that agree and spare the others")
     matching: MatchingSettings = MatchingSettings()
     average: MotionAverageSettings = MotionAverageSettings()
 
