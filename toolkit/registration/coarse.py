@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.registration.matching import MatchingOptions, Offset, measure_offset
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
+from toolkit.registration.pooled import pooled_motion
 from toolkit.registration.result import UNKNOWN, RegistrationResult, failed
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.alignment import Scales
@@ -115,11 +116,15 @@ def register_coarse(
             agreement = _agreement(target, source, usable, options, start)
             if agreement.agree.sum() >= options.enough:
                 break
-    if not usable:
+    if agreement is None or len(agreement.agree) < len(usable):
+        agreement = _agreement(target, source, usable, options, start) if usable else None
+    if agreement is None or agreement.agree.sum() < options.least_agreeing:
+        pooled = _pooled(target, source, pairs[:tried], options, generator)
+        if pooled is not None:
+            return pooled
+    if agreement is None:
         reason = f"none of {tried} alike pairs of keyframes fixes an offset"
         return CoarseRegistration(failed("coarse", reason, start), [])
-    if agreement is None or len(agreement.agree) < len(usable):
-        agreement = _agreement(target, source, usable, options, start)
     ranked = np.argsort(-agreement.weights, kind="stable")
     views = [usable[i][0].source for i in ranked if agreement.agree[i]]
     offsets = [offset for _, offset in usable]
@@ -139,6 +144,29 @@ def _agreement(
     )
     T_source_camera = np.array([source.keyframes[p.source].T_map_camera for p, _ in usable])
     return average_motion(T_target_camera, T_source_camera, options.average, start)
+
+
+def _pooled(
+    target: Submap,
+    source: Submap,
+    pairs: list[KeyframePair],
+    options: CoarseOptions,
+    generator: np.random.Generator,
+) -> CoarseRegistration | None:
+    """A motion that the features of all pairs obey together, where no pair is sure by itself."""
+    if options.offsets == "none":
+        return None
+    seen = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
+    found = pooled_motion(seen, options.matching, generator)
+    if found is None:
+        return None
+    T_source_camera = np.array([seen[place][1].T_map_camera for place in found.pairs])
+    T_target_camera = found.T_target_source @ T_source_camera
+    agreement = average_motion(T_target_camera, T_source_camera, options.average)
+    unknown = Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
+    result = _result(agreement, [unknown] * len(found.pairs), len(pairs), options)
+    views = [pairs[place].source for place in found.pairs]
+    return CoarseRegistration(result, list(dict.fromkeys(views)))
 
 
 def _offset(
