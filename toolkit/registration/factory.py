@@ -13,6 +13,7 @@ from toolkit.registration.joint_alignment import JointOptions
 from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions
 from toolkit.registration.result import Registrar
+from toolkit.registration.second_opinion import SecondOpinion
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.two_way import TwoWayRegistration
 from toolkit.registration.views import ViewDrawer
@@ -38,8 +39,16 @@ def build_registrar(
         drawer: as `build_drawer` makes it.
         encoder: of the papers' feature term, for the first-order optimiser.
     """
+    clouds = CloudRegistration(CloudOptions(**settings.clouds.model_dump(), seed=seed), drawer)
     if settings.kind == "clouds":
-        return CloudRegistration(CloudOptions(**settings.clouds.model_dump(), seed=seed), drawer)
+        return clouds
+    registrar = _by_views(settings, seed, drawer, encoder)
+    return SecondOpinion(registrar, clouds) if settings.second_opinion else registrar
+
+
+def _by_views(
+    settings: RegistrationSettings, seed: int, drawer: ViewDrawer, encoder: Encoder | None
+) -> Registrar:
     fine = fine_options(settings.fine)
     if settings.kind == "fine":
         return FineRegistration(fine, drawer, encoder)

@@ -114,6 +114,7 @@ class RegistrationSettings(Settings):
     kind: Literal["sgr", "coarse", "fine", "two-way", "clouds"] = Field(
         "sgr", description="both stages, one alone, coarse and two-way, or Open3D on clouds"
     )
+    second_opinion: bool = Field(False, description="of Open3D on clouds, which must not object")
     drawing: DrawingSettings = DrawingSettings()
     coarse: CoarseSettings = CoarseSettings()
     fine: FineSettings = FineSettings()
