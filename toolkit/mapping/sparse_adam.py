@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.rendering.native import address, kernels
+from toolkit.rendering.native import address, kernels_for
 
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
 
@@ -81,7 +81,7 @@ class SparseAdam:
             alive = (self.steps[ids] < self.rates.freeze_steps).nonzero().squeeze(1)
             ids = ids.index_select(0, alive)
             gradients = {name: g.index_select(0, alive) for name, g in gradients.items()}
-        module = kernels()
+        module = kernels_for(cloud.means)
         if module is None:
             self._step_torch(cloud, gradients, ids)
             return

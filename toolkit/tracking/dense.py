@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError
@@ -27,7 +26,7 @@ from toolkit.tracking.alignment import (
     Linearisation,
     ModelLevel,
     Scales,
-    intensity_of,
+    finest_level,
     linearise,
     model_level,
     pyramid,
@@ -195,7 +194,7 @@ class DenseTracker:
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
         """
-        finest = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
+        finest = finest_level(frame, gaussians.means.device)
         task = _Task(frame, gaussians, pyramid(finest, self.options.levels))
         view = self._draw(task, starts[0])
         start = self._best_start(task, view, starts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,7 +34,8 @@ class Tuning:
     Attributes:
         side: of a tile in pixels, 8 or 16.
         batch: Gaussians composited at once, a power of two from 16.
-        channels_forward, channels_backward: most feature channels at once, powers of two from 16.
+        channels_forward, channels_backward: most feature channels at once, powers of two from 16;
+            the backward kernel takes so many always, since narrow products spill registers.
         warps: of the compositing kernels.
         precision: of matrix products, Triton's input precision. "tf32" rounds features, weights
             and the gradients of images to 11 bits; "tf32x3" and "ieee" keep float32 and cost
@@ -57,7 +57,7 @@ def _block(channels: int, most: int) -> int:
     return 0 if channels == 0 else min(most, max(16, triton.next_power_of_2(channels)))
 
 
-def _on(device: torch.device) -> contextlib.AbstractContextManager[None]:
+def on(device: torch.device) -> contextlib.AbstractContextManager[None]:
     """Kernels start on the current device: make it the tensors' own."""
     return torch.cuda.device(device) if device.type == "cuda" else contextlib.nullcontext()
 
@@ -138,7 +138,7 @@ class CudaForwardPass:
         sums = torch.empty(len(bins.rows), _SUMS, device=device)
         if not visible:
             return self._finished(sums, features, colours)
-        with _on(device):
+        with on(device):
             width = max(1, self._tuning.scratch_bytes // (4 * len(bins.rows)))
             for first in range(0, max(1, channels), width):
                 last = min(first + width, channels)
@@ -179,7 +179,7 @@ class CudaForwardPass:
             last,
             SIDE=tuning.side,
             BATCH=tuning.batch,
-            BLOCK_C=_block(channels, tuning.channels_backward),
+            BLOCK_C=tuning.channels_backward if channels else 0,
             GEOMETRY=first == 0,
             MOVE=move and first == 0 and channels > 0,
             PRECISION=tuning.precision,
@@ -246,8 +246,8 @@ class CudaForwardPass:
 
 
 def interpreted() -> bool:
-    """Whether Triton runs its kernels in Python, as it does when asked before its import."""
-    return os.environ.get("TRITON_INTERPRET", "0") == "1"
+    """Whether Triton runs its kernels in Python: TRITON_INTERPRET=1 was set at its import."""
+    return not isinstance(compositing.composite, triton.JITFunction)
 
 
 class CudaBackend:
@@ -284,7 +284,7 @@ class CudaBackend:
             )
         )
         region = None if region is None else region.to(device, torch.uint8).contiguous()
-        with _on(device):
+        with on(device):
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
             drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
             drawn.draw(centres)
