@@ -129,7 +129,7 @@ def accumulate(
         # The sensor's noise grows with the square of the depth.
         scale = inverse_depth / tl.maximum(measured * measured, 0.25)
         square = residual * scale * residual * scale
-        robust = tl.where(flat, (NU + 1.0) / (NU + square), 0.0)
+        robust = tl.where(flat, 1.0 / (square + NU) * (NU + 1.0), 0.0)
         root = tl.sqrt(robust) * scale
         J = _pose_columns(columns, nx, ny, nz, x, y, z) + _column(columns, RESIDUAL, residual)
         J = tl.where(flat[:, None], J * root[:, None], 0.0)
@@ -147,7 +147,7 @@ def accumulate(
         i11, x11, y11, d11 = _tap(texture, at + width + 1, close)
         nearest = tl.minimum(tl.minimum(d00, d01), tl.minimum(d10, d11))
         farthest = tl.maximum(tl.maximum(d00, d01), tl.maximum(d10, d11))
-        bright = close & (nearest > 0.0) & (farthest - nearest <= EDGE * nearest)
+        bright = close & (nearest > 0.0) & (farthest - nearest <= nearest * EDGE)
         w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
         value = w00 * i00 + w01 * i01 + w10 * i10 + w11 * i11
         slope_x = (w00 * x00 + w01 * x01 + w10 * x10 + w11 * x11) * fx * inverse_z
@@ -155,7 +155,7 @@ def accumulate(
         slope_z = -(slope_x * x + slope_y * y) * inverse_z
         residual = tl.where(bright, value - (gain * own + bias), 0.0)
         square = residual * inverse_intensity * residual * inverse_intensity
-        robust = tl.where(bright, (NU + 1.0) / (NU + square), 0.0)
+        robust = tl.where(bright, 1.0 / (square + NU) * (NU + 1.0), 0.0)
         root = tl.sqrt(robust) * inverse_intensity
         J = _pose_columns(columns, slope_x, slope_y, slope_z, x, y, z)
         J += _column(columns, 6, -own) + _column(columns, RESIDUAL, residual)
