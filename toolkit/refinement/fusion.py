@@ -44,7 +44,7 @@ class FusedMap:
 def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     """Join the submaps that can be read. A single one passes unchanged."""
     if len(atlas) == 1:
-        cloud = atlas.mapper.gaussians
+        cloud = atlas.mapper.content.gaussians
         return FusedMap(cloud, torch.zeros(len(cloud), dtype=torch.int32), {0: (1.0, 0.0)})
     return fuse_submaps(lambda: _readable(atlas), voxel_m)
 

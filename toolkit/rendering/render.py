@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from toolkit.rendering.gsplat import GsplatBackend
 from toolkit.rendering.native import NativeBackend, kernels
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.reference import ReferenceBackend
+
+_log = logging.getLogger(__name__)
 
 BACKENDS = ("auto", "native", "reference", "cuda", "gsplat")
 
@@ -82,6 +85,37 @@ class _ByDevice:
         """See Backend.forward."""
         chosen = backend("cuda") if gaussians.means.is_cuda else self._on_cpu
         return chosen.forward(gaussians, camera, T_camera_map, features, region, centres)
+
+
+def map_device(name: str, backend_name: str) -> str:
+    """Where a map is kept and optimised, "cpu" or "cuda".
+
+    Args:
+        name: "cpu", "cuda", or "auto": a GPU where there is one and the backend draws there.
+        backend_name: that draws it.
+
+    Raises:
+        SettingsError: the backend cannot draw there.
+        DependencyError: there is no GPU, or no backend for it.
+    """
+    on_cpu = backend_name in ("native", "reference")
+    if name == "cpu" or (name == "auto" and (on_cpu or not torch.cuda.is_available())):
+        return "cpu"
+    if on_cpu:
+        raise SettingsError(
+            f"--device cuda and --backend {backend_name}, which draws on the CPU; "
+            "use --backend auto"
+        )
+    if not torch.cuda.is_available():
+        raise DependencyError("--device cuda, and no CUDA device is there; use --device auto")
+    try:
+        backend("cuda" if backend_name == "auto" else backend_name)
+    except DependencyError as error:
+        if name == "cuda":
+            raise
+        _log.warning("the GPU stays idle: %s", error)
+        return "cpu"
+    return "cuda"
 
 
 def render(

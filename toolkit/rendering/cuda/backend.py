@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.backend import GaussianGradients
+from toolkit.rendering.backend import ForwardPass, GaussianGradients
 from toolkit.rendering.cuda import compositing, reduction
 from toolkit.rendering.cuda.binning import Binning, bin_gaussians
 from toolkit.rendering.output import BASE_CHANNELS
@@ -53,7 +53,8 @@ class Tuning:
     scratch_bytes: int = 2**30
 
 
-def _block(channels: int, most: int) -> int:
+def block_of(channels: int, most: int) -> int:
+    """Feature channels that a kernel takes at once: a power of two from 16, or 0 for none."""
     return 0 if channels == 0 else min(most, max(16, triton.next_power_of_2(channels)))
 
 
@@ -96,7 +97,7 @@ class CudaForwardPass:
             torch.empty(bins.tiles, pixels, device=device),
             torch.empty(bins.tiles, dtype=torch.int32, device=device),
         )
-        block = _block(channels, tuning.channels_forward)
+        block = block_of(channels, tuning.channels_forward)
         compositing.composite[(bins.tiles, triton.cdiv(channels, block) if block else 1)](
             bins.splats,
             self._cloud.features,
@@ -190,7 +191,7 @@ class CudaForwardPass:
         bins, (visible, channels), width = self._binning, features.shape, rows.shape[1]
         if width == 0:
             return
-        block = _block(width, 64)
+        block = block_of(width, 64)
         reduction.add_rows[(triton.cdiv(visible, _ADDED), triton.cdiv(width, block))](
             bins.begins,
             bins.counts,
@@ -250,8 +251,26 @@ def interpreted() -> bool:
     return not isinstance(compositing.composite, triton.JITFunction)
 
 
+class _FromElsewhere:
+    """A view of Gaussians on the CPU that a GPU drew: what it returns lies where they do."""
+
+    def __init__(self, drawn: CudaForwardPass, home: torch.device) -> None:
+        self._drawn, self._home = drawn, home
+        self.images = drawn.images.to(home)
+
+    def backward(
+        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
+    ) -> GaussianGradients:
+        """See ForwardPass.backward."""
+        found = self._drawn.backward(image_gradients, colours, detached)
+        parts = {f.name: getattr(found, f.name) for f in fields(found)}
+        return GaussianGradients(
+            **{name: None if t is None else t.to(self._home) for name, t in parts.items()}
+        )
+
+
 class CudaBackend:
-    """Triton kernels on the GPU that holds the Gaussians."""
+    """Triton kernels on the GPU that holds the Gaussians, or on the first one."""
 
     name = "cuda"
 
@@ -266,9 +285,10 @@ class CudaBackend:
         features: Tensor | None,
         region: Tensor | None,
         centres: bool = False,
-    ) -> CudaForwardPass:
+    ) -> ForwardPass:
         """See Backend.forward."""
-        device = gaussians.means.device
+        home = gaussians.means.device
+        device = home if home.type == "cuda" or interpreted() else torch.device("cuda")
         if features is None:
             features = gaussians.means.new_zeros(len(gaussians), 0)
         cloud = GaussianCloud(
@@ -288,4 +308,4 @@ class CudaBackend:
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
             drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
             drawn.draw(centres)
-        return drawn
+        return drawn if device == home else _FromElsewhere(drawn, home)

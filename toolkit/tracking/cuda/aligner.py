@@ -25,8 +25,8 @@ from toolkit.tracking.alignment import (
 from toolkit.tracking.cuda import kernels
 
 _BLOCK = 128  # pixels at once
-_PARTS = 128  # partial sums at most, so that their order does not depend on the GPU
-_ADDED = 16  # partial sums read at once
+_PARTS = 512  # partial sums at most, so that their order does not depend on the GPU
+_ADDED = 32  # partial sums read at once
 _WIDE = int(kernels.WIDE.value)
 _PART = int(kernels.PART.value)
 _PHASE = int(kernels.PHASE.value)
@@ -181,6 +181,7 @@ def _advance(
         MOST_SCALES.depth_m,
         ROWS=_ADDED,
         EXPOSURE=adjust,
+        num_warps=8,
     )
 
 
