@@ -123,6 +123,6 @@ def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compile
         ),
         compiled(reduction.finish, capability, SIDE=side, COLOURS=True, BLOCK=64),
         compiled(reduction.add_rows, capability, BLOCK=16, BLOCK_C=64),
-        compiled(alignment.accumulate, capability, BLOCK=128),
-        compiled(alignment.advance, capability, ROWS=16, EXPOSURE=True),
+        compiled(alignment.accumulate, capability, 2, BLOCK=64),
+        compiled(alignment.advance, capability, 8, ROWS=32, EXPOSURE=True),
     ]

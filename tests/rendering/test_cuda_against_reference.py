@@ -187,9 +187,7 @@ def test_opacity_one_and_radii_of_all_sizes() -> None:
     assert_agrees(scene)
     radii = radii.clone()
     radii[0], radii[3] = -60.0, 60.0
-    gradients = gradients_of(
-        scene.with_cloud(log_radii=radii), Cuda(), torch.ones(5, 12, 16)
-    )
+    gradients = gradients_of(scene.with_cloud(log_radii=radii), Cuda(), torch.ones(5, 12, 16))
     assert all(torch.isfinite(g).all() for g in gradients.values())
 
 

@@ -97,7 +97,9 @@ def test_few_wide_gaussians_are_drawn_where_they_are(
     native: NativeBackend, monkeypatch: pytest.MonkeyPatch, way: str, centres: list
 ) -> None:
     """Their mean centre hardly moves over the pixels: its rounding is no normal."""
-    monkeypatch.setattr(surface, "kernels_for", lambda tensor: native._module if way == "kernel" else None)
+    monkeypatch.setattr(
+        surface, "kernels_for", lambda tensor: native._module if way == "kernel" else None
+    )
     count = len(centres)
     cloud = GaussianCloud.from_values(
         torch.tensor([[x, y, 2.0] for x, y in centres]),

@@ -109,7 +109,9 @@ def test_torch_computes_what_numpy_does(room, size):
         assert_close(actual, torch.from_numpy(expected), few=2)
     images = torch.rand(5, *reversed(size), generator=torch.Generator().manual_seed(0))
     expected = alignment_numpy.intensity_of(images.numpy(), 0.6)
-    assert_close(alignment_torch.intensity_of(images, 0.6)[..., None], torch.from_numpy(expected)[..., None])
+    assert_close(
+        alignment_torch.intensity_of(images, 0.6)[..., None], torch.from_numpy(expected)[..., None]
+    )
 
 
 def test_kernels_of_the_cpu_keep_away_from_other_devices():

@@ -35,7 +35,9 @@ def build_mapper(
     values["rates"] = LearningRates(**values["rates"])
     values["consensus"] = ConsensusOptions(**values["consensus"])
     values["loss"] = RgbdLossWeights(**values["loss"])
-    return Mapper(MapperOptions(**values, device=device), generator, backend_name, recorder, semantics)
+    return Mapper(
+        MapperOptions(**values, device=device), generator, backend_name, recorder, semantics
+    )
 
 
 def build_semantic_mapping(

@@ -215,7 +215,9 @@ class Mapper:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
-        arrays = {f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS}
+        arrays = {
+            f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS
+        }
         arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
         arrays["seeded_by"] = self.seeded_by.cpu().numpy()
         # Copies: the next step changes the map in place.

@@ -183,7 +183,9 @@ class HeadedCode:
             part = values[first : first + width]
             target = torch.from_numpy(heads.targets[:, k]).to(values.device)[class_ids - 1].long()
             if heads.bits:
-                wanted = (target[None] >> torch.arange(int(width), device=target.device)[:, None]) & 1
+                wanted = (
+                    target[None] >> torch.arange(int(width), device=target.device)[:, None]
+                ) & 1
                 loss = torch.nn.functional.binary_cross_entropy_with_logits(
                     part, wanted.to(part), reduction="none"
                 ).sum(0)

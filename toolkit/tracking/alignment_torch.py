@@ -34,9 +34,7 @@ def _taps(image: Tensor) -> Tensor:
     rows, columns = max(1, height // 2), max(1, width // 2)
     # A side of one pixel is its own neighbour.
     right, below = min(1, width - 1), min(1, height - 1)
-    return torch.stack(
-        [image[y::2, x::2][:rows, :columns] for y in (0, below) for x in (0, right)]
-    )
+    return torch.stack([image[y::2, x::2][:rows, :columns] for y in (0, below) for x in (0, right)])
 
 
 def model(camera: Camera, intensity: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:

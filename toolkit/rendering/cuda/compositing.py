@@ -188,7 +188,9 @@ def _clear(
             for c in range(0, width, BLOCK_C):
                 column = c + tl.arange(0, BLOCK_C)[None, :]
                 nothing = tl.zeros([BATCH, BLOCK_C], dtype=tl.float32)
-                tl.store(feature_rows + row * width + column, nothing, mask=valid & (column < width))
+                tl.store(
+                    feature_rows + row * width + column, nothing, mask=valid & (column < width)
+                )
 
 
 @triton.jit
@@ -249,7 +251,15 @@ def differentiate(
         behind = -tl.load(transmittance + tile.to(tl.int64) * (SIDE * SIDE) + pixel)
         behind *= tl.load(asked + 4 * plane, mask=inside, other=0.0)
     _clear(
-        pair_rows, begin + used * BATCH, end, sums, feature_rows, last - first, BATCH, BLOCK_C, GEOMETRY
+        pair_rows,
+        begin + used * BATCH,
+        end,
+        sums,
+        feature_rows,
+        last - first,
+        BATCH,
+        BLOCK_C,
+        GEOMETRY,
     )
     for i in range(used):
         number = used - 1 - i

@@ -24,7 +24,7 @@ from toolkit.tracking.alignment import (
 )
 from toolkit.tracking.cuda import kernels
 
-_BLOCK = 128  # pixels at once
+_BLOCK, _WARPS = 64, 2  # pixels at once, by so many warps: more would not fit the registers
 _PARTS = 512  # partial sums at most, so that their order does not depend on the GPU
 _ADDED = 32  # partial sums read at once
 _WIDE = int(kernels.WIDE.value)
@@ -155,13 +155,12 @@ def _accumulate(
         gate,
         chunks,
         BLOCK=_BLOCK,
+        num_warps=_WARPS,
     )
     return count
 
 
-def _advance(
-    tensors: tuple[Tensor, Tensor, Tensor], count: int, rules: Rules, level: int
-) -> None:
+def _advance(tensors: tuple[Tensor, Tensor, Tensor], count: int, rules: Rules, level: int) -> None:
     parts, state, last = tensors
     adjust = rules.exposure is not None and level == 0
     kernels.advance[(1,)](
