@@ -256,7 +256,7 @@ def walked(frames: list[Frame], device: str, backend_name: str, quick: bool) -> 
         backend_name=backend_name,
     )
     few = {"iterations": 1, "first_iterations": 1} if quick else {}
-    mapper = Mapper(MapperOptions(device=device, **few), backend_name=backend_name)
+    mapper = Mapper(MapperOptions(**few), backend_name=backend_name, device=device)
     times: dict[str, list[float]] = {"track": [], "map": []}
     squares = []
     for frame in frames:

@@ -113,6 +113,7 @@ def test_unknown_and_absent_backends() -> None:
 
 
 def test_backends_for_gpus_say_what_they_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setitem(sys.modules, "triton", None)
     for name in [n for n in sys.modules if n.startswith("toolkit.rendering.cuda")]:
         monkeypatch.delitem(sys.modules, name)

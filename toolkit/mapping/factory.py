@@ -35,9 +35,8 @@ def build_mapper(
     values["rates"] = LearningRates(**values["rates"])
     values["consensus"] = ConsensusOptions(**values["consensus"])
     values["loss"] = RgbdLossWeights(**values["loss"])
-    return Mapper(
-        MapperOptions(**values, device=device), generator, backend_name, recorder, semantics
-    )
+    options = MapperOptions(**values)
+    return Mapper(options, generator, backend_name, recorder, semantics, device)
 
 
 def build_semantic_mapping(

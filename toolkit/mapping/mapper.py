@@ -50,7 +50,6 @@ class MapperOptions:
         pose_translation_m, pose_rotation_rad: its steps.
         least_opacity: prune below it.
         largest_radius_m: prune beyond it.
-        device: where the map is kept and optimised, "cpu" or "cuda".
     """
 
     iterations: int = 12
@@ -69,7 +68,6 @@ class MapperOptions:
     pose_rotation_rad: float = 5e-5
     least_opacity: float = 0.005
     largest_radius_m: float = 0.5
-    device: str = "cpu"
     keyframes: KeyframePolicy = field(default_factory=KeyframePolicy)
     seeding: SeedingOptions = field(default_factory=SeedingOptions)
     rates: LearningRates = field(default_factory=LearningRates)
@@ -108,7 +106,11 @@ class MapContent:
 
 
 class Mapper:
-    """Owns the Gaussians, the keyframes and the optimiser of one map."""
+    """Owns the Gaussians, the keyframes and the optimiser of one map.
+
+    Args:
+        device: where the map is kept and optimised, "cpu" or "cuda".
+    """
 
     def __init__(
         self,
@@ -117,10 +119,11 @@ class Mapper:
         backend_name: str = "auto",
         recorder: Recorder | None = None,
         semantics: SemanticMapping | None = None,
+        device: str = "cpu",
     ) -> None:
         self.options = options or MapperOptions()
         self.semantics = semantics or SemanticMapping()
-        self.device = torch.device(self.options.device)
+        self.device = torch.device(device)
         self.gaussians = GaussianCloud.empty(self.semantics.channels, self.device)
         self.keyframes: list[Keyframe] = []
         rates = self.options.rates
