@@ -1,290 +1,342 @@
 """Registration of submaps: how often it succeeds, how far off, how long it takes.
 
-    python benchmarks/registration.py --pairs 8
-    SEMSPLAT_DATA=DATA python benchmarks/registration.py --places room kitchen
+    python benchmarks/registration.py --pairs 50 --rooms 0 1 2 3 --size 160 120
+    SEMSPLAT_DATA=DATA python benchmarks/registration.py --rooms --kitchen
 
-Submaps are pieces of a recording, mapped at their given poses with the default settings; no
-frame is in two of them. "room" is a synthetic room with its true labels, "kitchen" 7-Scenes
-RedKitchen, whose truth is itself good to 1-2 cm only. Pairs overlap by 30-100 %. Methods that
-need a start get the truth moved by up to 0.5 m and 30 degrees, the same one for all; the others
-begin from nothing. Success is 5 cm and 2 degrees. Descriptors are small thumbnails.
+Submaps are pieces of a recording, mapped at their given poses with the default settings and
+described by the default encoder, each told in a frame of its own that lies anywhere; no frame
+is in two of them. A room is synthetic, with its true labels and 25 frames a submap or more; the
+kitchen is 7-Scenes RedKitchen, whose truth is itself good to 1-2 cm only.
+
+Rows with "(start)" are given the truth moved by up to 0.5 m and 30 degrees, the same for all;
+others begin from nothing. Every row takes a pair before the next pair begins, so that what else
+the machine does falls on all of them. Success is 5 cm and 2 degrees. "converged, wrong" are
+results that are no success and say that they are; "passed, wrong" those of them that a loop's
+verification lets through.
 """
 
 from __future__ import annotations
 
-import os
+import hashlib
+import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
-import cv2
 import numpy as np
 import tyro
 from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
+from registration_pairs import Pair, draw_pairs, kitchen, pool, room  # type: ignore[import-not-found]
 from tqdm import tqdm
 
-from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.synthetic import SensorModel, tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
-from toolkit.frame import Frame
 from toolkit.geometry import se3
-from toolkit.mapping.factory import build_mapper, build_semantic_mapping
-from toolkit.mapping.keyframes import Keyframe
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.registration.coarse import CoarseOptions, register_coarse
+from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.registration.coarse import CoarseOptions, CoarseRegistration
 from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
 from toolkit.registration.fine import FineOptions, FineRegistration
-from toolkit.registration.result import RegistrationResult
+from toolkit.registration.result import Registrar, RegistrationResult
 from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.two_way import TwoWayRegistration
 from toolkit.registration.views import ViewDrawer
-from toolkit.semantics.factory import build_code
-from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.run import RunSettings
-from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
-Place = Literal["room", "kitchen"]
 
-SPAN, STEP = 40, 5  # frames of a submap, and from keyframe to keyframe
-LEAST_OVERLAP = 0.3
-CANDIDATES = 40  # spans drawn for a pair
-MOST_M, MOST_DEG = 0.5, 30.0
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
+HALF = 0.5  # overlap that parts the easy pairs from the hard ones
 
 
 @dataclass(frozen=True)
 class Options:
     """Measure registration."""
 
-    pairs: int = 8
-    """Pairs of submaps of each place."""
-    places: tuple[Place, ...] = ("room",)
-    """Where the submaps come from."""
+    pairs: int = 10
+    """Most pairs of submaps of each recording."""
+    rooms: tuple[int, ...] = (0,)
+    """Seeds of synthetic rooms."""
+    kitchen: bool = False
+    """Take the real recording as well."""
     methods: tuple[str, ...] = ()
-    """Rows to run; all without it."""
+    """Rows to run; without it the main ones."""
     noise: bool = False
-    """Give the synthetic room's camera a sensor's noise."""
-    frames: int = 150
-    """Frames of the synthetic room."""
+    """Give the synthetic rooms' camera a sensor's noise."""
+    frames: int = 300
+    """Frames of a synthetic room; 300 is all of its way."""
     size: tuple[int, int] = (320, 240)
     """Width and height of the images."""
     seed: int = 0
     """Of pairs, starts and maps."""
+    trials: Path | None = None
+    """Write a line of JSON for every result here."""
 
 
 @dataclass(frozen=True)
-class Recording:
-    """Frames, their poses, and how to read their labels."""
+class Trial:
+    """What one method made of one pair.
 
-    frames: Sequence[Frame]
-    T_world_camera: Array
-    semantics: SemanticMapping
+    Attributes:
+        first_s, second_s: seconds of the coarse stage and of what follows it.
+        objection: why a loop's verification refuses the result; empty where it does not.
+        chi2: squared error by the result's own information, six expected.
+    """
 
-
-@dataclass(frozen=True)
-class Pair:
-    """Two submaps, the true motion, a start, and the share of the source the target sees."""
-
-    target: Submap
-    source: Submap
-    T_target_source: Array
-    start: Array
+    method: str
+    pair: str
     overlap: float
+    error_m: float
+    error_deg: float
+    converged: bool
+    objection: str
+    first_s: float
+    second_s: float
+    renders: int
+    chi2: float
+    motion: str
+
+    @property
+    def success(self) -> bool:
+        """Within the bounds."""
+        return self.error_m < SUCCESS_M and self.error_deg < SUCCESS_DEG
+
+    @property
+    def seconds(self) -> float:
+        """Both stages."""
+        return self.first_s + self.second_s
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A registration and its stages' seconds."""
+
+    result: RegistrationResult
+    first_s: float
+    second_s: float
 
 
 def main() -> None:
-    """Print one table a place."""
+    """Print a table for the rooms and one for the kitchen."""
     options = tyro.cli(Options)
     print(describe_machine(), flush=True)
-    for place in options.places:
-        recording = kitchen(options) if place == "kitchen" else room(options)
+    if options.rooms:
+        named = "with sensor noise" if options.noise else "ideal images"
+        show(f"synthetic rooms, {named}", room_pairs(options), options)
+    if options.kitchen:
         generator = np.random.default_rng(options.seed)
-        pairs = [
-            make_pair(recording, generator)
-            for _ in tqdm(range(options.pairs), desc=f"{place}: submaps", file=sys.stderr)
-        ]
-        show(place, pairs, recording, options)
+        recording = kitchen(options.size)
+        pieces = pool(recording, generator)
+        pairs = draw_pairs(pieces, options.pairs, recording.semantics, generator, "kitchen")
+        show("RedKitchen", pairs, options)
 
 
-def room(options: Options) -> Recording:
-    """A synthetic room with labels."""
-    sensor = SensorModel() if options.noise else None
-    frames, truth = tiny_room(options.frames, *options.size, options.seed, sensor)
-    settings = RunSettings()
-    tree = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
-    code = build_code(settings.semantics.code, tree)
-    semantics = build_semantic_mapping(settings.semantics, code, options.seed)
-    return Recording(frames, truth.T_world_camera, semantics)
+def room_pairs(options: Options) -> list[Pair]:
+    """Pairs of every room."""
+    pairs = []
+    for seed in tqdm(options.rooms, desc="rooms", file=sys.stderr):
+        generator = np.random.default_rng([seed, options.seed])
+        recording = room(options.frames, options.size, seed, options.noise)
+        pieces = pool(recording, generator)
+        pairs += draw_pairs(pieces, options.pairs, recording.semantics, generator, f"room {seed}")
+    return pairs
 
 
-def kitchen(options: Options) -> Recording:
-    """A real recording, out and back, without labels."""
-    path = Path(os.environ["SEMSPLAT_DATA"]) / "7scenes_redkitchen"
-    dataset = open_dataset("seven-scenes", path, options.size, None)
-    assert dataset.ground_truth is not None
-    frames = [dataset[i] for i in range(len(dataset))]
-    return Recording(frames, dataset.ground_truth.T_world_camera, SemanticMapping())
+class Methods:
+    """Every row, over one pair; its coarse stage is run once and its time told by all."""
 
-
-def make_pair(recording: Recording, generator: np.random.Generator) -> Pair:
-    """Two submaps of random spans, with about as much overlap as a number drawn evenly."""
-    wanted = generator.uniform(LEAST_OVERLAP, 1.0)
-    drawn = [spans(len(recording.frames), generator) for _ in range(CANDIDATES)]
-    shares = [overlap_of(recording, *pair) for pair in drawn]
-    possible = [i for i, share in enumerate(shares) if share >= LEAST_OVERLAP]
-    chosen = min(possible, key=lambda i: abs(shares[i] - wanted))
-    numbers, others = drawn[chosen]
-    seed = int(generator.integers(2**31))
-    poses = recording.T_world_camera
-    truth = se3.inverse(poses[numbers[0]]) @ poses[others[0]]
-    return Pair(
-        target=submap(recording, numbers, seed),
-        source=submap(recording, others, seed),
-        T_target_source=truth,
-        start=truth @ random_motion(generator),
-        overlap=shares[chosen],
+    MAIN = (
+        "coarse, Z = I (G-5)",
+        "coarse",
+        "fine (start)",
+        "SGR",
+        "SGR (start)",
+        "coarse, then two-way",
+        "two-way (start)",
+        "FPFH, RANSAC, ICP",
+        "ICP (start)",
     )
 
+    def __init__(self, pair: Pair, seed: int) -> None:
+        self._pair, self._seed = pair, seed
+        self._coarse: dict[tuple[CoarseOptions, bool], tuple[CoarseRegistration, float]] = {}
+        self.rows: dict[str, Callable[[], Timed]] = {
+            "coarse, Z = I (G-5)": lambda: self._first(CoarseOptions(offsets="none")),
+            "coarse": lambda: self._first(CoarseOptions()),
+            "fine (start)": lambda: self._alone(FineRegistration(drawer=self._drawer()), True),
+            "SGR": lambda: self._both(self._sgr(FineOptions())),
+            "SGR (start)": lambda: self._both(self._sgr(FineOptions()), started=True),
+            "coarse, then two-way": lambda: self._both(self._two_way()),
+            "two-way (start)": lambda: self._alone(TwoWayRegistration(drawer=self._drawer()), True),
+            "FPFH, RANSAC, ICP": lambda: self._alone(self._clouds(CloudOptions())),
+            "ICP (start)": lambda: self._alone(self._clouds(CloudOptions()), started=True),
+            "SGR, classes ignored": lambda: self._both(self._sgr(FineOptions(semantic_gate=False))),
+            "SGR, first-order fine (G-6)": lambda: self._both(
+                self._sgr(FineOptions(optimiser="first-order"))
+            ),
+            "FPFH, fast global, ICP": lambda: self._alone(self._clouds(CloudOptions("fast"))),
+            "FPFH, RANSAC, coloured ICP": lambda: self._alone(
+                self._clouds(CloudOptions(icp="coloured"))
+            ),
+        }
 
-def spans(frames: int, generator: np.random.Generator) -> tuple[range, range]:
-    """Keyframes of a target and of a shorter source, none of which is in both."""
-    first, second = (int(n) for n in generator.integers(0, frames - SPAN, size=2))
-    numbers = range(first, first + SPAN, STEP)
-    others = range(second, second + SPAN - 2 * STEP, STEP)
-    if set(numbers) & set(others):
-        others = range(others.start + STEP // 2, others.stop + STEP // 2, STEP)
-    return numbers, others
+    def _drawer(self) -> ViewDrawer:
+        return ViewDrawer(semantics=self._pair.semantics)
 
+    def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
+        return SemanticGuidedRegistration(SgrOptions(fine=fine, seed=self._seed), self._drawer())
 
-def overlap_of(recording: Recording, numbers: range, others: range) -> float:
-    """Mean share of a source view's points that some target view sees, occlusion aside."""
-    poses = recording.T_world_camera
-    keyframes = [Keyframe.from_frame(recording.frames[i], poses[i]) for i in others]
-    shares = [max(k.share_seen_by(poses[i]) for i in numbers) for k in keyframes]
-    return float(np.mean(shares))
+    def _two_way(self) -> SemanticGuidedRegistration:
+        drawer = self._drawer()
+        refiner = TwoWayRegistration(drawer=drawer)
+        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), drawer, refiner=refiner)
 
+    def _clouds(self, options: CloudOptions) -> CloudRegistration:
+        return CloudRegistration(options, self._drawer())
 
-def submap(recording: Recording, numbers: range, seed: int) -> Submap:
-    """Some frames mapped at their given poses, in the frame of the first."""
-    mapper = build_mapper(
-        RunSettings().mapping, np.random.default_rng(seed), semantics=recording.semantics
-    )
-    T_submap_world = se3.inverse(recording.T_world_camera[numbers[0]])
-    for i in numbers:
-        mapper.add_keyframe(recording.frames[i], T_submap_world @ recording.T_world_camera[i])
-    words = np.array([thumbnail(keyframe) for keyframe in mapper.keyframes])
-    return Submap(0, np.eye(4), mapper.gaussians, mapper.keyframes, descriptors=words)
+    def _first(self, options: CoarseOptions) -> Timed:
+        sgr = SemanticGuidedRegistration(SgrOptions(options, seed=self._seed))
+        coarse, first_s = self._coarse_stage(sgr, started=False)
+        return Timed(coarse.result, first_s, 0.0)
 
-
-def thumbnail(keyframe: Keyframe) -> NDArray[np.float32]:
-    """A weight-free descriptor [768] of unit length: 16x16 pixels, less their mean."""
-    image = keyframe.rgb.permute(1, 2, 0).contiguous().numpy().astype(np.float32)
-    small = cv2.resize(image, (16, 16), interpolation=cv2.INTER_AREA).ravel()
-    small -= small.mean()
-    return small / max(float(np.linalg.norm(small)), 1e-6)
-
-
-def random_motion(generator: np.random.Generator) -> Array:
-    """A motion of up to MOST_M and MOST_DEG in a random direction."""
-    direction = generator.normal(size=(2, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    metres, radians = generator.random(2) * [MOST_M, np.deg2rad(MOST_DEG)]
-    return se3.exp(np.concatenate([metres * direction[0], radians * direction[1]]))
-
-
-Method = Callable[[Pair], RegistrationResult]
-
-
-def methods(semantics: SemanticMapping, seed: int) -> dict[str, Method]:
-    """Every row's registration; (start) marks those that are given one."""
-
-    def drawer() -> ViewDrawer:
-        return ViewDrawer(semantics=semantics)
-
-    def coarse(options: CoarseOptions) -> Method:
-        def run(pair: Pair) -> RegistrationResult:
-            generator = np.random.default_rng(seed)
-            return register_coarse(pair.target, pair.source, options, generator).result
-
-        return run
-
-    def sgr(fine: FineOptions) -> Method:
-        registrar = SemanticGuidedRegistration(SgrOptions(fine=fine, seed=seed), drawer())
-        return lambda pair: registrar.register(pair.target, pair.source)
-
-    def clouds(options: CloudOptions) -> Method:
-        registrar = CloudRegistration(replace(options, seed=seed), drawer())
-        return lambda pair: registrar.register(pair.target, pair.source)
-
-    def started(registrar: FineRegistration | TwoWayRegistration) -> Method:
-        return lambda pair: registrar.register(pair.target, pair.source, pair.start)
-
-    def after_coarse(registrar: TwoWayRegistration) -> Method:
-        def run(pair: Pair) -> RegistrationResult:
-            start = coarse(CoarseOptions())(pair).T_target_source
-            return registrar.register(pair.target, pair.source, start)
-
-        return run
-
-    return {
-        "coarse, Z = I (G-5)": coarse(CoarseOptions(offsets="none")),
-        "coarse, measured Z": coarse(CoarseOptions()),
-        "fine (start)": started(FineRegistration(drawer=drawer())),
-        "SGR": sgr(FineOptions()),
-        "SGR, classes ignored": sgr(FineOptions(semantic_gate=False)),
-        "SGR, first-order fine (G-6)": sgr(FineOptions(optimiser="first-order")),
-        "two-way (start)": started(TwoWayRegistration(drawer=drawer())),
-        "two-way after coarse": after_coarse(TwoWayRegistration(drawer=drawer())),
-        "FPFH, RANSAC, ICP": clouds(CloudOptions()),
-        "FPFH, fast global, ICP": clouds(CloudOptions(search="fast")),
-        "FPFH, RANSAC, coloured ICP": clouds(CloudOptions(icp="coloured")),
-    }
-
-
-COLUMNS = ("success", "converged", "median cm", "median deg", "median s", "renders", "chi2 / 6")
-
-
-def show(place: Place, pairs: list[Pair], recording: Recording, options: Options) -> None:
-    """Run every method on every pair and print a row a method."""
-    overlaps = [f"{100 * pair.overlap:.0f}" for pair in pairs]
-    print(f"\n### {place}: {len(pairs)} pairs, overlap {' '.join(overlaps)} %")
-    print("\n| method | " + " | ".join(COLUMNS) + " |")
-    print("|---|" + "---:|" * len(COLUMNS), flush=True)
-    for name, method in methods(recording.semantics, options.seed).items():
-        if options.methods and name not in options.methods:
-            continue
-        print(f"| {name} | " + " | ".join(row(method, pairs)) + " |", flush=True)
-
-
-def row(method: Method, pairs: list[Pair]) -> list[str]:
-    """Cells of one method."""
-    metres, degrees, seconds, renders, chi2, converged = [], [], [], [], [], 0
-    for pair in pairs:
+    def _both(self, sgr: SemanticGuidedRegistration, started: bool = False) -> Timed:
+        coarse, first_s = self._coarse_stage(sgr, started)
         begin = time.perf_counter()
-        result = method(pair)
-        seconds.append(time.perf_counter() - begin)
-        error = se3.inverse(result.T_target_source) @ pair.T_target_source
-        metres.append(float(np.linalg.norm(error[:3, 3])))
-        degrees.append(float(np.rad2deg(se3.rotation_angle_rad(error[:3, :3]))))
-        renders.append(result.renders)
-        tangent = se3.log(error)
-        chi2.append(float(tangent @ result.information @ tangent) / 6.0)
-        converged += result.converged
-    good = sum(m < SUCCESS_M and d < SUCCESS_DEG for m, d in zip(metres, degrees, strict=True))
+        start = self._pair.start if started else None
+        result = sgr.refined(self._pair.target, self._pair.source, coarse, start)
+        return Timed(result, first_s, time.perf_counter() - begin)
+
+    def _coarse_stage(
+        self, sgr: SemanticGuidedRegistration, started: bool
+    ) -> tuple[CoarseRegistration, float]:
+        key = (sgr.options.coarse, started)
+        if key not in self._coarse:
+            begin = time.perf_counter()
+            start = self._pair.start if started else None
+            coarse = sgr.coarse(self._pair.target, self._pair.source, start)
+            self._coarse[key] = coarse, time.perf_counter() - begin
+        return self._coarse[key]
+
+    def _alone(self, registrar: Registrar, started: bool = False) -> Timed:
+        start = self._pair.start if started else None
+        begin = time.perf_counter()
+        result = registrar.register(self._pair.target, self._pair.source, start)
+        return Timed(result, 0.0, time.perf_counter() - begin)
+
+
+def judged(name: str, pair: Pair, timed: Timed) -> Trial:
+    """A result beside the truth.
+
+    Frames lie anywhere here. A run's lie at a submap's first camera, so errors and information
+    are told there.
+    """
+    camera = pair.source.keyframes[0].T_map_camera
+    error = se3.inverse(timed.result.T_target_source) @ pair.T_target_source
+    error = se3.inverse(camera) @ error @ camera
+    A = se3.adjoint(camera)
+    result = replace(timed.result, information=A.T @ timed.result.information @ A)
+    tangent = se3.log(error)
+    return Trial(
+        method=name,
+        pair=pair.name,
+        overlap=pair.overlap,
+        error_m=float(np.linalg.norm(error[:3, 3])),
+        error_deg=float(np.rad2deg(se3.rotation_angle_rad(error[:3, :3]))),
+        converged=result.converged,
+        objection=objection(result, VerificationOptions()),
+        first_s=timed.first_s,
+        second_s=timed.second_s,
+        renders=result.renders,
+        chi2=float(tangent @ result.information @ tangent),
+        motion=hashlib.sha256(result.T_target_source.tobytes()).hexdigest()[:12],
+    )
+
+
+def show(title: str, pairs: list[Pair], options: Options) -> None:
+    """Run every method on every pair and print a row a method."""
+    names = options.methods or Methods.MAIN
+    trials: list[Trial] = []
+    for pair in tqdm(pairs, desc=title, file=sys.stderr):
+        methods = Methods(pair, options.seed)
+        for name in names:
+            trials.append(judged(name, pair, methods.rows[name]()))
+            if options.trials is not None:
+                with options.trials.open("a") as file:
+                    file.write(json.dumps(vars(trials[-1])) + "\n")
+    print_table(title, pairs, trials)
+
+
+COLUMNS = (
+    "overlap >= 50 %",
+    "30-50 %",
+    "median cm",
+    "median deg",
+    "converged",
+    "converged, wrong",
+    "passed, wrong",
+    "median s",
+    "of it coarse",
+    "renders",
+    "chi2 / 6",
+)
+
+
+def print_table(title: str, pairs: list[Pair], trials: list[Trial]) -> None:
+    """A row a method, then SGR's time against the two-way's."""
+    motions = "".join(trial.motion for trial in trials).encode()
+    print(f"\n### {title}: {len(pairs)} pairs, bits {hashlib.sha256(motions).hexdigest()[:12]}")
+    print("\n| method | " + " | ".join(COLUMNS) + " |")
+    print("|---|" + "---:|" * len(COLUMNS))
+    by_method: dict[str, list[Trial]] = {}
+    for trial in trials:
+        by_method.setdefault(trial.method, []).append(trial)
+    for name, own in by_method.items():
+        print(f"| {name} | " + " | ".join(cells(own)) + " |")
+    ratios("SGR", "coarse, then two-way", by_method)
+    ratios("fine (start)", "two-way (start)", by_method)
+
+
+def cells(trials: list[Trial]) -> list[str]:
+    """Of one method."""
+
+    def median(name: str) -> float:
+        return float(np.median([getattr(trial, name) for trial in trials]))
+
+    wrong = [trial for trial in trials if trial.converged and not trial.success]
     return [
-        f"{good}/{len(pairs)}",
-        f"{converged}/{len(pairs)}",
-        f"{100 * np.median(metres):.2f}",
-        f"{np.median(degrees):.3f}",
-        f"{np.median(seconds):.2f}",
-        f"{np.median(renders):.0f}",
-        f"{np.median(chi2):.3g}",
+        rate([trial for trial in trials if trial.overlap >= HALF]),
+        rate([trial for trial in trials if trial.overlap < HALF]),
+        f"{100 * median('error_m'):.2f}",
+        f"{median('error_deg'):.3f}",
+        f"{sum(trial.converged for trial in trials)}/{len(trials)}",
+        f"{len(wrong)}",
+        f"{sum(not trial.objection for trial in wrong)}",
+        f"{median('seconds'):.2f}",
+        f"{median('first_s'):.2f}",
+        f"{median('renders'):.0f}",
+        f"{median('chi2') / 6:.3g}",
     ]
+
+
+def rate(trials: list[Trial]) -> str:
+    """Successes of tries."""
+    if not trials:
+        return "-"
+    good = sum(trial.success for trial in trials)
+    return f"{good}/{len(trials)} ({100 * good / len(trials):.0f} %)"
+
+
+def ratios(name: str, other: str, by_method: dict[str, list[Trial]]) -> None:
+    """One method's time as a share of another's, on the same pairs."""
+    if name not in by_method or other not in by_method:
+        return
+    mine, others = by_method[name], by_method[other]
+    for what in ("seconds", "second_s"):
+        a, b = (np.array([getattr(t, what) for t in trials]) for trials in (mine, others))
+        stage = "in all" if what == "seconds" else "after the coarse stage"
+        print(
+            f"\n{name} / {other}, time {stage}: median of pairs {np.median(a / b):.2f}, "
+            f"of the sums {a.sum() / b.sum():.2f}"
+        )
 
 
 if __name__ == "__main__":

@@ -33,3 +33,23 @@ def real_data() -> Callable[[str], Path]:
         return Path(root) / name
 
     return find
+
+
+@pytest.fixture(scope="session")
+def tiny_dinov2(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a DINOv2 with random weights, patches of 8 pixels, 16 channels."""
+    transformers = pytest.importorskip("transformers")
+    import torch
+
+    folder = tmp_path_factory.mktemp("models") / "dinov2"
+    torch.manual_seed(0)
+    config = transformers.Dinov2Config(
+        hidden_size=16,
+        num_hidden_layers=1,
+        num_attention_heads=2,
+        patch_size=8,
+        image_size=32,
+        mlp_ratio=2,
+    )
+    transformers.Dinov2Model(config).save_pretrained(folder)
+    return folder

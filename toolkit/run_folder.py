@@ -1,7 +1,7 @@
 """What a run leaves on disk: outputs, and checkpoints from which it continues.
 
-    config.yaml  trajectory.txt  map.ply  frames.json  renders/  metrics.json  report.html
-    taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
+    config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
+    report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
 
 Checkpoints come in two generations: the older one is replaced, so a whole one exists at any
 moment. They fall on frame boundaries and change no state.
@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -20,7 +21,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
@@ -28,7 +28,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
-from toolkit.io.splats import SplatLabels, read_splats, write_splat_ply
+from toolkit.io.covariances import write_covariances
+from toolkit.io.splat_parts import write_splat_parts
+from toolkit.io.splats import SplatLabels, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -58,6 +60,7 @@ class RunFolder:
         self.path = path
         self.config = path / "config.yaml"
         self.trajectory = path / "trajectory.txt"
+        self.covariances = path / "covariances.txt"
         self.map = path / "map.ply"
         self.frames = path / "frames.json"
         self.renders = path / "renders"
@@ -210,20 +213,14 @@ class RunFolder:
             )
 
     def write_map(
-        self,
-        gaussians: GaussianCloud,
-        labels: SplatLabels | None = None,
-        submap: Tensor | None = None,
+        self, parts: Iterable[tuple[GaussianCloud, SplatLabels | None, int | None]]
     ) -> None:
         """`map.ply`, a standard 3DGS file, with labels where the map has semantics.
 
         Args:
-            submap: [N] int32, the submap that each Gaussian is of.
+            parts: Gaussians, their labels, and the number of the submap that they are of.
         """
-        columns = labels.columns() if labels else {}
-        if submap is not None:
-            columns["submap"] = submap.numpy()
-        write_splat_ply(self.map, gaussians, columns or None)
+        write_splat_parts(self.map, (_with_columns(*part) for part in parts))
 
     def read_map(self) -> GaussianCloud:
         """The Gaussians of `map.ply`, with their features where the run left any."""
@@ -236,10 +233,10 @@ class RunFolder:
         return replace(cloud, features=torch.from_numpy(features))
 
     def write_semantics(
-        self, features: Tensor, reader: dict[str, NDArray], taxonomy: Taxonomy
+        self, features: NDArray[np.float16], reader: dict[str, NDArray], taxonomy: Taxonomy
     ) -> None:
         """`semantics/`: the map's features, in half precision, and the state of their reader."""
-        arrays = {"features": features.numpy().astype(np.float16)}
+        arrays: dict[str, NDArray] = {"features": features}
         arrays |= {f"reader/{name}": array for name, array in reader.items()}
         metadata = {"version": __version__, "taxonomy": taxonomy.digest}
         write_array_tree(self.semantics, arrays, metadata)
@@ -272,9 +269,13 @@ class RunFolder:
             return {}
         return arrays_below(read_array_tree(self.semantics).arrays, "reader/")
 
-    def write_trajectory(self, trajectory: Trajectory) -> None:
-        """`trajectory.txt` in TUM format."""
+    def write_trajectory(
+        self, trajectory: Trajectory, covariances: NDArray[np.float64] | None = None
+    ) -> None:
+        """`trajectory.txt` in TUM format, and `covariances.txt` [M, 6, 6] where they are known."""
         write_tum(self.trajectory, trajectory)
+        if covariances is not None:
+            write_covariances(self.covariances, trajectory.timestamps_s, covariances)
 
     def read_trajectory(self) -> Trajectory:
         """The poses of `trajectory.txt`."""
@@ -283,6 +284,15 @@ class RunFolder:
     def write_json(self, path: Path, content: dict[str, Any]) -> None:
         """A JSON file of this folder, atomically."""
         write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def _with_columns(
+    gaussians: GaussianCloud, labels: SplatLabels | None, submap: int | None
+) -> tuple[GaussianCloud, dict[str, NDArray]]:
+    columns = labels.columns() if labels else {}
+    if submap is not None:
+        columns["submap"] = np.full(len(gaussians), submap, np.int32)
+    return gaussians, columns
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:

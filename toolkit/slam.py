@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.camera_path import CameraPath
 from toolkit.closing.closer import LoopCloser
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -18,6 +19,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below
 from toolkit.loops.relocalisation import Found
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.pose_graph.graph import PoseEdge
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
 from toolkit.semantics.labeller import Labeller
@@ -55,22 +57,6 @@ class FrameResult:
         return self.T_map_camera is None
 
 
-@dataclass(frozen=True)
-class _TrackedFrame:
-    """A frame's place, relative to the keyframe before it so that it moves with the map.
-
-    Attributes:
-        keyframe: frame index of that keyframe, one of `submap`.
-    """
-
-    index: int
-    timestamp_s: float
-    submap: int
-    keyframe: int
-    gain: float
-    bias: float
-
-
 class Slam:
     """RGB-D Gaussian SLAM: feed it frames in order, then call `finish`."""
 
@@ -91,8 +77,7 @@ class Slam:
         self._labeller = labeller
         self._closer = closer
         self._recorder = recorder or NullRecorder()
-        self._tracked: list[_TrackedFrame] = []
-        self._T_keyframe_camera: list[NDArray[np.float64]] = []
+        self._path = CameraPath()
         self.lost_frames: list[int] = []
         self._lost_in_a_row = 0
 
@@ -152,7 +137,7 @@ class Slam:
                 self._closer.observe(self.atlas)
             T_map_camera = self._allocate(frame, tracking)
 
-        self._remember(frame, T_map_camera, tracking)
+        self._path.add(frame, self.atlas, T_map_camera, tracking)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
         return FrameResult(frame.index, T_map_camera, tracking, mapping, T_world_camera)
 
@@ -192,7 +177,7 @@ class Slam:
         self._close_within()
         with self._recorder.timed("mapping"):
             if found is None:
-                atlas.begin_at(frame, *self._last_place(), inherit=False)
+                atlas.begin_at(frame, *self._path.last_place(atlas), inherit=False)
             else:
                 exposure = (found.result.gain, found.result.bias)
                 atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
@@ -207,14 +192,6 @@ class Slam:
             if found
             else "joined to nothing until a loop is found",
         )
-
-    def _last_place(self) -> tuple[int, NDArray[np.float64]]:
-        """Submap and pose of the last frame that had one; in a saved map, before any, its end."""
-        if not self._tracked:
-            return self.atlas.active, np.eye(4)
-        last = self._tracked[-1]
-        T_submap_keyframe = self.atlas.keyframe_poses(last.submap)[last.keyframe]
-        return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
 
     def _allocate(self, frame: Frame, tracking: TrackingResult | None) -> NDArray[np.float64]:
         """Begin the next submap where it is time; the newest keyframe's pose in the active one."""
@@ -268,16 +245,6 @@ class Slam:
                 self._closer.settle(self.atlas)
             self.fused = fuse(self.atlas)
 
-    def _remember(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
-    ) -> None:
-        last = self.mapper.keyframes[-1]
-        gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
-        self._tracked.append(
-            _TrackedFrame(frame.index, frame.timestamp_s, self.atlas.active, last.index, gain, bias)
-        )
-        self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_map_camera)
-
     @property
     def gaussians(self) -> GaussianCloud:
         """The whole map in the world's frame, once finished; until then the active submap."""
@@ -298,6 +265,11 @@ class Slam:
         return len(self.keyframe_indices)
 
     @property
+    def loops(self) -> list[PoseEdge]:
+        """The loop edges between submaps that are held now."""
+        return [] if self._closer is None else list(self._closer.loops)
+
+    @property
     def taxonomy(self) -> Taxonomy | None:
         """The classes that the map knows, None for a map without semantics."""
         return None if self._labeller is None else self._labeller.taxonomy
@@ -305,7 +277,7 @@ class Slam:
     @property
     def tracked_indices(self) -> list[int]:
         """Indices of the frames that have a pose, in order."""
-        return [f.index for f in self._tracked]
+        return self._path.indices
 
     @property
     def exposures(self) -> NDArray[np.float64]:
@@ -313,27 +285,20 @@ class Slam:
 
         The map is the frame's submap, or once finished the whole one.
         """
-        known = {} if self.fused is None else self.fused.exposures
-        rows = []
-        for f in self._tracked:
-            gain, bias = known.get(f.submap, (1.0, 0.0))
-            rows.append((gain * f.gain, gain * f.bias + bias))
-        return np.array(rows).reshape(-1, 2)
+        return self._path.exposures({} if self.fused is None else self.fused.exposures)
 
     @property
     def trajectory(self) -> Trajectory:
         """Poses of the tracked frames in the world, the first submap's frame."""
-        atlas = self.atlas
-        keyframes = [
-            {index: atlas.T_world_submap(n) @ T for index, T in atlas.keyframe_poses(n).items()}
-            for n in range(len(atlas))
-        ]
-        poses = [
-            se3.orthonormalise(keyframes[f.submap][f.keyframe] @ T)
-            for f, T in zip(self._tracked, self._T_keyframe_camera, strict=True)
-        ]
-        times = np.array([f.timestamp_s for f in self._tracked])
-        return Trajectory(times, np.array(poses).reshape(-1, 4, 4))
+        return self._path.trajectory(self.atlas)
+
+    @property
+    def covariances(self) -> NDArray[np.float64] | None:
+        """[M, 6, 6] of x in T_world_camera exp(x) of the tracked frames; None without loops."""
+        if self._closer is None:
+            return None
+        places = self._path.poses_in_submaps(self.atlas)
+        return self._closer.covariances(self.atlas, self._path.submaps, places)
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues to identical results."""
@@ -348,12 +313,12 @@ class Slam:
         if self._closer is not None:
             closer_arrays, closer_values = self._closer.state()
             arrays |= {f"closer/{k}": a for k, a in closer_arrays.items()}
-        arrays["T_keyframe_camera"] = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
+        arrays["T_keyframe_camera"], tracked = self._path.state()
         return arrays, {
             "mapper": values,
             "atlas": atlas_values,
             "closer": closer_values,
-            "tracked": [asdict(f) for f in self._tracked],
+            "tracked": tracked,
             "lost_frames": self.lost_frames,
             "lost_in_a_row": self._lost_in_a_row,
         }
@@ -368,7 +333,6 @@ class Slam:
         self.tracker.restore(arrays_below(arrays, "tracker/"))
         if self._labeller is not None:
             self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
-        self._tracked = [_TrackedFrame(**f) for f in values["tracked"]]
-        self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
+        self._path.restore(arrays["T_keyframe_camera"], values["tracked"])
         self.lost_frames = [int(i) for i in values["lost_frames"]]
         self._lost_in_a_row = int(values["lost_in_a_row"])

@@ -41,7 +41,7 @@ def run(tmp_path, gaussians, recording) -> Path:
     kept = range(9)
     times = np.array([i / 30.0 for i in kept])
     folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))
-    folder.write_map(gaussians)
+    folder.write_map([(gaussians, None, None)])
     rows = [
         {"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "bias": 0.0, "held_out": i == 4}
         for i in kept

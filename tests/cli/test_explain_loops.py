@@ -35,13 +35,24 @@ BETWEEN = {
     "reason": "",
 }
 CORRECTION = {"kind": "correction between", "loops": 1, "largest_m": 0.05, "largest_rad": 0.01}
+VERIFIED = {
+    "kind": "verified",
+    "first": 0,
+    "second": 1,
+    "query": 8,
+    "match": 1,
+    "shared": 0.8,
+    "apart_m": 0.12,
+    "accepted": True,
+    "reason": "",
+}
 WITHIN = {"kind": "within", "query": 8, "match": 1, "accepted": False, "reason": "no match"}
 
 
 @pytest.fixture
 def looped(run):
     """A run with a loop in its log."""
-    lines = [CANDIDATE, REFUSED, BETWEEN, CORRECTION]
+    lines = [CANDIDATE, REFUSED, BETWEEN, VERIFIED, CORRECTION]
     (run / "loops.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     return run
 
@@ -50,7 +61,8 @@ def test_each_suspicion_has_a_picture(looped, capsys):
     assert main([str(looped)]) == 0
     (picture,) = (looped / "loops").iterdir()
     assert picture.name == "frame000008_frame000001.png"
-    assert cv2.imread(str(picture)).shape[1] > 2 * 64
+    # Wide enough for the lines below.
+    assert cv2.imread(str(picture)).shape[1] > 2 * 480
     told = capsys.readouterr().out
     assert "2 keyframes considered, 1 of them suspected" in told
     assert "submaps 0 and 1: registered, 6.4 cm" in told and "anchors move by up to 5.0 cm" in told
@@ -79,7 +91,12 @@ def test_a_verdict_belongs_to_its_frames_or_its_submaps():
     inside = CANDIDATE | {"query_submap": 0}
     other = WITHIN | {"match": 5}
     assert verdicts_on(inside, [other, WITHIN, BETWEEN]) == [WITHIN]
+    taken, against = WITHIN | {"accepted": True}, WITHIN | {"kind": "consistency"}
+    assert verdicts_on(inside, [taken, other, against]) == [taken, against]
+    assert summary([inside, taken, against])[1:] == ["frames 8 and 1: refused, no match"]
     assert verdicts_on(CANDIDATE, [WITHIN, BETWEEN, BETWEEN | {"first": 2}]) == [BETWEEN]
+    another = VERIFIED | {"match": 2}
+    assert verdicts_on(CANDIDATE, [BETWEEN, VERIFIED, another]) == [BETWEEN, VERIFIED]
 
 
 def test_the_story_tells_what_was_refused():

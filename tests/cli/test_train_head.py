@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from toolkit.cli.main import main
 from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
@@ -39,27 +38,16 @@ def labelled(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def encoder(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("models") / "encoder"
-    torch.manual_seed(0)
-    config = transformers.Dinov2Config(
-        hidden_size=16, num_hidden_layers=1, num_attention_heads=2, patch_size=8, image_size=32
-    )
-    transformers.Dinov2Model(config).save_pretrained(folder)
-    return folder
-
-
-def words(labelled: Path, encoder: Path, out: Path, *more: str) -> list[str]:
+def words(labelled: Path, tiny_dinov2: Path, out: Path, *more: str) -> list[str]:
     data = ["--dataset.kind", "replica", "--dataset.path", str(labelled)]
-    return ["train-head", *data, "--model", str(encoder), "--out", str(out), *more]
+    return ["train-head", *data, "--model", str(tiny_dinov2), "--out", str(out), *more]
 
 
 def test_a_head_is_trained_measured_on_held_out_frames_and_written(
-    labelled, encoder, tmp_path, capsys
+    labelled, tiny_dinov2, tmp_path, capsys
 ):
     out = tmp_path / "head.safetensors"
-    assert main(words(labelled, encoder, out, "--hold-out", "3", "--longest-side", "64")) == 0
+    assert main(words(labelled, tiny_dinov2, out, "--hold-out", "3", "--longest-side", "64")) == 0
     printed = capsys.readouterr().out
     assert "training frames         4\nheld-out frames         1\n" in printed
     accuracy = re.search(r"held-out accuracy +([\d.]+)", printed)
@@ -76,24 +64,24 @@ def test_a_head_is_trained_measured_on_held_out_frames_and_written(
         (["--model", "nowhere"], "nowhere has no config.json"),
     ],
 )
-def test_wrong_options_are_one_line(labelled, encoder, tmp_path, capsys, more, named):
-    assert main(words(labelled, encoder, tmp_path / "head.safetensors", *more)) == 2
+def test_wrong_options_are_one_line(labelled, tiny_dinov2, tmp_path, capsys, more, named):
+    assert main(words(labelled, tiny_dinov2, tmp_path / "head.safetensors", *more)) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     assert line.startswith("semsplat: error: ")
     assert named in line
     assert not (tmp_path / "head.safetensors").exists()
 
 
-def test_a_data_set_without_labels_is_named(labelled, encoder, tmp_path, capsys):
+def test_a_data_set_without_labels_is_named(labelled, tiny_dinov2, tmp_path, capsys):
     bare = tmp_path / "bare"
     bare.mkdir()
     for name in ("results", "traj.txt", "cam_params.json"):
         (bare / name).symlink_to(labelled / name)
-    assert main(words(bare, encoder, tmp_path / "head.safetensors")) == 2
+    assert main(words(bare, tiny_dinov2, tmp_path / "head.safetensors")) == 2
     assert "has no labels to learn from" in capsys.readouterr().err
 
 
-def test_a_missing_library_is_one_line(labelled, encoder, tmp_path, capsys, monkeypatch):
+def test_a_missing_library_is_one_line(labelled, tiny_dinov2, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
-    assert main(words(labelled, encoder, tmp_path / "head.safetensors")) == 2
+    assert main(words(labelled, tiny_dinov2, tmp_path / "head.safetensors")) == 2
     assert "mend it with: pip install 'semsplat[semantics]'" in capsys.readouterr().err

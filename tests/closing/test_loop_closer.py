@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.datasets.synthetic import tiny_room
@@ -24,7 +25,7 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.pose_graph.consistency import ConsistencyOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.registration.matching import MatchingOptions
+from toolkit.registration.matching import MatchingOptions, Offset
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.allocation import Allocation, AllocationOptions
 from toolkit.submaps.atlas import Atlas, BoundaryOptions
@@ -68,11 +69,16 @@ class TrueRegistrar:
 DRIFT = se3.exp(np.array([0.02, 0.0, 0.015, 0.0, 0.01, 0.0]))
 
 
-def closed(frames, registrar_changes=None, log=None, options=None):
-    """An atlas of three submaps, the last of which drifted, and its closer."""
+def closed(
+    frames, registrar_changes=None, log=None, options=None, nearby_changes=None, most_keyframes=3
+):
+    """An atlas of three submaps, the last of which drifted, and its closer.
+
+    The second registrar is as wrong as the first unless it is told otherwise.
+    """
     atlas = Atlas(
         Mapper(FEW, np.random.default_rng(0)),
-        Allocation(AllocationOptions(most_keyframes=3), 0),
+        Allocation(AllocationOptions(most_keyframes=most_keyframes), 0),
         boundary=BoundaryOptions(steps=0),
     )
     truth = {0: np.eye(4)}
@@ -83,6 +89,7 @@ def closed(frames, registrar_changes=None, log=None, options=None):
     )
     parts = ClosingParts(
         registrar=registrar,
+        nearby=registrar if nearby_changes is None else TrueRegistrar(truth, **nearby_changes),
         matching=MatchingOptions(),
         relocaliser=Relocaliser(detector, MatchingOptions()),
         verification=VerificationOptions(),
@@ -139,14 +146,30 @@ class TestBetween:
         log = LoopLog(tmp_path / "loops.jsonl")
         # As between identical rooms, where the views do agree.
         options = ClosingOptions(least_shared=0.0)
-        atlas, closer, _ = closed(frames, {"wrong": True}, log, options)
+        atlas, closer, registrar = closed(frames, {"wrong": True}, log, options)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
-        assert bits(atlas) == before
-        (refused,) = [
-            r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "consistency"
-        ]
-        assert "odometry" in refused["reason"] and not refused["accepted"]
+        assert bits(atlas) == before and not closer.loops
+        refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "between"]
+        assert len(refused) == len(registrar.asked) == 2 * len(set(registrar.asked))
+        assert all("odometry" in r["reason"] and not r["accepted"] for r in refused)
+
+    def test_the_true_place_is_found_where_a_look_alike_came_first(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, registrar = closed(frames, {"wrong": True}, log, nearby_changes={})
+        assert closer.close_between(atlas, atlas.active)
+        alike, true = [
+            r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "between"
+        ][:2]
+        assert "odometry" in alike["reason"] and true["accepted"]
+        for loop in closer.loops:
+            T = se3.inverse(registrar.truth[loop.first]) @ registrar.truth[loop.second]
+            assert np.allclose(loop.T_first_second, T, atol=1e-6)
+
+    def test_what_the_odometry_allows_is_not_tried_again(self, frames):
+        atlas, closer, registrar = closed(frames, {"overlap": 0.1})
+        closer.close_between(atlas, atlas.active)
+        assert len(registrar.asked) == len(set(registrar.asked))
 
     def test_submaps_that_fit_prove_no_other_suspicion(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
@@ -168,6 +191,27 @@ class TestBetween:
         kinds = {record["kind"] for record in records}
         assert {"search", "candidate", "between", "verified", "correction between"} <= kinds
         assert all("reason" in r for r in records if r["kind"] in ("candidate", "between"))
+
+
+class TestWithin:
+    def test_a_look_alike_that_the_odometry_rules_out_is_refused(
+        self, frames, tmp_path, monkeypatch
+    ):
+        # Two views of one submap agree to the pixel, and the camera walked metres in between.
+        same = Offset(np.eye(4), 50, 0.9, Scales(0.02, 0.003), np.eye(6) * 1e8)
+        monkeypatch.setattr(keyframe_loops, "measure_offset", lambda *_: same)
+        away = np.eye(4)
+        away[0, 3] = 4.0
+        moved = [(f, away @ T if f.index >= 20 else T) for f, T in frames]
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, _ = closed(moved, log=log, most_keyframes=100)
+        before = bits(atlas)
+        assert not closer.close_within(atlas) and bits(atlas) == before
+        records = read_loop_log(tmp_path / "loops.jsonl")
+        taken = {(r["match"], r["query"]) for r in records if r["kind"] == "within"}
+        refused = {(r["match"], r["query"]) for r in records if r["kind"] == "consistency"}
+        far = {(match, query) for match, query in taken if query >= 20}
+        assert far and far <= refused <= taken
 
 
 class TestSettle:

@@ -67,6 +67,21 @@ def test_the_same_things_seen_from_elsewhere_are_no_claim():
     assert metrics["loops_accepted"] == 0 and metrics["loop_precision_percent"] is None
 
 
+@pytest.mark.parametrize("kind", ["consistency", "retracted"])
+def test_a_pair_whose_edge_was_taken_back_is_no_claim(kind):
+    edges = [{"first": 0, "second": n} for n in (3, 4)]
+    taken_back = {"kind": kind, "accepted": False, "reason": "contradicts"} | edges[0]
+    records = [*SEARCHES, found(8, 2) | edges[0], found(10, 4) | edges[1], taken_back]
+    metrics = run_loop_metrics(records, There(), GAP)
+    assert metrics["loops_accepted"] == 1 and metrics["loop_recall_percent"] == pytest.approx(50.0)
+
+
+def test_a_pair_of_one_submap_that_the_odometry_rules_out_is_no_claim():
+    refused = {"kind": "consistency", "match": 2, "query": 8, "accepted": False, "reason": "far"}
+    records = [*SEARCHES, found(8, 2, "within"), found(10, 4, "within"), refused]
+    assert run_loop_metrics(records, There(), GAP)["loops_accepted"] == 1
+
+
 def test_nothing_is_said_without_searches_or_truth():
     assert run_loop_metrics([found(8, 2)], There(), GAP) == {}
     assert run_loop_metrics(SEARCHES, There(truth=False), GAP) == {}

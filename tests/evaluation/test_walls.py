@@ -9,6 +9,7 @@ import torch
 from toolkit.errors import FormatError
 from toolkit.evaluation.walls import wall_thickness
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.scene import WholeScene
 from toolkit.geometry import se3
 from toolkit.io.meshes import TriangleMesh, write_mesh
 
@@ -34,7 +35,7 @@ def cloud(offsets_m, count=6000, opacity=0.9, seed=0):
 
 
 def figures(gaussians, wall, T=None):
-    return wall_thickness(gaussians, wall, np.eye(4) if T is None else T).metrics()
+    return wall_thickness(WholeScene(gaussians), wall, np.eye(4) if T is None else T).metrics()
 
 
 def test_a_wall_told_once_is_thin(wall):
@@ -65,6 +66,19 @@ def test_haze_and_floaters_are_no_wall(wall):
     assert found["floaters_percent"] == pytest.approx(20.0, abs=0.1)
 
 
+def test_a_triangle_without_area_spoils_nothing(tmp_path):
+    corners = np.array(
+        [[0, 0, 1], [2, 0, 1], [2, 2, 1], [0, 2, 1], [0, 1, 1.01], [1, 1, 1.01], [2, 1, 1.01]],
+        np.float32,
+    )
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], np.int32)
+    path = tmp_path / "mesh.ply"
+    write_mesh(path, TriangleMesh(corners, np.zeros((7, 3), np.float32), triangles))
+    found = figures(cloud([0.0, 0.04]), path)
+    assert found["wall_thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)
+    assert found["floaters_percent"] == 0.0
+
+
 def test_too_few_say_nothing(wall):
     assert figures(cloud([0.0], count=20), wall)["wall_thickness_cm"] is None
 
@@ -73,4 +87,4 @@ def test_a_mesh_that_is_none_is_named(tmp_path):
     path = tmp_path / "mesh.ply"
     path.write_text("no mesh")
     with pytest.raises(FormatError, match=r"mesh\.ply"):
-        wall_thickness(cloud([0.0]), path, np.eye(4))
+        wall_thickness(WholeScene(cloud([0.0])), path, np.eye(4))

@@ -16,6 +16,7 @@ from toolkit.loops.candidates import (
     LoopCandidate,
 )
 from toolkit.loops.factory import build_candidate_finder
+from toolkit.loops.landmarks import LandmarkOptions
 from toolkit.settings.loops import CandidateSettings, LandmarkSettings, LoopSettings
 
 pytest.importorskip("faiss")
@@ -86,6 +87,32 @@ def test_landmarks_that_differ_refuse_a_twin():
     twin = next(c for c in found[PLACES + 20] if c.match // 5 == 5)
     assert not twin.accepted
     assert "landmarks differ by 1.4" in twin.reason
+
+
+def test_each_submap_has_its_turn_where_places_are_twins():
+    finder = CandidateFinder(D, THRESHOLD, replace(OPTIONS, kept=2, least_gap_frames=1))
+    aside = np.eye(D, dtype=np.float32)[0]
+    nothing = np.zeros(0, np.int64)
+
+    def view(number: int, submap: int, offset: float) -> DescribedKeyframe:
+        look = LOOKS[0] + np.float32(offset) * aside
+        unit = look / np.linalg.norm(look)
+        return DescribedKeyframe(5 * number, submap, 2.0 * number, unit, nothing)
+
+    # Four views of the twin are a little nearer than the one of the place itself.
+    for number, offset in enumerate([0.1, 0.01, 0.02, 0.03, 0.04]):
+        finder.add(view(number, min(number, 1), offset))
+    found = finder.add(view(9, 2, 0.0))
+    assert [c.match for c in found if c.accepted] == [5, 0]
+    assert found[2].match == 10 and "2 are kept" in found[2].reason
+
+
+@pytest.mark.parametrize("weighting", ["sqrt", "linear", "paper"])
+def test_every_weighting_tells_a_twin_from_the_place_itself(weighting):
+    finder = CandidateFinder(D, THRESHOLD, OPTIONS, LandmarkOptions(weighting))
+    found = [finder.add(keyframe(n)) for n in range(PLACES + 21)]
+    assert accepted(found[-1])[0] == 20
+    assert not next(c for c in found[-1] if c.match // 5 == 5).accepted
 
 
 def test_every_considered_keyframe_is_returned_once_with_a_reason():

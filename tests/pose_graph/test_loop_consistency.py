@@ -27,8 +27,9 @@ def test_quantiles_of_the_chi_square() -> None:
     assert quantile(0.99, 6) == pytest.approx(16.812, abs=1e-3)
     assert quantile(0.999, 6) == pytest.approx(22.458, abs=1e-3)
     assert quantile(0.95, 60) == pytest.approx(79.082, abs=1e-3)
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        quantile(1.0, 6)
+    assert quantile(1.0, 6) == np.inf
+    with pytest.raises(ValueError, match="at most 1"):
+        quantile(1.1, 6)
 
 
 @FEW

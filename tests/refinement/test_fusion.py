@@ -7,7 +7,9 @@ import torch
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.refinement.fusion import fuse_submaps
+from toolkit.rendering import render
 from toolkit.submaps.submap import Submap
 
 
@@ -28,9 +30,14 @@ def wall(number, left_m, right_m, steps, colour=0.5):
     return Submap(number, T, told, [], full, steps=full)
 
 
+def fused_of(parts):
+    by_number = {part.number: part for part in parts}
+    return fuse_submaps(sorted(by_number), by_number.__getitem__)
+
+
 def test_a_wall_seen_by_two_is_told_by_the_surer_one():
     parts = [wall(0, 0.0, 2.0, steps=10), wall(7, 1.0, 3.0, steps=50)]
-    fused = fuse_submaps(lambda: parts)
+    fused = fused_of(parts)
     x = fused.gaussians.means[:, 0].numpy()
     assert np.allclose(fused.gaussians.means[:, 2], 2.02, atol=0.01)
     assert (fused.submap.numpy()[x > 1.06] == 7).all()
@@ -40,8 +47,27 @@ def test_a_wall_seen_by_two_is_told_by_the_surer_one():
 
 def test_colours_come_to_the_first_ones_exposure():
     parts = [wall(0, 0.0, 2.0, 10, 0.4), wall(1, 1.0, 3.0, 50, 0.5)]
-    fused = fuse_submaps(lambda: iter(parts))
+    fused = fused_of(parts)
     means, colours = fused.gaussians.means.numpy(), fused.gaussians.colours.numpy()
     truth = 0.4 * (1.0 + 0.2 * means)
     assert np.abs(colours - truth).max() < 0.02
     assert fused.exposures[0] == (1.0, 0.0)
+
+
+def test_a_view_is_drawn_from_the_parts_that_reach_into_it():
+    parts = [wall(number, 4.0 * number, 4.0 * number + 2.0, 10) for number in range(5)]
+    fused = fused_of(parts)
+    camera = Camera(60.0, 60.0, 39.5, 29.5, 80, 60)
+    whole = fused.gaussians
+    for x in np.linspace(-3.0, 21.0, 9):
+        for turn in (0.0, 0.6, -1.2, 3.0):
+            T_world_camera = se3.exp(np.array([x, 0.5, 0, 0, turn, 0]))
+            T_world_camera[:3, 3] = (x, 0.5, 0.0)
+            some = fused.seen_from(camera, T_world_camera)
+            T_camera_world = se3.inverse(T_world_camera)
+            drawn, complete = (render(c, camera, T_camera_world) for c in (some, whole))
+            assert torch.equal(drawn.colour, complete.colour)
+            assert torch.equal(drawn.silhouette, complete.silhouette)
+    ahead = se3.exp(np.array([1.0, 0.5, 0, 0, 0, 0]))
+    assert len(fused.seen_from(camera, ahead)) < len(whole) / 2
+    assert len(fused) == len(whole) == len(fused.submap)

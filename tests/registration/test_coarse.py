@@ -22,18 +22,27 @@ def elsewhere(room: Scene) -> tuple[Scene, np.ndarray]:
 
 
 @given(st.integers(1, 8), st.integers(1, 8), st.integers(1, 10), st.integers(0, 1000))
-def test_pairs_are_one_to_one_and_nearest_first(room: Scene, rows, columns, count, seed):
+def test_pairs_are_one_to_one_in_rounds_and_nearest_first(room: Scene, rows, columns, count, seed):
     generator = np.random.default_rng(seed)
     a, b = (generator.normal(size=(n, 5)).astype(np.float32) for n in (rows, columns))
     target = replace(room.target, descriptors=a)
     source = replace(room.source, descriptors=b)
     pairs = descriptor_pairs(target, source, count)
-    assert len(pairs) == min(rows, columns, count)
-    assert len({p.target for p in pairs}) == len({p.source for p in pairs}) == len(pairs)
-    distances = [p.distance for p in pairs]
+    assert len(pairs) == min(rows * columns, count)
+    assert len({(p.target, p.source) for p in pairs}) == len(pairs)
+    first = pairs[: min(rows, columns)]
+    assert len({p.target for p in first}) == len({p.source for p in first}) == len(first)
+    distances = [p.distance for p in first]
     assert distances == sorted(distances)
     every = np.linalg.norm(a[:, None].astype(float) - b[None], axis=2)
     assert np.isclose(distances[0], every.min(), atol=1e-4)
+
+
+def test_enough_pairs_that_agree_spare_the_others(room: Scene, generator):
+    few = register_coarse(room.target, room.source, CoarseOptions(enough=2), generator)
+    assert len(few.views) == 2
+    assert few.result.inliers == 1.0
+    assert error(few.result.T_target_source, room.T_target_source)[0] < 1.0
 
 
 def test_measured_offsets_find_the_motion_from_anywhere(room: Scene, generator):

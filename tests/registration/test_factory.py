@@ -9,8 +9,8 @@ import pytest
 from toolkit.registration.coarse import CoarseOptions
 from toolkit.registration.factory import build_drawer, build_registrar
 from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
-from toolkit.registration.fine import FineOptions
-from toolkit.registration.sgr import SemanticGuidedRegistration
+from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration
 from toolkit.registration.two_way import TwoWayRegistration
 from toolkit.settings.registration import (
     CloudSettings,
@@ -21,7 +21,9 @@ from toolkit.settings.registration import (
 
 KINDS = {
     "sgr": SemanticGuidedRegistration,
-    "two-way": TwoWayRegistration,
+    "coarse": CoarseOnly,
+    "fine": FineRegistration,
+    "two-way": SemanticGuidedRegistration,
     "clouds": CloudRegistration,
 }
 
@@ -31,6 +33,14 @@ def test_every_kind_can_be_built(kind):
     settings = RegistrationSettings(kind=kind)
     drawer = build_drawer(settings)
     assert isinstance(build_registrar(settings, 3, drawer), KINDS[kind])
+
+
+def test_two_way_takes_the_place_of_the_fine_stage():
+    settings = RegistrationSettings(kind="two-way")
+    registrar = build_registrar(settings, 3, build_drawer(settings))
+    assert isinstance(registrar, SemanticGuidedRegistration)
+    assert isinstance(registrar.refiner, TwoWayRegistration)
+    assert registrar.refiner.drawer is registrar.drawer
 
 
 def test_settings_arrive():

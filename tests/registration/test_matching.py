@@ -16,10 +16,10 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.matching import (
+    Matched,
     MatchingOptions,
-    _Matched,
-    _rigid_fits,
     measure_offset,
+    rigid_fits,
 )
 
 seeds = st.integers(0, 10_000)
@@ -81,7 +81,7 @@ def test_fits_are_exact_and_never_mirror(seed):
     second = generator.normal(size=(4, 3, 3))
     truth = np.array([motion(seed + k, 2.0, 170.0) for k in range(4)])
     first = np.array([se3.transform_points(T, p) for T, p in zip(truth, second, strict=True)])
-    found = _rigid_fits(first, second)
+    found = rigid_fits(first, second)
     np.testing.assert_allclose(np.linalg.det(found[:, :3, :3]), 1.0)
     moved = np.einsum("hij,hnj->hni", found[:, :3, :3], second) + found[:, None, :3, 3]
     np.testing.assert_allclose(moved, first, atol=1e-9)
@@ -95,7 +95,7 @@ def test_wrong_matches_are_left_out(seed):
     second = generator.uniform([-1.0, -0.7, 2.0], [1.0, 0.7, 4.0], (80, 3))
     first = se3.transform_points(T, second)
     first[:40] = generator.permutation(first[:40])
-    matched = _Matched(first, second, camera.project(first), camera)
+    matched = Matched(first, second, camera.project(first), camera)
     found = matched.motion(MatchingOptions(), generator)
     assert found is not None
     np.testing.assert_allclose(found[0], T, atol=1e-2)

@@ -11,7 +11,7 @@ from registered_room import Scene, error, motion, moved
 from toolkit.geometry import se3
 from toolkit.registration.fine import FineOptions
 from toolkit.registration.result import register_pair
-from toolkit.registration.sgr import SemanticGuidedRegistration
+from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.two_way import TwoWayRegistration
 
 
@@ -67,3 +67,22 @@ def test_two_ways_lead_to_the_same_place(room: Scene, drawer):
     assert result.renders == drawer.renders
     # Two views each way, all of which agree: four hypotheses of 3 cm.
     assert result.information[0, 0] > 3.5 / 0.03**2
+
+
+def test_two_ways_after_the_coarse_stage_need_no_start(room: Scene, drawer):
+    options = SgrOptions(fine=FineOptions(views=2))
+    refiner = TwoWayRegistration(options.fine, drawer)
+    registrar = SemanticGuidedRegistration(options, drawer, refiner=refiner)
+    result = registrar.register(room.target, room.source)
+    assert result.converged, result.reason
+    assert error(result.T_target_source, room.T_target_source)[0] < 3.0
+    assert result.method == "coarse, two-way"
+
+
+def test_the_coarse_stage_alone_is_judged_by_looking(room: Scene, drawer):
+    registrar = CoarseOnly(SgrOptions(fine=FineOptions(views=2)), drawer)
+    result = registrar.register(room.target, room.source)
+    assert result.converged, result.reason
+    assert error(result.T_target_source, room.T_target_source)[0] < 3.0
+    assert result.inliers > 0.9
+    assert result.renders == drawer.renders == 4

@@ -79,23 +79,6 @@ def segformer(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def dinov2(tmp_path_factory) -> Path:
-    """A tiny DINOv2 with patches of 8 pixels."""
-    folder = tmp_path_factory.mktemp("models") / "dinov2"
-    torch.manual_seed(0)
-    config = transformers.Dinov2Config(
-        hidden_size=16,
-        num_hidden_layers=1,
-        num_attention_heads=2,
-        patch_size=8,
-        image_size=32,
-        mlp_ratio=2,
-    )
-    transformers.Dinov2Model(config).save_pretrained(folder)
-    return folder
-
-
 @pytest.fixture
 def broken(tmp_path):
     """A copy of a model's folder, to be broken."""
@@ -184,9 +167,9 @@ def test_a_broken_folder_is_one_line(segformer, broken, make, named):
     assert "\n" not in str(error.value)
 
 
-def test_weights_of_another_model_are_refused(segformer, dinov2, broken):
+def test_weights_of_another_model_are_refused(segformer, tiny_dinov2, broken):
     with pytest.raises(FormatError, match="holds no model for AutoModelForSemanticSegmentation"):
-        TransformersSegmenter(dinov2, device="cpu")
+        TransformersSegmenter(tiny_dinov2, device="cpu")
     # A head that was never trained would label at random, without a word.
     folder = broken(segformer)
     model = transformers.AutoModelForSemanticSegmentation.from_pretrained(segformer)
@@ -209,17 +192,17 @@ def test_a_device_that_is_not_there_is_named(monkeypatch):
     assert pretrained.device_of("auto").type == "cpu"
 
 
-def test_features_cover_the_whole_image_patch_by_patch(dinov2):
-    encoder = PatchEncoder(dinov2, 64, "cpu")
+def test_features_cover_the_whole_image_patch_by_patch(tiny_dinov2):
+    encoder = PatchEncoder(tiny_dinov2, 64, "cpu")
     assert encoder.features(coloured_frame(0).rgb).shape == (6, 8, 16)
-    large = PatchEncoder(dinov2, 128, "cpu")
+    large = PatchEncoder(tiny_dinov2, 128, "cpu")
     assert large.features(coloured_frame(0).rgb).shape == (12, 16, 16)
-    small = PatchEncoder(dinov2, 32, "cpu")
+    small = PatchEncoder(tiny_dinov2, 32, "cpu")
     assert small.features(coloured_frame(0).rgb).shape == (3, 4, 16)
 
 
-def test_a_change_of_one_patch_shows_most_in_its_own_features(dinov2):
-    encoder = PatchEncoder(dinov2, 64, "cpu")
+def test_a_change_of_one_patch_shows_most_in_its_own_features(tiny_dinov2):
+    encoder = PatchEncoder(tiny_dinov2, 64, "cpu")
     rgb = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
     changed = rgb.copy()
     changed[16:24, 40:48] = COLOURS[0]
@@ -253,9 +236,9 @@ def test_a_fit_does_not_mind_features_of_very_different_scale():
 
 
 @pytest.fixture(scope="module")
-def trained(dinov2):
+def trained(tiny_dinov2):
     """A head trained on six frames, and its encoder."""
-    encoder = PatchEncoder(dinov2, 64, "cpu")
+    encoder = PatchEncoder(tiny_dinov2, 64, "cpu")
     frames = [coloured_frame(i) for i in range(6)]
     generator = np.random.default_rng(0)
     return encoder, train_head(encoder, frames, NAMES | {11: "never seen"}, generator)
@@ -271,7 +254,7 @@ def test_a_head_learns_what_can_be_told_from_features(trained):
     assert score.mean_iou > 0.8
 
 
-def test_training_is_repeatable(trained, dinov2):
+def test_training_is_repeatable(trained, tiny_dinov2):
     encoder, head = trained
     frames = [coloured_frame(i) for i in range(6)]
     again = train_head(encoder, frames, NAMES, np.random.default_rng(0))
@@ -290,9 +273,9 @@ def test_a_saved_head_labels_as_before(trained, tmp_path):
     assert not HeadSegmenter(encoder, loaded, least_confidence=1.0).segment(frame).all()
 
 
-def test_a_head_of_another_encoder_is_refused(trained, dinov2, broken):
+def test_a_head_of_another_encoder_is_refused(trained, tiny_dinov2, broken):
     _, head = trained
-    folder = broken(dinov2)
+    folder = broken(tiny_dinov2)
     model = transformers.AutoModel.from_pretrained(folder)
     with torch.no_grad():
         model.layernorm.bias[0] += 1.0
@@ -301,11 +284,11 @@ def test_a_head_of_another_encoder_is_refused(trained, dinov2, broken):
         HeadSegmenter(PatchEncoder(folder, 64, "cpu"), head)
 
 
-def test_a_head_keeps_the_size_it_was_trained_at(trained, dinov2):
+def test_a_head_keeps_the_size_it_was_trained_at(trained, tiny_dinov2):
     _, head = trained
     assert head.longest_side == 64
     with pytest.raises(ValueError, match="must see 64 pixels, got 128"):
-        HeadSegmenter(PatchEncoder(dinov2, 128, "cpu"), head)
+        HeadSegmenter(PatchEncoder(tiny_dinov2, 128, "cpu"), head)
 
 
 def test_files_that_are_no_heads_are_named(tmp_path, segformer):
@@ -318,8 +301,8 @@ def test_files_that_are_no_heads_are_named(tmp_path, segformer):
         LinearHead.load(tmp_path / "text.safetensors")
 
 
-def test_nothing_can_be_learned_without_labels(dinov2):
-    encoder = PatchEncoder(dinov2, 64, "cpu")
+def test_nothing_can_be_learned_without_labels(tiny_dinov2):
+    encoder = PatchEncoder(tiny_dinov2, 64, "cpu")
     generator = np.random.default_rng(0)
     with pytest.raises(DatasetError, match="no frame has a labelled pixel"):
         train_head(encoder, [], NAMES, generator)

@@ -49,7 +49,7 @@ from toolkit.tracking.first_order import FirstOrderOptions
 from toolkit.tracking.health import HealthLimits
 
 PAIRS = [
-    (AllocationOptions(), AllocationSettings()),
+    (AllocationOptions(), AllocationSettings(least_divergence=0.4)),  # unset: the segmenter's
     (BoundaryOptions(), BoundarySettings()),
     (VerificationOptions(), VerificationSettings()),
     (ClosingOptions(), ClosingSettings()),

@@ -142,7 +142,7 @@ def test_trajectory_and_map_come_back(folder):
         torch.full((9,), 0.7),
         torch.rand(9, 3, generator=generator),
     )
-    folder.write_map(cloud)
+    folder.write_map([(cloud, None, None)])
     found = folder.read_map()
     for name in ("means", "log_radii", "opacity_logits", "colours"):
         assert torch.allclose(getattr(found, name), getattr(cloud, name), atol=1e-5), name

@@ -17,6 +17,10 @@ from toolkit.geometry import se3
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import render
+from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.segmenters.geometric import GeometricSegmenter
+from toolkit.semantics.trees import shipped_taxonomy
+from toolkit.settings.submaps import AllocationSettings
 from toolkit.slam import Slam
 from toolkit.submaps.allocation import (
     Allocation,
@@ -25,6 +29,7 @@ from toolkit.submaps.allocation import (
     share_inside,
 )
 from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.submaps.factory import allocation_options
 from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
@@ -75,6 +80,23 @@ class TestAllocation:
     def judge(self, keyframes, classes=0, gaussians=0, **options):
         values = {"fewest_keyframes": 2, "recent": 1} | options
         return Allocation(AllocationOptions(**values), classes).judge(3, keyframes, gaussians)
+
+    def test_the_rule_of_motion_looks_at_the_anchor_alone(self, keyframes):
+        near, far = turned(keyframes[0], 40), turned(keyframes[0], 60)
+        assert not self.judge([keyframes[0], near], rule="motion", turned_deg=50.0).begins
+        assert (
+            "60 degrees" in self.judge([keyframes[0], far], rule="motion", turned_deg=50.0).reason
+        )
+        # Whatever it sees, and however small the submap is.
+        assert not self.judge([far, far, far], rule="motion").begins
+
+    def test_each_segmenter_has_its_own_threshold(self):
+        labeller = Labeller(GeometricSegmenter(), shipped_taxonomy("geometric"))
+        own = allocation_options(AllocationSettings(), labeller)
+        assert own.least_divergence == labeller.segmenter.place_divergence < 0.4
+        asked = allocation_options(AllocationSettings(least_divergence=0.7), labeller)
+        assert asked.least_divergence == 0.7
+        assert allocation_options(AllocationSettings(), None) == AllocationOptions()
 
     def test_elsewhere_without_labels_is_enough(self, keyframes):
         verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])

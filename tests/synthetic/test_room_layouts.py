@@ -122,6 +122,20 @@ def test_a_shorter_walk_is_the_start_of_a_longer_one():
     np.testing.assert_allclose(start, whole[:31], atol=1e-9)
 
 
+def test_the_hall_is_four_times_the_rooms():
+    rooms, hall = LAYOUTS["rooms"](), LAYOUTS["hall"]()
+    assert len(hall.rooms) == 4 * len(rooms.rooms)
+    assert len(set(hall.looks)) == len(hall.rooms)
+    # The way never leaves the rooms but through doors.
+    T = hand_held_path(hall.way, 400, 1.0, np.random.default_rng(0))
+    inside = np.zeros(len(T), bool)
+    for plan in hall.rooms:
+        x0, y0, x1, y1 = plan.bounds_m
+        x, y = T[:, 0, 3], T[:, 1, 3]
+        inside |= (x > x0 - 0.1) & (x < x1 + 0.1) & (y > y0 - 0.1) & (y < y1 + 0.1)
+    assert inside.all()
+
+
 def test_twin_rooms_are_identical_but_for_their_place():
     layout = LAYOUTS["twins"]()
     first, _, third, _ = layout.rooms

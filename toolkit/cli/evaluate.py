@@ -13,6 +13,7 @@ from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.finished_run import FinishedRun, measured, open_finished_run, reading_of
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
+from toolkit.gaussians.scene import WholeScene
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +70,8 @@ def main(argv: Sequence[str]) -> int:
     reading = reading_of(run.semantics, run.taxonomy, dataset)
     place = run.settings.dataset.model_copy(update={"path": path})
     settings = run.settings.model_copy(update={"dataset": place})
-    figures = measured(run.gaussians, run.tracked, dataset, settings, reading, options.max_views)
+    scene = WholeScene(run.gaussians)
+    figures = measured(scene, run.tracked, dataset, settings, reading, options.max_views)
     metrics = _earlier_metrics(run) | figures | _counts(run)
     write_metrics(run.folder.metrics, metrics)
     for key in _SHOWN:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +21,22 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import Frustum, contained_share, far_end_m, observed_points
 from toolkit.io.images import write_rgb
-from toolkit.io.pictures import LegendEntry, Panel, colour_picture, legend_below, strip
+from toolkit.io.pictures import (
+    LegendEntry,
+    Panel,
+    Picture,
+    colour_picture,
+    legend_below,
+    strip,
+)
 from toolkit.loops.log import read_loop_log
 
 _log = logging.getLogger(__name__)
 
 _TAKEN, _REFUSED, _PLAIN = (30, 140, 60), (190, 40, 40), (120, 120, 120)
 _POINTS = 1000
+# Pictures are enlarged to this many pixels, or the lines below them could not be read.
+_LEAST_WIDTH = 480
 
 Record = dict[str, Any]
 
@@ -87,9 +97,10 @@ def summary(records: Sequence[Record]) -> list[str]:
     accepted = [r for r in candidates if r["accepted"]]
     lines = [f"{len(candidates)} keyframes considered, {len(accepted)} of them suspected"]
     for record in records:
-        if record["kind"] == "within" and not record["accepted"]:
+        if record["kind"] in ("within", "consistency") and "query" in record:
             pair = f"frames {record['query']} and {record['match']}"
-            lines.append(f"{pair}: refused, {record['reason']}")
+            if not record["accepted"]:
+                lines.append(f"{pair}: refused, {record['reason']}")
         elif record["kind"] in ("between", "consistency", "retracted"):
             pair = f"submaps {record['first']} and {record['second']}"
             lines.append(f"{pair}: {record['reason'] or 'registered'}{_moved(record)}")
@@ -109,10 +120,16 @@ def verdicts_on(candidate: Record, later: Sequence[Record]) -> list[Record]:
     submaps = {candidate["query_submap"], candidate["match_submap"]}
     if len(submaps) == 1:
         frames = (candidate["query"], candidate["match"])
-        found = [r for r in later if r["kind"] == "within" and (r["query"], r["match"]) == frames]
-        return found[:1]
+        found = [r for r in later if (r.get("query"), r.get("match")) == frames]
+        return [r for r in found if r["kind"] in ("within", "consistency")]
     about = [r for r in later if {r.get("first"), r.get("second")} == submaps]
-    return [r for r in about if r["kind"] in ("between", "consistency", "retracted")]
+    pair = (candidate["query"], candidate["match"])
+    return [
+        r
+        for r in about
+        if r["kind"] in ("between", "consistency", "retracted")
+        or (r["kind"] == "verified" and (r["query"], r["match"]) == pair)
+    ]
 
 
 def explained(
@@ -121,7 +138,7 @@ def explained(
     """The two views of a candidate side by side, and the numbers below."""
     frames = [dataset[candidate[name]] for name in ("query", "match")]
     panels = [
-        Panel(f"frame {frame.index}, submap {candidate[submap]}", colour_picture(frame.rgb))
+        Panel(f"frame {frame.index}, submap {candidate[submap]}", _enlarged(frame))
         for frame, submap in zip(frames, ("query_submap", "match_submap"), strict=True)
     ]
     landmarks = candidate["landmark_distance"]
@@ -133,18 +150,31 @@ def explained(
             _PLAIN,
         ),
         LegendEntry(_overlap(run, frames), _PLAIN),
-        _line("search", candidate),
-        *(_line(record["kind"], record) for record in verdicts),
+        *_lines("search", candidate),
+        *(line for record in verdicts for line in _lines(record["kind"], record)),
     ]
     return legend_below(strip(panels), entries, len(entries))
 
 
-def _line(stage: str, record: Record) -> LegendEntry:
-    text = record["reason"] or "accepted"
+def _enlarged(frame: Frame) -> Picture:
+    """A frame's picture, each pixel as many wide and high as make it wide enough."""
+    picture = colour_picture(frame.rgb)
+    factor = math.ceil(_LEAST_WIDTH / picture.shape[1])
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def _lines(stage: str, record: Record) -> list[LegendEntry]:
+    """A verdict, and below it the figures that it rests on."""
+    colour = _TAKEN if record["accepted"] else _REFUSED
+    lines = [LegendEntry(f"{stage}: {record['reason'] or 'accepted'}", colour)]
+    figures = ""
     if record.get("overlap") is not None:
-        text += f"; overlap {100 * record['overlap']:.0f} %, surfaces agree on "
-        text += f"{100 * record['inliers']:.0f} % of it{_moved(record)}"
-    return LegendEntry(f"{stage}: {text}", _TAKEN if record["accepted"] else _REFUSED)
+        figures = f"overlap {100 * record['overlap']:.0f} %, surfaces agree on "
+        figures += f"{100 * record['inliers']:.0f} % of it{_moved(record)}"
+    elif record.get("shared") is not None:
+        figures = f"{100 * record['shared']:.0f} % of the first view is in the second, "
+        figures += f"cameras {record['apart_m']:.2f} m apart"
+    return [*lines, LegendEntry(figures, _PLAIN)] if figures else lines
 
 
 def _moved(record: Record) -> str:

@@ -18,6 +18,7 @@ from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.evaluation.semantic_views import SemanticReading
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -137,7 +138,7 @@ def reading_of(
 
 
 def measured(
-    gaussians: GaussianCloud,
+    scene: GaussianScene,
     tracked: Sequence[TrackedFrame],
     dataset: Dataset,
     settings: RunSettings,
@@ -147,7 +148,7 @@ def measured(
     """A run's figures, measured as its settings ask for.
 
     Args:
-        gaussians, tracked, dataset: as `measure_run` takes them.
+        scene, tracked, dataset: as `measure_run` takes them.
         settings: what the run was made with, with the place of its data set.
         reading: of the map's semantics, or None.
         max_views: most views scored of each group.
@@ -161,7 +162,7 @@ def measured(
     if mesh is not None and not mesh.is_file():
         mesh = None
     options = MeasureOptions(settings.backend, alignment_of(settings), max_views, reading, mesh)
-    return measure_run(gaussians, tracked, dataset, unseen, options)
+    return measure_run(scene, tracked, dataset, unseen, options)
 
 
 def alignment_of(settings: RunSettings) -> Literal["none", "se3"]:

@@ -21,8 +21,8 @@ class MakeRoomOptions:
 
     out: Path
     """Folder to write: new, empty, or an earlier synthetic room."""
-    layout: Literal["room", "rooms", "ring", "twins"] = "room"
-    """One room, three on a corridor, four that close a loop, or three of which two are equal."""
+    layout: Literal["room", "rooms", "hall", "ring", "twins"] = "room"
+    """One room, three on a corridor, twelve, four that close a loop, or three with two equal."""
     seed: int = 0
     """Decides furniture, textures, the camera's sway and the sensor's noise."""
     frames: int | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,18 +87,16 @@ def merge(
     labelled = not not_one_tree(a, b)
     begin_b = max(submaps_a) + 1
 
-    def parts() -> Iterator[Submap]:
-        for submap in submaps_a.values():
-            yield submap if labelled else _bare(submap)
-        for submap in submaps_b.values():
-            moved = replace(
-                submap,
-                number=begin_b + submap.number,
-                T_world_submap=T_a_b @ submap.T_world_submap,
-            )
-            yield moved if labelled else _bare(moved)
+    def submap(number: int) -> Submap:
+        if number < begin_b:
+            found = submaps_a[number]
+        else:
+            found = submaps_b[number - begin_b]
+            found = replace(found, number=number, T_world_submap=T_a_b @ found.T_world_submap)
+        return found if labelled else _bare(found)
 
-    fused = fuse_submaps(parts)
+    numbers = [*sorted(submaps_a), *(begin_b + number for number in sorted(submaps_b))]
+    fused = fuse_submaps(numbers, submap)
     if not labelled:
         return MergedMap(fused.gaussians, fused.submap, None, None)
     labels = _labels((a, b), fused.gaussians, (fused.submap >= begin_b).numpy())

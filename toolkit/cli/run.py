@@ -106,8 +106,7 @@ def build_slam(
         build_semantic_mapping(settings.semantics, code, settings.seed),
         map_device(settings.device, settings.backend),
     )
-    classes = len(labeller.taxonomy) if labeller else 0
-    atlas = build_atlas(settings.submaps, mapper, classes, folder.submaps if folder else None)
+    atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if settings.poses == "slam":
         tracker = build_tracker(settings.tracking, settings.backend, watch, code)
         closer = None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.scene import GaussianScene, RoundedScene, WholeScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_rgb
@@ -59,16 +61,48 @@ def write_results(
 ) -> None:
     """Trajectory, map, renders, figures and report of a finished run."""
     trajectory = slam.trajectory
-    gaussians, semantics = slam.gaussians, slam.mapper.semantics
-    labels = None
+    semantics, numbers = slam.mapper.semantics, None
+    scene: GaussianScene = WholeScene(slam.mapper.gaussians)
+    if slam.fused is not None:
+        scene, numbers = slam.fused, slam.fused.numbers
     if slam.taxonomy is not None:
-        folder.write_semantics(gaussians.features, semantics.state(), slam.taxonomy)
+        features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
+        folder.write_semantics(features, semantics.state(), slam.taxonomy)
         # What is measured is what the file holds, which is rounded.
-        features = gaussians.features.half().float()
-        gaussians = replace(gaussians, features=features)
-        decoding = semantics.decode_gaussians(features)
-        labels = splat_labels(decoding, settings.semantics.least_confidence)
-    tracked = [
+        scene = RoundedScene(scene)
+    tracked = tracked_frames(slam, settings)
+    folder.write_trajectory(trajectory, slam.covariances)
+    folder.write_map(_labelled_parts(scene, slam, settings, numbers))
+    folder.write_json(folder.frames, _frames(slam, tracked))
+    # Before evaluation, which has memory needs of its own.
+    costs = _costs(slam, dataset, watch)
+    _log.info("measuring the run")
+    reading = reading_of(semantics, slam.taxonomy, dataset)
+    metrics = cost_metrics(costs) | measured(scene, tracked, dataset, settings, reading)
+    metrics |= _loop_metrics(dataset, folder, settings)
+    write_metrics(folder.metrics, metrics)
+    final = _FinalMap(scene, semantics, slam.taxonomy, settings.backend)
+    views = _render_views(final, tracked, dataset, folder)
+    write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
+    _log.info("wrote %s, with report.html in it", folder.path)
+
+
+def _labelled_parts(
+    scene: GaussianScene, slam: Slam, settings: RunSettings, numbers: list[int] | None
+) -> Iterator[tuple[GaussianCloud, SplatLabels | None, int | None]]:
+    """Each part of a map with its labels and, if any, the number of its submap."""
+    for place, part in enumerate(scene.parts()):
+        labels = None
+        if slam.taxonomy is not None:
+            decoding = slam.mapper.semantics.decode_gaussians(part.features)
+            labels = splat_labels(decoding, settings.semantics.least_confidence)
+        yield part, labels, None if numbers is None else numbers[place]
+
+
+def tracked_frames(slam: Slam, settings: RunSettings) -> list[TrackedFrame]:
+    """Every frame that has a pose, as evaluation takes it."""
+    trajectory = slam.trajectory
+    return [
         TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
         for index, time, T, (gain, bias) in zip(
             slam.tracked_indices,
@@ -78,20 +112,6 @@ def write_results(
             strict=True,
         )
     ]
-    folder.write_trajectory(trajectory)
-    folder.write_map(gaussians, labels, None if slam.fused is None else slam.fused.submap)
-    folder.write_json(folder.frames, _frames(slam, tracked))
-    # Before evaluation, which has memory needs of its own.
-    costs = _costs(slam, dataset, watch)
-    _log.info("measuring the run")
-    reading = reading_of(semantics, slam.taxonomy, dataset)
-    metrics = cost_metrics(costs) | measured(gaussians, tracked, dataset, settings, reading)
-    metrics |= _loop_metrics(dataset, folder, settings)
-    write_metrics(folder.metrics, metrics)
-    final = _FinalMap(gaussians, semantics, slam.taxonomy, settings.backend)
-    views = _render_views(final, tracked, dataset, folder)
-    write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
-    _log.info("wrote %s, with report.html in it", folder.path)
 
 
 def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> Metrics:
@@ -143,22 +163,14 @@ def _submaps(atlas: Atlas) -> list[dict[str, Any]]:
 
 
 def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
-    gaussians = slam.gaussians
-    floats = sum(
-        t.numel()
-        for t in (
-            gaussians.means,
-            gaussians.log_radii,
-            gaussians.opacity_logits,
-            gaussians.colours,
-            gaussians.features,
-        )
-    )
+    count = len(slam.mapper.gaussians) if slam.fused is None else len(slam.fused)
+    # Centre, radius, opacity, colour.
+    floats = count * (8 + slam.mapper.semantics.channels)
     return RunCosts(
         frames=len(dataset),
         frames_lost=len(slam.lost_frames),
         keyframes=slam.keyframe_count,
-        gaussians=len(gaussians),
+        gaussians=count,
         tracking_ms=watch.total_ms("tracking"),
         labelling_ms=watch.total_ms("labelling"),
         mapping_ms=watch.total_ms("mapping"),
@@ -172,17 +184,16 @@ def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
 class _FinalMap:
     """What is drawn, and how it is read."""
 
-    gaussians: GaussianCloud
+    scene: GaussianScene
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
     backend_name: str
 
     def view(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> SurfaceView:
         options = DrawOptions(features=self.taxonomy is not None)
+        gaussians = self.scene.seen_from(camera, T_map_camera)
         T_camera_map = se3.inverse(T_map_camera)
-        return draw_surface(
-            backend(self.backend_name), self.gaussians, camera, T_camera_map, options
-        )
+        return draw_surface(backend(self.backend_name), gaussians, camera, T_camera_map, options)
 
 
 def _render_views(

@@ -8,7 +8,8 @@ between submaps registration gives it, and only anchors move.
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +20,7 @@ from toolkit.closing.keyframe_loops import KeyframeLoops
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import figures_of, moved_by, verdict
 from toolkit.closing.sights import Sights
+from toolkit.closing.uncertainty import frame_covariances
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
@@ -103,7 +105,9 @@ class LoopCloser:
         boundary = next(iter(atlas.keyframe_poses(new)))
         poses = atlas.keyframe_poses(new - 1)
         way = [T for index, T in poses.items() if index <= boundary]
-        self._links.append(self._parts.noise.along(new - 1, new, way, information))
+        edge = self._parts.noise.along(new - 1, new, way, information)
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
 
     def join(self, atlas: Atlas, found: Found | None) -> None:
         """Remember how a submap that began at a lost frame lies to the others.
@@ -143,11 +147,14 @@ class LoopCloser:
             return False
         with self._recorder.timed("loops between submaps"):
             found = False
+            # Where a lost frame was found, two submaps are joined before they are registered.
+            held = {(loop.first, loop.second): loop for loop in self.loops}
             for other in sorted({c.match_submap for c in mine}):
-                edge = self._registered(atlas, other, number)
+                new = self._registered(atlas, other, number)
+                edge = new or held.get((other, number))
                 pairs = [c for c in mine if c.match_submap == other]
-                if edge is not None and self._confirmed(atlas, edge, pairs):
-                    self.loops.append(edge)
+                if edge is not None and self._confirmed(atlas, edge, pairs) and new is not None:
+                    self.loops.append(new)
                     found = True
             return found and self._correct_between(atlas)
 
@@ -179,23 +186,36 @@ class LoopCloser:
         return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
 
     def _registered(self, atlas: Atlas, first: int, second: int) -> PoseEdge | None:
-        """A loop edge between two submaps, or None where nothing can be verified."""
+        """A loop edge between two submaps, or None where nothing can be verified.
+
+        Alike keyframes can lead to another place that looks the same. Where the odometry rules
+        that out, the submaps are laid over each other once more where the odometry has them.
+        """
         values: dict[str, Any] = {"first": first, "second": second}
         T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
-        try:
-            result = register_pair(
-                self._parts.registrar, atlas.submap(first), atlas.submap(second), T
+        for registrar in (self._parts.registrar, self._parts.nearby):
+            try:
+                result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
+            except ToolkitError as error:
+                # A submap whose file is lost must not end the run.
+                self._record("between", values | {"accepted": False, "reason": str(error)})
+                return None
+            edge = self._parts.loop_noise.edge(
+                first, second, result.T_target_source, result.information
             )
-        except ToolkitError as error:
-            # A submap whose file is lost must not end the run.
-            self._record("between", values | {"accepted": False, "reason": str(error)})
-            return None
-        reason = objection(result, self._parts.verification)
-        self._record("between", values | figures_of(result, T) | verdict(reason))
-        if reason:
-            return None
-        T = result.T_target_source
-        return self._parts.loop_noise.edge(first, second, T, result.information)
+            impossible = self._against_odometry(edge)
+            reason = objection(result, self._parts.verification) or impossible
+            self._record("between", values | figures_of(result, T) | verdict(reason))
+            if not reason:
+                return edge
+            if not impossible:
+                break
+        return None
+
+    def _against_odometry(self, edge: PoseEdge) -> str:
+        """Why the odometry rules a loop out, empty where it does not."""
+        agreement = consistent_loops(OdometryChain(self._links), [edge], self._parts.consistency)
+        return agreement.reason(0)
 
     def _confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: list[LoopCandidate]) -> bool:
         """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
@@ -215,6 +235,8 @@ class LoopCloser:
             enough = shared >= self.options.least_shared
             reason = "" if enough else f"the views share only {100 * shared:.0f} %"
             values = {
+                "first": edge.first,
+                "second": edge.second,
                 "query": pair.query,
                 "match": pair.match,
                 "shared": shared,
@@ -258,6 +280,22 @@ class LoopCloser:
             100 * correction.largest_m,
         )
         return True
+
+    def covariances(
+        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
+    ) -> Array:
+        """How sure frames are; see `frame_covariances`."""
+        anchors = [np.zeros((6, 6))]
+        if len(atlas) > 1 and not self.loops:
+            chain = OdometryChain(self._links)
+            anchors += [chain.covariance(0, number) for number in range(1, len(atlas))]
+        elif len(atlas) > 1:
+            poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
+            graph = submap_graph(poses, self._links, self.loops)
+            solution = self._parts.optimiser.optimise(graph)
+            assert solution.covariances is not None
+            anchors = list(solution.covariances)
+        return frame_covariances(anchors, submaps, T_submap_camera, self._parts.noise)
 
     def _record(self, kind: str, values: dict[str, Any]) -> None:
         if self._log is not None:

@@ -25,7 +25,13 @@ from toolkit.pose_graph.factory import (
     build_odometry_noise,
     build_optimiser,
 )
-from toolkit.registration.factory import build_drawer, build_registrar, matching_options
+from toolkit.registration.factory import (
+    build_drawer,
+    build_registrar,
+    fine_options,
+    matching_options,
+)
+from toolkit.registration.fine import FineRegistration
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.loop_closure import LoopClosureSettings
@@ -75,6 +81,7 @@ def build_loop_closer(
     relocalisation = RelocalisationOptions(**settings.relocalisation.model_dump())
     parts = ClosingParts(
         registrar=build_registrar(settings.registration, context.seed, drawer),
+        nearby=FineRegistration(fine_options(settings.registration.fine), drawer),
         matching=matching,
         relocaliser=Relocaliser(detector, matching, relocalisation),
         verification=VerificationOptions(**settings.verification.model_dump()),

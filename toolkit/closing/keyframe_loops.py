@@ -8,6 +8,7 @@ import numpy as np
 
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import Record, moved_by, verdict
+from toolkit.closing.uncertainty import SURE
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.pose_graph.chi_square import quantile
@@ -17,9 +18,6 @@ from toolkit.pose_graph.graph import PoseEdge
 from toolkit.registration.matching import measure_offset
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
-
-# Between neighbouring keyframes the tracker is sure; the floors of the noise are what counts.
-_SURE = np.eye(6) * 1e9
 
 
 class KeyframeLoops:
@@ -61,9 +59,13 @@ class KeyframeLoops:
         odometry = []
         for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
             way = [first.T_map_camera, second.T_map_camera]
-            odometry.append(self._parts.noise.along(first.index, second.index, way, _SURE))
-        kept = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency).kept
-        agreed = [loops[k] for k in kept]
+            odometry.append(self._parts.noise.along(first.index, second.index, way, SURE))
+        agreement = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency)
+        for place, loop in enumerate(loops):
+            if place not in agreement.kept:
+                pair = {"match": loop.first, "query": loop.second}
+                self._record("consistency", pair | verdict(agreement.reason(place)))
+        agreed = [loops[k] for k in agreement.kept]
         poses = {keyframe.index: keyframe.T_map_camera for keyframe in submap.keyframes}
         chi2 = sum(loop.chi2(poses[loop.first], poses[loop.second]) for loop in agreed)
         drifted = chi2 > quantile(self._options.drift_confidence, 6 * max(len(agreed), 1))

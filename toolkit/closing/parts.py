@@ -39,13 +39,15 @@ class ClosingParts:
     """What closes loops.
 
     Attributes:
-        registrar: of submaps. matching: of pairs of keyframes. relocaliser: of lost frames.
+        registrar: of submaps. nearby: of submaps that nearly fit, from a start alone.
+        matching: of pairs of keyframes. relocaliser: of lost frames.
         verification, consistency: what must hold before an edge enters the graph.
         noise: of odometry. loop_noise: of loop edges.
         optimiser: of pose graphs.
     """
 
     registrar: Registrar
+    nearby: Registrar
     matching: MatchingOptions
     relocaliser: Relocaliser
     verification: VerificationOptions

@@ -24,6 +24,7 @@ def run_loop_metrics(
 
     A verified pair is farther apart than a loop may be where the same things were seen from
     elsewhere: its edge is as good, and the run knows the distance, so it claims no loop there.
+    Nor does it where the edge that proved a pair was taken back, then or later.
 
     Args:
         records: the lines of loops.jsonl.
@@ -42,10 +43,8 @@ def run_loop_metrics(
     views = true_views(dataset)
     verified = [
         (r["query"], r["match"])
-        for r in records
-        if r["kind"] in ("within", "verified")
-        and r["accepted"]
-        and r["apart_m"] < options.most_distance_m
+        for r in _accepted(records)
+        if r["apart_m"] < options.most_distance_m
     ]
     suspected = [
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]
@@ -59,6 +58,23 @@ def run_loop_metrics(
             if name.endswith("_percent")
         },
     }
+
+
+def _accepted(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Verdicts on pairs of frames that were taken for loops to the end."""
+    taken_back = {_about(r) for r in records if r["kind"] in ("consistency", "retracted")}
+    return [
+        r
+        for r in records
+        if r["kind"] in ("within", "verified") and r["accepted"] and _about(r) not in taken_back
+    ]
+
+
+def _about(record: dict[str, Any]) -> tuple[str, int, int]:
+    """What a verdict is about: an edge between two submaps, or between two keyframes of one."""
+    if "first" in record:
+        return "submaps", record["first"], record["second"]
+    return "keyframes", record["match"], record["query"]
 
 
 def true_views(dataset: Dataset) -> TrueViews:

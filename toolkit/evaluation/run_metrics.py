@@ -31,7 +31,7 @@ from toolkit.evaluation.semantic_views import SemanticReading, SemanticScores
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.evaluation.walls import wall_thickness
 from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.rendering import DrawOptions, backend, draw_surface
@@ -94,7 +94,7 @@ class MeasureOptions:
 
 
 def measure_run(
-    gaussians: GaussianCloud,
+    scene: GaussianScene,
     tracked: Sequence[TrackedFrame],
     dataset: Dataset,
     unseen: Dataset | None = None,
@@ -103,7 +103,7 @@ def measure_run(
     """The figures of a run that follow from its map, its poses and the data.
 
     Args:
-        gaussians: the final map.
+        scene: the final map.
         tracked: every frame that has a pose, in order of time.
         dataset: the frames, and the truth if there is any.
         unseen: further views with true poses in the world of `dataset`, or None.
@@ -131,16 +131,16 @@ def measure_run(
         SemanticScores(options.semantics, suffix) for suffix in ("", "_unseen", "_unseen_refined")
     ]
     mapped_quality = [
-        _quality(gaussians, view, options.backend_name, scores[0])
+        _quality(scene, view, options.backend_name, scores[0])
         for view in _tracked_views(mapped, dataset, options.max_views)
     ]
     unseen_quality, refined_quality = [], []
     T_map_world = _map_from_world(estimate, truth, options.alignment)
     tracker = DenseTracker(backend_name=options.backend_name)
     for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
-        unseen_quality.append(_quality(gaussians, view, options.backend_name, scores[1]))
-        refined = _refined(view, gaussians, tracker)
-        refined_quality.append(_quality(gaussians, refined, options.backend_name, scores[2]))
+        unseen_quality.append(_quality(scene, view, options.backend_name, scores[1]))
+        refined = _refined(view, scene, tracker)
+        refined_quality.append(_quality(scene, refined, options.backend_name, scores[2]))
 
     return {
         **trajectory_metrics(estimate, truth, options.alignment),
@@ -148,7 +148,7 @@ def measure_run(
         **image_metrics(unseen_quality, "_unseen"),
         **image_metrics(refined_quality, "_unseen_refined"),
         **{name: value for score in scores for name, value in score.metrics().items()},
-        **_wall_metrics(gaussians, options.mesh, T_map_world),
+        **_wall_metrics(scene, options.mesh, T_map_world),
         **IMAGE_CONVENTIONS,
         **_view_conventions(options),
     }
@@ -231,15 +231,16 @@ def _map_from_world(
 
 
 def _wall_metrics(
-    gaussians: GaussianCloud, mesh: Path | None, T_map_world: NDArray[np.float64] | None
+    scene: GaussianScene, mesh: Path | None, T_map_world: NDArray[np.float64] | None
 ) -> Metrics:
     if mesh is None or T_map_world is None:
         return {}
-    return wall_thickness(gaussians, mesh, se3.inverse(T_map_world)).metrics()
+    return wall_thickness(scene, mesh, se3.inverse(T_map_world)).metrics()
 
 
-def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> View:
+def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
     """The view at the pose and exposure that fit the map best; itself where that fails."""
+    gaussians = scene.seen_from(view.frame.camera, view.T_map_camera)
     result = tracker.locate(view.frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
@@ -247,11 +248,12 @@ def _refined(view: View, gaussians: GaussianCloud, tracker: DenseTracker) -> Vie
 
 
 def _quality(
-    gaussians: GaussianCloud, view: View, backend_name: str, scores: SemanticScores
+    scene: GaussianScene, view: View, backend_name: str, scores: SemanticScores
 ) -> ViewQuality:
-    T_camera_map = se3.inverse(view.T_map_camera)
+    camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
+    gaussians = scene.seen_from(camera, view.T_map_camera)
     options = DrawOptions(_LEAST_SILHOUETTE, features=scores.wanted)
-    drawn = draw_surface(backend(backend_name), gaussians, view.frame.camera, T_camera_map, options)
+    drawn = draw_surface(backend(backend_name), gaussians, camera, T_camera_map, options)
     scores.add(view.frame, drawn)
     # Back to the camera's own exposure, so that the observed image stays as it is.
     colour = (drawn.output.colour.numpy() - view.bias) / view.gain

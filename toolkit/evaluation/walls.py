@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.evaluation.metrics import Metrics
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry.open3d_bridge import open3d
 
 PATCH_M = 0.25
@@ -55,12 +55,12 @@ class WallThickness:
 
 
 def wall_thickness(
-    gaussians: GaussianCloud, mesh: Path, T_world_map: NDArray[np.float64]
+    scene: GaussianScene, mesh: Path, T_world_map: NDArray[np.float64]
 ) -> WallThickness:
     """Hold a map against the true mesh of the scene.
 
     Args:
-        gaussians: the map.
+        scene: the map.
         mesh: file of the true surface, in the world of the truth.
         T_world_map: [4, 4].
 
@@ -68,27 +68,43 @@ def wall_thickness(
         FormatError: the mesh cannot be read or is empty.
         DependencyError: Open3D cannot be loaded.
     """
-    solid = gaussians.select(gaussians.opacities >= _LEAST_OPACITY)
-    points = solid.transformed(T_world_map).means.numpy()
-    closest, normals = _closest(mesh, points)
-    offset_m = np.einsum("ij,ij->i", points - closest, normals).astype(np.float64)
-    near = np.linalg.norm(points - closest, axis=1) <= _MOST_OFFSET_M
-    patch = _patch_keys(closest[near], normals[near])
-    return WallThickness(_spreads(patch, offset_m[near]), float(1.0 - near.mean()))
+    surface = _Surface(mesh)
+    patches, offsets_m, count, found = [], [], 0, 0
+    for part in scene.parts():
+        solid = part.select(part.opacities >= _LEAST_OPACITY)
+        points = solid.transformed(T_world_map).means.numpy()
+        closest, normals = surface.closest(points)
+        offset_m = np.einsum("ij,ij->i", points - closest, normals).astype(np.float64)
+        near = np.linalg.norm(points - closest, axis=1) <= _MOST_OFFSET_M
+        # A triangle without area has no normal; its neighbours tell of the same wall.
+        kept = near & np.isfinite(offset_m)
+        patches.append(_patch_keys(closest[kept], normals[kept]))
+        offsets_m.append(offset_m[kept])
+        count += len(points)
+        found += int(near.sum())
+    floaters = 1.0 - found / count if count else 0.0
+    return WallThickness(_spreads(np.concatenate(patches), np.concatenate(offsets_m)), floaters)
 
 
-def _closest(
-    mesh: Path, points: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Nearest points [N, 3] of the mesh and the normals [N, 3] there."""
-    o3d = open3d()
-    surface = o3d.t.io.read_triangle_mesh(str(mesh))
-    if len(surface.vertex) == 0 or surface.triangle.indices.shape[0] == 0:
-        raise FormatError(f"{mesh} holds no triangles; make the room again")
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(surface)
-    found = scene.compute_closest_points(o3d.core.Tensor(np.ascontiguousarray(points)))
-    return found["points"].numpy(), found["primitive_normals"].numpy()
+class _Surface:
+    """The true mesh, to be asked for its nearest points."""
+
+    def __init__(self, mesh: Path) -> None:
+        self._o3d = open3d()
+        surface = self._o3d.t.io.read_triangle_mesh(str(mesh))
+        if len(surface.vertex) == 0 or surface.triangle.indices.shape[0] == 0:
+            raise FormatError(f"{mesh} holds no triangles; make the room again")
+        self._scene = self._o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(surface)
+
+    def closest(
+        self, points: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Nearest points [N, 3] of the mesh and the normals [N, 3] there."""
+        found = self._scene.compute_closest_points(
+            self._o3d.core.Tensor(np.ascontiguousarray(points))
+        )
+        return found["points"].numpy(), found["primitive_normals"].numpy()
 
 
 def _patch_keys(points: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.int64]:

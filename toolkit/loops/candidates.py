@@ -6,6 +6,7 @@ this; so each search gives every keyframe it considered, taken or refused, with 
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -85,7 +86,8 @@ class CandidateOptions:
     Attributes:
         search_every: keyframes from one search to the next (G: 6).
         considered: the nearest so many keyframes are looked at.
-        kept: of those that pass, at most so many, the best by landmarks (G: 1).
+        kept: of those that pass, at most so many, the best by landmarks (G: 1), but one of
+            each submap before a second one.
         threshold: "fixed" takes the encoder's own, "adaptive" what the keyframe's own
             neighbours look like, since places differ in how fast their look changes.
         distance: replaces the encoder's threshold.
@@ -143,14 +145,11 @@ class CandidateFinder:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(
-        self, keyframe: DescribedKeyframe, map_counts: NDArray[np.int64] | None = None
-    ) -> list[LoopCandidate]:
+    def add(self, keyframe: DescribedKeyframe) -> list[LoopCandidate]:
         """Remember a keyframe and, if its turn has come, search for its loops.
 
         Args:
             keyframe: the next one, with a later frame than the last.
-            map_counts: [C] Gaussians of each class in the map, for the paper's landmarks only.
 
         Returns:
             What was considered, best first: those taken, then those refused. Nothing, too,
@@ -160,7 +159,7 @@ class CandidateFinder:
             ValueError: the keyframe does not fit those before.
         """
         number = self.remember(keyframe)
-        return self.search(number, map_counts) if self.search_was_due else []
+        return self.search(number) if self.search_was_due else []
 
     def remember(self, keyframe: DescribedKeyframe) -> int:
         """Remember a keyframe without a search; its number.
@@ -181,16 +180,16 @@ class CandidateFinder:
         """Whether the newest keyframe was one at which loops are searched for."""
         return len(self) > 0 and len(self) % self.options.search_every == 0
 
-    def search(
-        self, number: int, map_counts: NDArray[np.int64] | None = None
-    ) -> list[LoopCandidate]:
+    def search(self, number: int) -> list[LoopCandidate]:
         """Candidates for the keyframe that was added as the `number`-th, from 0; as `add`."""
         options = self.options
         among = np.flatnonzero(self._beyond_gap(number))
         found = self._index.search(self._index.descriptor(number), options.considered, among)
         if not found:
             return []
-        vectors = landmark_vectors(np.stack(self._class_counts), self._landmarks, map_counts)
+        counts = np.stack(self._class_counts)
+        # The paper's weighting counts over the map, which holds what its keyframes observed.
+        vectors = landmark_vectors(counts, self._landmarks, map_counts=counts.sum(axis=0))
         limit = self._threshold_of(number)
         judged = [
             self._judged(
@@ -198,15 +197,8 @@ class CandidateFinder:
             )
             for near in found
         ]
-        taken = sorted((c for c in judged if c.accepted), key=_rank)
         refused = [c for c in judged if not c.accepted]
-        total = len(taken)
-        for place, candidate in enumerate(taken):
-            kept = place < options.kept
-            order = f"number {place + 1} of {total} by landmarks"
-            reason = order if kept else f"{order}, {options.kept} are kept"
-            taken[place] = replace(candidate, accepted=kept, reason=reason)
-        return taken + refused
+        return _chosen([c for c in judged if c.accepted], options.kept) + refused
 
     def alike(self, descriptor: NDArray[np.float32], count: int) -> list[Sighting]:
         """The keyframes that look most like a view of descriptor [D], nearest first."""
@@ -292,6 +284,28 @@ class CandidateFinder:
             reason=reason,
             accepted=accepted,
         )
+
+
+def _chosen(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
+    """Candidates in order of preference, all but the first few refused.
+
+    The best by landmarks of each submap come before the second ones: neighbours say the same,
+    and where two places look alike those of the wrong one could be all that is asked.
+    """
+    ranked = sorted(passed, key=_rank)
+    turns: Counter[int] = Counter()
+    numbered = []
+    for place, candidate in enumerate(ranked):
+        numbered.append((turns[candidate.match_submap], place, candidate))
+        turns[candidate.match_submap] += 1
+    chosen = []
+    for turn, place, candidate in sorted(numbered, key=lambda entry: entry[:2]):
+        reason = f"number {place + 1} of {len(ranked)} by landmarks, {turn + 1} of its submap"
+        accepted = len(chosen) < kept
+        if not accepted:
+            reason += f"; {kept} are kept"
+        chosen.append(replace(candidate, accepted=accepted, reason=reason))
+    return chosen
 
 
 def _rank(candidate: LoopCandidate) -> tuple[float, float]:

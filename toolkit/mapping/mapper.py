@@ -167,9 +167,13 @@ class Mapper:
         loss = self._optimise(self.options.first_iterations if all_new else self.options.iterations)
         return MappingResult(seeded, self._prune(), loss)
 
-    def settle(self, steps: int) -> None:
-        """Optimise further around the newest keyframe (G: at a boundary between submaps)."""
-        self._optimise(steps)
+    def settle(self, steps: int, poses: bool = False) -> None:
+        """Optimise further around the newest keyframe (G: at a boundary between submaps).
+
+        Args:
+            poses: the keyframes' poses as well, but for the first one's.
+        """
+        self._optimise(steps, poses)
         self._prune()
 
     def take(self, content: MapContent) -> None:
@@ -186,14 +190,15 @@ class Mapper:
         seeded_by, steps = self.seeded_by.cpu(), self.optimiser.steps.cpu()
         return MapContent(self.gaussians.to("cpu"), self.keyframes, seeded_by, steps)
 
-    def _optimise(self, steps: int) -> float:
+    def _optimise(self, steps: int, poses: bool = False) -> float:
         """Steps over the window of the newest keyframe; the last one's loss."""
         window = choose_window(
             self.keyframes, self.options.window, self.options.least_overlap, self._generator
         )
         loss, focus = float("nan"), TileFocus(self.options.tile_share)
         for step in range(steps):
-            loss = self._step(self._pick(window), (step, steps), focus)
+            keyframe = self._pick(window)
+            loss = self._step(keyframe, (step, steps), focus, poses)
         return loss
 
     def refine(self) -> None:
@@ -267,7 +272,13 @@ class Mapper:
             return window[0]
         return window[1 + int(self._generator.integers(len(window) - 1))]
 
-    def _step(self, keyframe: Keyframe, progress: tuple[int, int], focus: TileFocus) -> float:
+    def _step(
+        self,
+        keyframe: Keyframe,
+        progress: tuple[int, int],
+        focus: TileFocus,
+        poses: bool = False,
+    ) -> float:
         """One optimisation step on one keyframe (H-24); `progress` is its place in the call."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         region = focus.region(keyframe)
@@ -296,7 +307,8 @@ class Mapper:
             names += ["features"] if len(by_images) > BASE_CHANNELS else []
             named = {name: getattr(gradients, name) for name in names}
             self.optimiser.step(self.gaussians, named, gradients.ids)
-            if self.options.bundle_adjustment and keyframe is not self.keyframes[0]:
+            poses |= self.options.bundle_adjustment
+            if poses and keyframe is not self.keyframes[0]:
                 self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
         return loss + semantic
 

@@ -8,7 +8,8 @@ since two samplings of one surface hardly ever have their centres in the same pl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,59 +18,148 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.refinement.exposures import agreed_exposures
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
+
+Array = NDArray[np.float64]
 
 # Voxel edge in metres: well above what registration leaves, well below furniture.
 VOXEL_M = 0.05
 # A submap shows a surface in a voxel where its Gaussians' opacities sum to so much.
 _LEAST_OPACITY = 2.0
+# Parts of the map that are kept in memory, those that views asked for last.
+_HELD = 3
+# Beyond so many radii a Gaussian is nowhere drawn.
+_REACH = 4.0
 
 
-@dataclass(frozen=True)
 class FusedMap:
-    """One map in the world's frame.
+    """One map in the world's frame; its parts are made from their submaps when asked for.
 
-    Attributes:
-        gaussians: N Gaussians. submap: [N] int32, where each came from.
+    Args:
+        submap: gives a submap by its number, always the same.
+        kept: [N] bool for each submap, which of its Gaussians are part of the map; None for all.
         exposures: gain and bias of each submap by number, world = gain * submap + bias.
     """
 
-    gaussians: GaussianCloud
-    submap: Tensor
-    exposures: dict[int, tuple[float, float]]
+    def __init__(
+        self,
+        submap: Callable[[int], Submap],
+        kept: dict[int, Tensor | None],
+        exposures: dict[int, tuple[float, float]],
+    ) -> None:
+        self.exposures = exposures
+        self._submap, self._kept = submap, kept
+        self._held: OrderedDict[int, GaussianCloud] = OrderedDict()
+        self._boxes: dict[int, tuple[Array, Array]] = {}
+        self._sizes: dict[int, int] = {}
+
+    @property
+    def numbers(self) -> list[int]:
+        """Of its submaps, in order."""
+        return sorted(self._kept)
+
+    def __len__(self) -> int:
+        return sum(self._size(number) for number in self.numbers)
+
+    def _size(self, number: int) -> int:
+        kept = self._kept[number]
+        if kept is not None:
+            return int(kept.sum())
+        if number not in self._sizes:
+            self._sizes[number] = len(self._submap(number).gaussians)
+        return self._sizes[number]
+
+    def part(self, number: int) -> GaussianCloud:
+        """What a submap gives to the map, in the world's frame and at its exposure."""
+        if number in self._held:
+            self._held.move_to_end(number)
+            return self._held[number]
+        submap, kept = self._submap(number), self._kept[number]
+        cloud = submap.gaussians
+        if kept is not None:
+            gain, bias = self.exposures[number]
+            cloud = cloud.select(kept).transformed(submap.T_world_submap)
+            cloud = replace(cloud, colours=cloud.colours * gain + bias)
+        self._held[number] = cloud
+        if len(self._held) > _HELD:
+            self._held.popitem(last=False)
+        return cloud
+
+    def parts(self) -> Iterator[GaussianCloud]:
+        """What each submap gives, by their numbers."""
+        return (self.part(number) for number in self.numbers)
+
+    def seen_from(self, camera: Camera, T_map_camera: Array) -> GaussianCloud:
+        """The parts that reach into a view."""
+        T_camera_map = se3.inverse(T_map_camera)
+        seen = [n for n in self.numbers if _may_show(camera, T_camera_map, *self._box(n))]
+        parts = [self.part(number) for number in seen or self.numbers[:1]]
+        return parts[0] if len(parts) == 1 else GaussianCloud.concatenate(parts)
+
+    def _box(self, number: int) -> tuple[Array, Array]:
+        """Lowest and highest corner [3] of a part, with the reach of its Gaussians."""
+        if number not in self._boxes:
+            cloud = self.part(number)
+            means = cloud.means.double().numpy()
+            reach = _REACH * cloud.radii_m.double().numpy()[:, None]
+            empty = np.zeros((1, 3))
+            low = (means - reach).min(axis=0) if len(means) else empty[0]
+            high = (means + reach).max(axis=0) if len(means) else empty[0]
+            self._boxes[number] = (low, high)
+        return self._boxes[number]
+
+    @property
+    def gaussians(self) -> GaussianCloud:
+        """The whole map in memory."""
+        parts = list(self.parts())
+        return parts[0] if len(parts) == 1 else GaussianCloud.concatenate(parts)
+
+    @property
+    def submap(self) -> Tensor:
+        """[N] int32, where each Gaussian came from."""
+        return torch.cat([torch.full((self._size(n),), n, dtype=torch.int32) for n in self.numbers])
+
+
+def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> bool:
+    """Whether a view can show anything of a box; True where that is not certain."""
+    pick = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bool)
+    corners = se3.transform_points(T_camera_map, np.where(pick, high, low))
+    x, y, z = corners.T
+    # A pixel at least beyond each border, where blurred edges still reach.
+    left, right = (-1.0 - camera.cx) / camera.fx, (camera.width - camera.cx) / camera.fx
+    top, bottom = (-1.0 - camera.cy) / camera.fy, (camera.height - camera.cy) / camera.fy
+    outside = (z <= 0, x < left * z, x > right * z, y < top * z, y > bottom * z)
+    return not any(side.all() for side in outside)
 
 
 def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     """Join the submaps that can be read. A single one passes unchanged."""
     if len(atlas) == 1:
-        cloud = atlas.mapper.content.gaussians
-        return FusedMap(cloud, torch.zeros(len(cloud), dtype=torch.int32), {0: (1.0, 0.0)})
-    return fuse_submaps(lambda: _readable(atlas), voxel_m)
+        return FusedMap(atlas.submap, {0: None}, {0: (1.0, 0.0)})
+    return fuse_submaps(atlas.readable(), atlas.submap, voxel_m)
 
 
-def fuse_submaps(submaps: Callable[[], Iterable[Submap]], voxel_m: float = VOXEL_M) -> FusedMap:
+def fuse_submaps(
+    numbers: Sequence[int], submap: Callable[[int], Submap], voxel_m: float = VOXEL_M
+) -> FusedMap:
     """Join any submaps, each placed by its `T_world_submap`; the first one's exposure stays.
 
     Args:
-        submaps: gives them one after another, twice the same, so that they need not all be in
-            memory; at least one, of different numbers and equal feature channels.
+        numbers: of the submaps, at least one. submap: gives them, always the same, so that they
+            need not all be in memory; with equal feature channels.
     """
-    seen = {submap.number: _seen(submap, voxel_m) for submap in submaps()}
+    seen = {number: _seen(submap(number), voxel_m) for number in numbers}
     owners = _owners(seen)
     exposures = agreed_exposures({n: (s.voxels, s.colour) for n, s in seen.items()})
-    clouds, origin = [], []
-    for submap in submaps():
-        voxels = _voxels(submap, voxel_m)
-        place = np.searchsorted(owners.voxels, voxels)
-        kept = torch.from_numpy(owners.submap[place] == submap.number)
-        cloud = submap.gaussians.select(kept).transformed(submap.T_world_submap)
-        gain, bias = exposures[submap.number]
-        cloud = replace(cloud, colours=cloud.colours * gain + bias)
-        clouds.append(cloud)
-        origin.append(torch.full((len(cloud),), submap.number, dtype=torch.int32))
-    return FusedMap(GaussianCloud.concatenate(clouds), torch.cat(origin), exposures)
+    kept: dict[int, Tensor | None] = {}
+    for number in numbers:
+        place = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
+        kept[number] = torch.from_numpy(owners.submap[place] == number)
+    return FusedMap(submap, kept, exposures)
 
 
 @dataclass(frozen=True)
@@ -120,11 +210,6 @@ def _owners(seen: dict[int, _Seen]) -> _Owners:
     first = np.ones(len(key), bool)
     first[1:] = key[1:] != key[:-1]
     return _Owners(key[first], number[first])
-
-
-def _readable(atlas: Atlas) -> Iterator[Submap]:
-    for number in atlas.readable():
-        yield atlas.submap(number)
 
 
 def _voxels(submap: Submap, voxel_m: float) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.registration.matching import MatchingOptions, Offset, measure_offset
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
+from toolkit.registration.pooled import pooled_motion
 from toolkit.registration.result import UNKNOWN, RegistrationResult, failed
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.alignment import Scales
@@ -30,11 +31,13 @@ class CoarseOptions:
         pairs: most pairs of keyframes (G: k).
         offsets: "measured" between the observed images; "none" is the paper's form, Z = I.
         least_agreeing: fewest pairs that must agree.
+        enough: so many that agree spare the rest of the measurements.
     """
 
     pairs: int = 10
     offsets: Literal["measured", "none"] = "measured"
     least_agreeing: int = 2
+    enough: int = 4
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     average: AverageOptions = field(default_factory=AverageOptions)
 
@@ -57,9 +60,12 @@ class CoarseRegistration:
 
 
 def descriptor_pairs(target: Submap, source: Submap, count: int) -> list[KeyframePair]:
-    """The pairs of keyframes with the nearest descriptors, one-to-one, nearest first.
+    """The pairs of keyframes with the nearest descriptors, in rounds, nearest first.
 
-    Each is mutual among the keyframes that no nearer pair has taken. None without descriptors.
+    In a round they are one-to-one: each is mutual among the keyframes that no nearer pair has
+    taken. Short submaps fill the count by further rounds over the pairs that are left, for
+    views that look most alike are not always those that can be matched. None without
+    descriptors.
     """
     a, b = target.descriptors, source.descriptors
     if 0 in (*a.shape, *b.shape):
@@ -67,18 +73,20 @@ def descriptor_pairs(target: Submap, source: Submap, count: int) -> list[Keyfram
     squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None] - 2.0 * a @ b.T
     distances = np.sqrt(np.maximum(squares, 0.0))
     order = np.argsort(distances, axis=None, kind="stable")
+    left = [(int(place) // len(b), int(place) % len(b)) for place in order]
     pairs: list[KeyframePair] = []
-    taken: tuple[set[int], set[int]] = set(), set()
-    for place in order:
-        i, j = (int(n) for n in divmod(int(place), distances.shape[1]))
-        if i in taken[0] or j in taken[1]:
-            continue
-        pairs.append(KeyframePair(i, j, float(distances[i, j])))
-        taken[0].add(i)
-        taken[1].add(j)
-        if len(pairs) == count:
-            break
-    return pairs
+    while left and len(pairs) < count:
+        taken: tuple[set[int], set[int]] = set(), set()
+        later = []
+        for i, j in left:
+            if i in taken[0] or j in taken[1]:
+                later.append((i, j))
+                continue
+            pairs.append(KeyframePair(i, j, float(distances[i, j])))
+            taken[0].add(i)
+            taken[1].add(j)
+        left = later
+    return pairs[:count]
 
 
 def register_coarse(
@@ -96,24 +104,69 @@ def register_coarse(
     pairs = descriptor_pairs(target, source, options.pairs)
     if not pairs:
         return CoarseRegistration(failed("coarse", "no keyframe has a descriptor", start), [])
-    measured = [(pair, _offset(pair, target, source, options, generator)) for pair in pairs]
-    usable = [(pair, offset) for pair, offset in measured if offset is not None]
-    if not usable:
-        reason = f"none of {len(pairs)} alike pairs of keyframes fixes an offset"
+    usable: list[tuple[KeyframePair, Offset]] = []
+    agreement, tried = None, 0
+    for pair in pairs:
+        tried += 1
+        offset = _offset(pair, target, source, options, generator)
+        if offset is None:
+            continue
+        usable.append((pair, offset))
+        if len(usable) >= options.enough and options.offsets == "measured":
+            agreement = _agreement(target, source, usable, options, start)
+            if agreement.agree.sum() >= options.enough:
+                break
+    if agreement is None or len(agreement.agree) < len(usable):
+        agreement = _agreement(target, source, usable, options, start) if usable else None
+    if agreement is None or agreement.agree.sum() < options.least_agreeing:
+        pooled = _pooled(target, source, pairs[:tried], options, generator)
+        if pooled is not None:
+            return pooled
+    if agreement is None:
+        reason = f"none of {tried} alike pairs of keyframes fixes an offset"
         return CoarseRegistration(failed("coarse", reason, start), [])
+    ranked = np.argsort(-agreement.weights, kind="stable")
+    views = [usable[i][0].source for i in ranked if agreement.agree[i]]
+    offsets = [offset for _, offset in usable]
+    result = _result(agreement, offsets, tried, options)
+    return CoarseRegistration(result, list(dict.fromkeys(views)))
+
+
+def _agreement(
+    target: Submap,
+    source: Submap,
+    usable: list[tuple[KeyframePair, Offset]],
+    options: CoarseOptions,
+    start: Array | None,
+) -> Agreement:
     T_target_camera = np.array(
         [target.keyframes[p.target].T_map_camera @ z.T_first_second for p, z in usable]
     )
     T_source_camera = np.array([source.keyframes[p.source].T_map_camera for p, _ in usable])
-    agreement = average_motion(T_target_camera, T_source_camera, options.average, start)
-    return CoarseRegistration(
-        _result(agreement, [offset for _, offset in usable], len(pairs), options),
-        [
-            usable[i][0].source
-            for i in np.argsort(-agreement.weights, kind="stable")
-            if agreement.agree[i]
-        ],
-    )
+    return average_motion(T_target_camera, T_source_camera, options.average, start)
+
+
+def _pooled(
+    target: Submap,
+    source: Submap,
+    pairs: list[KeyframePair],
+    options: CoarseOptions,
+    generator: np.random.Generator,
+) -> CoarseRegistration | None:
+    """A motion that the features of all pairs obey together, where no pair is sure by itself."""
+    if options.offsets == "none":
+        return None
+    seen = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
+    found = pooled_motion(seen, options.matching, generator)
+    if found is None:
+        return None
+    T_source_camera = np.array([seen[place][1].T_map_camera for place in found.pairs])
+    T_target_camera = found.T_target_source @ T_source_camera
+    agreement = average_motion(T_target_camera, T_source_camera, options.average)
+    unknown = Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
+    result = _result(agreement, [unknown] * len(found.pairs), len(pairs), options)
+    views = [pairs[place].source for place in found.pairs]
+    return CoarseRegistration(result, list(dict.fromkeys(views)))
 
 
 def _offset(

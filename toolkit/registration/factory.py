@@ -7,13 +7,13 @@ from typing import Any
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.coarse import CoarseOptions
 from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
-from toolkit.registration.fine import FineOptions
+from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.fine_first_order import Encoder, FirstOrderFineOptions
 from toolkit.registration.joint_alignment import JointOptions
 from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions
 from toolkit.registration.result import Registrar
-from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
+from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.two_way import TwoWayRegistration
 from toolkit.registration.views import ViewDrawer
 from toolkit.settings.registration import (
@@ -41,11 +41,16 @@ def build_registrar(
     if settings.kind == "clouds":
         return CloudRegistration(CloudOptions(**settings.clouds.model_dump(), seed=seed), drawer)
     fine = fine_options(settings.fine)
+    if settings.kind == "fine":
+        return FineRegistration(fine, drawer, encoder)
+    options = SgrOptions(coarse_options(settings.coarse), fine, seed)
+    if settings.kind == "coarse":
+        return CoarseOnly(options, drawer)
+    refiner = None
     if settings.kind == "two-way":
         average = AverageOptions(**settings.coarse.average.model_dump())
-        return TwoWayRegistration(fine, drawer, average)
-    options = SgrOptions(coarse_options(settings.coarse), fine, seed)
-    return SemanticGuidedRegistration(options, drawer, encoder)
+        refiner = TwoWayRegistration(fine, drawer, average)
+    return SemanticGuidedRegistration(options, drawer, encoder, refiner)
 
 
 def build_drawer(
@@ -71,6 +76,7 @@ def coarse_options(settings: CoarseSettings) -> CoarseOptions:
         pairs=settings.pairs,
         offsets=settings.offsets,
         least_agreeing=settings.least_agreeing,
+        enough=settings.enough,
         matching=matching_options(settings.matching),
         average=AverageOptions(**settings.average.model_dump()),
     )

@@ -153,6 +153,22 @@ def _shrunk(level: FrameLevel, largest_width: int) -> FrameLevel:
     return level
 
 
+def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:
+    """Features of two images that chose each other and have depth in both; None without any."""
+    pixels_a, words_a = _features(first, options.features)
+    pixels_b, words_b = _features(second, options.features)
+    matches = _mutual_matches(words_a, words_b, options.ratio)
+    if len(matches) == 0:
+        return None
+    pixels_a, pixels_b = pixels_a[matches[:, 0]], pixels_b[matches[:, 1]]
+    points_a = _points_at(first, pixels_a)
+    points_b = _points_at(second, pixels_b)
+    measured = (points_a[:, 2] > 0) & (points_b[:, 2] > 0)
+    if not measured.any():
+        return None
+    return Matched(points_a[measured], points_b[measured], pixels_a[measured], first.camera)
+
+
 def _by_features(
     first: Keyframe,
     second: Keyframe,
@@ -160,18 +176,9 @@ def _by_features(
     generator: np.random.Generator,
 ) -> tuple[Array, int] | None:
     """T_first_second and how many matches agree with it; None below `least_matches`."""
-    pixels_a, words_a = _features(first, options.features)
-    pixels_b, words_b = _features(second, options.features)
-    matches = _mutual_matches(words_a, words_b, options.ratio)
-    if len(matches) < options.least_matches:
+    matched = match_features(first, second, options)
+    if matched is None or len(matched.first) < options.least_matches:
         return None
-    pixels_a, pixels_b = pixels_a[matches[:, 0]], pixels_b[matches[:, 1]]
-    points_a = _points_at(first, pixels_a)
-    points_b = _points_at(second, pixels_b)
-    measured = (points_a[:, 2] > 0) & (points_b[:, 2] > 0)
-    if measured.sum() < options.least_matches:
-        return None
-    matched = _Matched(points_a[measured], points_b[measured], pixels_a[measured], first.camera)
     return matched.motion(options, generator)
 
 
@@ -217,7 +224,7 @@ def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Matched:
+class Matched:
     """n matched features: points [n, 3] in either camera, and the first one's pixels [n, 2]."""
 
     first: Array
@@ -231,19 +238,19 @@ class _Matched:
         """The motion that most matches agree with, fitted to all of these."""
         n = len(self.first)
         triples = np.argsort(generator.random((options.hypotheses, n)), axis=1)[:, :3]
-        motions = _rigid_fits(self.first[triples], self.second[triples])
-        agree = self._agree(motions, options)
+        motions = rigid_fits(self.first[triples], self.second[triples])
+        agree = self.agree(motions, options)
         best = agree[int(np.argmax(agree.sum(axis=1)))]
         T = np.eye(4)
         for _ in range(3):
             if best.sum() < options.least_matches:
                 return None
-            T = _rigid_fits(self.first[best][None], self.second[best][None])[0]
-            best = self._agree(T[None], options)[0]
+            T = rigid_fits(self.first[best][None], self.second[best][None])[0]
+            best = self.agree(T[None], options)[0]
         count = int(best.sum())
         return (T, count) if count >= options.least_matches else None
 
-    def _agree(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+    def agree(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
         """Which matches [H, n] fit which motions [H, 4, 4]."""
         moved = np.einsum("hij,nj->hni", motions[:, :3, :3], self.second)
         moved += motions[:, None, :3, 3]
@@ -255,7 +262,7 @@ class _Matched:
         return (depth > _NEAREST_M) & (error < tolerance) & near
 
 
-def _rigid_fits(first: Array, second: Array) -> Array:
+def rigid_fits(first: Array, second: Array) -> Array:
     """Motions [H, 4, 4] that take points second [H, m, 3] nearest to first [H, m, 3]."""
     centre_a, centre_b = first.mean(axis=1), second.mean(axis=1)
     a, b = first - centre_a[:, None], second - centre_b[:, None]

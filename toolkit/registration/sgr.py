@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.registration.coarse import CoarseOptions, register_coarse
+from toolkit.registration.coarse import CoarseOptions, CoarseRegistration, register_coarse
 from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.fine_first_order import Encoder
+from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult
 from toolkit.registration.views import ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
@@ -26,30 +28,67 @@ class SgrOptions:
     seed: int = 0
 
 
+class Refiner(Protocol):
+    """The stage after the coarse one."""
+
+    def refine(
+        self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
+    ) -> RegistrationResult:
+        """T_target_source from a start near it.
+
+        Args:
+            views: places of the source's keyframes to look from; the refiner's own choice
+                without.
+        """
+        ...
+
+
 class SemanticGuidedRegistration:
-    """Registers submaps from nothing or from a start."""
+    """Registers submaps from nothing or from a start.
+
+    Args:
+        encoder: of the papers' feature term.
+        refiner: another second stage, to be compared with.
+    """
 
     def __init__(
         self,
         options: SgrOptions | None = None,
         drawer: ViewDrawer | None = None,
         encoder: Encoder | None = None,
+        refiner: Refiner | None = None,
     ) -> None:
         self.options = options or SgrOptions()
         self.drawer = drawer or ViewDrawer()
-        self._fine = FineRegistration(self.options.fine, self.drawer, encoder)
+        self.refiner = refiner or FineRegistration(self.options.fine, self.drawer, encoder)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> RegistrationResult:
-        """See Registrar.
+        """See Registrar."""
+        coarse = self.coarse(target, source, T_target_source)
+        return self.refined(target, source, coarse, T_target_source)
+
+    def coarse(
+        self, target: Submap, source: Submap, T_target_source: Array | None = None
+    ) -> CoarseRegistration:
+        """The first stage alone."""
+        # A generator of its own for every call: results do not depend on earlier ones.
+        generator = np.random.default_rng(self.options.seed)
+        return register_coarse(target, source, self.options.coarse, generator, T_target_source)
+
+    def refined(
+        self,
+        target: Submap,
+        source: Submap,
+        coarse: CoarseRegistration,
+        T_target_source: Array | None = None,
+    ) -> RegistrationResult:
+        """The second stage after the first.
 
         A coarse result that its pairs agree on comes before a given start, which may have
         drifted; without either there is nothing to refine.
         """
-        # A generator of its own for every call: results do not depend on earlier ones.
-        generator = np.random.default_rng(self.options.seed)
-        coarse = register_coarse(target, source, self.options.coarse, generator, T_target_source)
         if coarse.result.converged:
             start = coarse.result.T_target_source
         elif T_target_source is not None:
@@ -59,11 +98,38 @@ class SemanticGuidedRegistration:
         else:
             return replace(coarse.result, method="sgr")
         views = self._views(target, source, start, coarse.views)
-        fine = self._fine.refine(target, source, start, views)
-        return replace(fine, method="sgr", iterations=fine.iterations + coarse.result.iterations)
+        fine = self.refiner.refine(target, source, start, views)
+        method = "sgr" if isinstance(self.refiner, FineRegistration) else f"coarse, {fine.method}"
+        return replace(fine, method=method, iterations=fine.iterations + coarse.result.iterations)
 
     def _views(self, target: Submap, source: Submap, start: Array, agreed: list[int]) -> list[int]:
         """The keyframes that the coarse stage rests on, and more that overlap."""
         count = self.options.fine.views
         more = views_of_overlap(target, source, start, count)
         return list(dict.fromkeys([*agreed, *more]))[:count]
+
+
+class CoarseOnly:
+    """The first stage as a Registrar, judged by looking: what it is worth by itself."""
+
+    def __init__(self, options: SgrOptions | None = None, drawer: ViewDrawer | None = None) -> None:
+        self.drawer = drawer or ViewDrawer()
+        self._sgr = SemanticGuidedRegistration(options, self.drawer)
+
+    def register(
+        self, target: Submap, source: Submap, T_target_source: Array | None = None
+    ) -> RegistrationResult:
+        """See Registrar."""
+        before = self.drawer.renders
+        result = self._sgr.coarse(target, source, T_target_source).result
+        if not result.converged:
+            return result
+        views = self._sgr.options.fine.views
+        check = check_alignment(target, source, result.T_target_source, self.drawer, views)
+        return replace(
+            result,
+            inliers=check.inliers,
+            overlap=check.overlap,
+            class_agreement=check.class_agreement,
+            renders=self.drawer.renders - before,
+        )

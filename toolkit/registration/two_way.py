@@ -7,15 +7,12 @@ those of the fine stage, so that only the scheme differs.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
-from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
@@ -43,8 +40,14 @@ class TwoWayRegistration:
     ) -> RegistrationResult:
         """See Registrar; without a start it begins at the identity."""
         start = np.eye(4) if T_target_source is None else T_target_source
+        return self.refine(target, source, start)
+
+    def refine(
+        self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
+    ) -> RegistrationResult:
+        """See Refiner; the views are of the source, the target's own choose themselves."""
         before = self.drawer.renders
-        there, poses = self._placed(target, source, start)
+        there, poses = self._placed(target, source, start, views)
         back, other_poses = self._placed(source, target, se3.inverse(start))
         # A target view's pose, seen from the source, is where the inverse motion takes it.
         placed = [r.T_target_source @ T for r, T in zip(there, poses, strict=True)]
@@ -54,44 +57,45 @@ class TwoWayRegistration:
         if not placed:
             return failed("two-way", "no view could be placed in the other submap", start)
         agreement = average_motion(np.array(placed), np.array(unplaced), self._average)
-        check = check_alignment(
-            target, source, agreement.T_target_source, self.drawer, self.options.views
-        )
-        return replace(
-            self._result(agreement, [*there, *back]),
-            inliers=check.inliers,
-            overlap=check.overlap,
-            class_agreement=check.class_agreement,
-            renders=self.drawer.renders - before,
-        )
+        renders = self.drawer.renders - before
+        return self._result(agreement, [*there, *back], renders)
 
     def _placed(
-        self, target: Submap, source: Submap, start: Array
+        self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
     ) -> tuple[list[RegistrationResult], list[Array]]:
         """Each view of the source registered on its own, and its pose in the source."""
         results, poses = [], []
-        for place in views_of_overlap(target, source, start, self.options.views):
+        if views is None:
+            views = views_of_overlap(target, source, start, self.options.views)
+        for place in views:
             result = self._fine.refine(target, source, start, [place])
             if result.converged:
                 results.append(result)
                 poses.append(source.keyframes[place].T_map_camera)
         return results, poses
 
-    def _result(self, agreement: Agreement, parts: list[RegistrationResult]) -> RegistrationResult:
+    def _result(
+        self, agreement: Agreement, parts: list[RegistrationResult], renders: int
+    ) -> RegistrationResult:
+        """Judged by the views as each was placed: nothing is drawn again."""
         enough = bool(agreement.agree.sum() * 2 >= len(parts))
         return RegistrationResult(
             T_target_source=agreement.T_target_source,
             converged=agreement.converged and enough,
-            inliers=0.0,
+            inliers=_median([part.inliers for part in parts]),
             residual=Scales(
-                float(np.median([part.residual.intensity for part in parts])),
-                float(np.median([part.residual.depth_m for part in parts])),
+                _median([part.residual.intensity for part in parts]),
+                _median([part.residual.depth_m for part in parts]),
             ),
-            overlap=0.0,
-            class_agreement=float("nan"),
+            overlap=_median([part.overlap for part in parts]),
+            class_agreement=_median([part.class_agreement for part in parts]),
             information=agreement.information,
             iterations=agreement.iterations + sum(part.iterations for part in parts),
-            renders=0,
+            renders=renders,
             method="two-way",
             reason="" if enough else "the views disagree",
         )
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values))

@@ -33,10 +33,10 @@ class ConsistencySettings(Settings):
     """Which loops may enter the graph."""
 
     odometry_confidence: float = Field(
-        0.999, gt=0, lt=1, description="share of right loops that agree with the odometry"
+        0.999, gt=0, le=1, description="share of right loops that agree with the odometry"
     )
     pair_confidence: float = Field(
-        0.999, gt=0, lt=1, description="share of pairs of right loops that agree"
+        0.999, gt=0, le=1, description="share of pairs of right loops that agree"
     )
     exact_up_to: int = Field(40, ge=1, description="more loops are searched greedily")
 
@@ -56,7 +56,7 @@ class SolverSettings(Settings):
 class RetractionSettings(Settings):
     """Which loops leave the graph again."""
 
-    confidence: float = Field(0.999, gt=0, lt=1, description="share of right loops that stay")
+    confidence: float = Field(0.999, gt=0, le=1, description="share of right loops that stay")
 
 
 class PoseGraphSettings(Settings):

@@ -55,6 +55,7 @@ class CoarseSettings(Settings):
         "measured", description="between a pair's images, or none (G)"
     )
     least_agreeing: int = Field(2, ge=1, description="fewest pairs that agree")
+    enough: int = Field(4, ge=1, description="pairs that agree and spare the others")
     matching: MatchingSettings = MatchingSettings()
     average: MotionAverageSettings = MotionAverageSettings()
 
@@ -110,7 +111,9 @@ class DrawingSettings(Settings):
 class RegistrationSettings(Settings):
     """Which registration of submaps, and its values."""
 
-    kind: Literal["sgr", "two-way", "clouds"] = Field("sgr", description="the method")
+    kind: Literal["sgr", "coarse", "fine", "two-way", "clouds"] = Field(
+        "sgr", description="both stages, one alone, coarse and two-way, or Open3D on clouds"
+    )
     drawing: DrawingSettings = DrawingSettings()
     coarse: CoarseSettings = CoarseSettings()
     fine: FineSettings = FineSettings()

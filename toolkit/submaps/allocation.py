@@ -1,14 +1,19 @@
-"""When the next submap begins (G-III.A): elsewhere, among other things, or full."""
+"""When the next submap begins (G-III.A): elsewhere, among other things, or full.
+
+The rule of motion, as other submap systems have it, is there for comparison: it looks at how
+far the camera moved from the anchor alone, and cuts wherever that happens to be.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry import se3
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.semantics.histograms import class_histogram, smoothed_kl
 
@@ -18,6 +23,7 @@ class AllocationOptions:
     """Bounds of a submap.
 
     Attributes:
+        rule: "places", by what is seen, or "motion", by how far the anchor is.
         least_overlap: spatially new below this share of the view inside the submap (G: 0.5).
         least_divergence: semantically new above this KL divergence from the anchor's classes,
             in nats (G: 0.4, for a rich set of classes).
@@ -25,13 +31,17 @@ class AllocationOptions:
             view's neighbour always would, and the paper's criterion could never fire.
         fewest_keyframes: a smaller submap takes whatever comes. While a camera explores, any
             view is new and other things are in it: only size tells a turn from a new room.
+        moved_m, turned_deg: from the anchor, either is enough for the rule of motion.
         most_keyframes, most_gaussians, most_path_m: caps that act alone.
     """
 
+    rule: Literal["places", "motion"] = "places"
     least_overlap: float = 0.5
     least_divergence: float = 0.4
     recent: int = 10
     fewest_keyframes: int = 60
+    moved_m: float = 0.5
+    turned_deg: float = 50.0
     most_keyframes: int = 150
     most_gaussians: int = 1_000_000
     most_path_m: float = 30.0
@@ -93,9 +103,6 @@ class Allocation:
         established = keyframes[: max(1, len(keyframes) - options.recent)]
         overlap = share_inside(newest, established)
         divergence = self._divergence(newest, keyframes[0])
-        elsewhere = overlap < options.least_overlap
-        # Without labels the place alone decides.
-        other = not divergence <= options.least_divergence
         reason = ""
         if len(keyframes) >= options.most_keyframes:
             reason = f"{len(keyframes)} keyframes"
@@ -103,9 +110,26 @@ class Allocation:
             reason = f"{gaussians} Gaussians"
         elif path_length_m(keyframes) >= options.most_path_m:
             reason = f"a path of {path_length_m(keyframes):.1f} m"
-        elif len(keyframes) >= options.fewest_keyframes and elsewhere and other:
-            reason = f"overlap {overlap:.2f} and divergence {divergence:.2f}"
+        elif options.rule == "motion":
+            reason = self._far_from_anchor(keyframes)
+        elif len(keyframes) >= options.fewest_keyframes:
+            reason = self._elsewhere(overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
+
+    def _elsewhere(self, overlap: float, divergence: float) -> str:
+        # Without labels the place alone decides.
+        same_things = divergence <= self.options.least_divergence
+        if overlap >= self.options.least_overlap or same_things:
+            return ""
+        return f"overlap {overlap:.2f} and divergence {divergence:.2f}"
+
+    def _far_from_anchor(self, keyframes: list[Keyframe]) -> str:
+        T = se3.inverse(keyframes[0].T_map_camera) @ keyframes[-1].T_map_camera
+        moved_m = float(np.linalg.norm(T[:3, 3]))
+        turned_deg = float(np.degrees(se3.rotation_angle_rad(T[:3, :3])))
+        if moved_m <= self.options.moved_m and turned_deg <= self.options.turned_deg:
+            return ""
+        return f"{moved_m:.2f} m and {turned_deg:.0f} degrees from the anchor"
 
     def _divergence(self, newest: Keyframe, anchor: Keyframe) -> float:
         if not self._classes or newest.class_ids is None or anchor.class_ids is None:

@@ -32,11 +32,13 @@ class BoundaryOptions:
 
     Attributes:
         steps: optimisation steps around the boundary before the old submap rests.
+        bundle_adjustment: of the keyframes' poses too (G: local bundle adjustment).
         inherit: the new submap begins with copies of what its anchor sees of the old one,
             so that tracking goes on against a settled map; fusion takes the copies out.
     """
 
     steps: int = 24
+    bundle_adjustment: bool = False
     inherit: bool = True
 
 
@@ -180,7 +182,7 @@ class Atlas:
         Returns:
             T_new_old [4, 4].
         """
-        self.mapper.settle(self._boundary.steps)
+        self.mapper.settle(self._boundary.steps, self._boundary.bundle_adjustment)
         old, last = self.submap(self.active), self.mapper.keyframes[-1]
         self._begin(frame, old, last.T_map_camera, (last.gain, last.bias))
         return se3.inverse(last.T_map_camera)

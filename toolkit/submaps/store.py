@@ -32,6 +32,7 @@ class SubmapStore:
         self.folder, self.budget_mb = folder, budget_mb
         self._versions: dict[int, int] = {}
         self._held: dict[int, Submap] = {}  # the least recently used first
+        self._sizes_mb: dict[int, float] = {}  # of these; to sum one up takes a while
 
     @classmethod
     def newest(cls, folder: Path, budget_mb: float = 500.0) -> SubmapStore:
@@ -59,6 +60,7 @@ class SubmapStore:
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_array_tree(self._path(number), *submap.state())
+        self._held.pop(number, None)  # its size may have changed
         self._hold(submap)
 
     def get(self, number: int) -> Submap:
@@ -113,15 +115,16 @@ class SubmapStore:
         return self.folder / _name(number, self._versions[number])
 
     def _hold(self, submap: Submap) -> None:
-        self._held.pop(submap.number, None)
-        self._held[submap.number] = submap
+        number = submap.number
+        if self._held.pop(number, None) is not submap:
+            self._sizes_mb[number] = submap.megabytes
+        self._held[number] = submap
         if self.folder is None:
             return
-        sizes = {number: held.megabytes for number, held in self._held.items()}
-        for number in list(self._held)[:-1]:
-            if sum(sizes[n] for n in self._held) <= self.budget_mb:
+        for oldest in list(self._held)[:-1]:
+            if sum(self._sizes_mb[n] for n in self._held) <= self.budget_mb:
                 return
-            del self._held[number]
+            del self._held[oldest]
 
 
 def _name(number: int, version: int) -> str:

@@ -19,6 +19,8 @@ from toolkit.datasets.synthetic.shell import WALL_HALF_M, Opening, RoomPlan, roo
 
 _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
+_CORRIDOR_DEPTH_M = 1.9
+_NORTH_OF_MIDDLE_M = 0.1  # where the camera walks in a corridor
 
 
 @dataclass(frozen=True)
@@ -79,18 +81,28 @@ def _ring_openings(entry: str, leave: str, window: str, middle: float) -> tuple[
 
 def rooms_with_corridor() -> Layout:
     """Three different rooms north of a corridor, visited one after the other."""
-    return _corridor_layout(("office", "bedroom", "dining"), (1, 2, 3))
+    return _corridor_layout(("office", "bedroom", "dining"), (1, 2, 3), (0, 1, 2))
+
+
+def hall_of_rooms() -> Layout:
+    """Twelve different rooms on four corridors in a row: four times `rooms_with_corridor`."""
+    styles = ("office", "bedroom", "dining", "living")
+    return _corridor_layout(styles * 3, tuple(range(21, 33)), tuple(range(12)))
 
 
 def twin_rooms() -> Layout:
-    """Two identical rooms beside a third, on one corridor: what looks equal is not."""
-    return _corridor_layout(("office", "living", "office"), (1, 2, 1))
+    """Two identical rooms beside a third, on one corridor: what looks equal is not.
+
+    The camera comes back to the first of the two, where both a true loop and a false one offer.
+    """
+    return _corridor_layout(("office", "living", "office"), (1, 2, 1), (0, 1, 2, 0))
 
 
-def _corridor_layout(styles: tuple[str, ...], looks: tuple[int, ...]) -> Layout:
-    """Rooms in a row along x, each with a door to a corridor in the south."""
+def _corridor_layout(
+    styles: tuple[str, ...], looks: tuple[int, ...], visits: tuple[int, ...]
+) -> Layout:
+    """Rooms in a row along x, each with a door to a corridor in the south; three share one."""
     size = (4.2, 4.0)
-    corridor_depth = 1.9
     pitch = size[0] + _WALL_M
     door = size[0] / 2
     openings = (Opening("south", door, "passage"), Opening("north", 2.2, "window"))
@@ -98,27 +110,45 @@ def _corridor_layout(styles: tuple[str, ...], looks: tuple[int, ...]) -> Layout:
         RoomPlan((number * pitch, 0.0), size, openings, style)
         for number, style in enumerate(styles)
     ]
-    length = pitch * len(rooms) - _WALL_M
-    centre = (pitch * (len(rooms) - 1) / 2, -(size[1] + corridor_depth) / 2 - _WALL_M)
-    doors = tuple(
-        Opening("north", number * pitch + door, "passage") for number in range(len(rooms))
-    )
-    corridor = RoomPlan(centre, (length, corridor_depth), doors, "corridor")
+    corridors = [
+        _corridor(rooms[first : first + 3], first > 0, first + 3 < len(rooms))
+        for first in range(0, len(rooms), 3)
+    ]
     way: list[WayPoint] = []
-    for number, room in enumerate(rooms):
+    for place, number in enumerate(visits):
+        room = rooms[number]
         entry, north = room.openings[0], math.pi / 2
         way += _visit(room, entry if way else None, entry, north, math.pi)
-        if number + 1 < len(rooms):
-            way += _walk_corridor(corridor, room, rooms[number + 1])
-    return Layout((*rooms, corridor), (*looks, 9), tuple(way))
+        if place + 1 < len(visits):
+            way += _walk_corridor(corridors[0], room, rooms[visits[place + 1]])
+    bare = tuple(range(9, 9 + len(corridors)))
+    return Layout((*rooms, *corridors), (*looks, *bare), tuple(way))
+
+
+def _corridor(rooms: list[RoomPlan], west: bool, east: bool) -> RoomPlan:
+    """South of some rooms in a row, with a door to each, and open to the corridors beside it."""
+    width, depth = rooms[0].size_m
+    left, right = rooms[0].centre_m[0], rooms[-1].centre_m[0]
+    centre = ((left + right) / 2, -(depth + _CORRIDOR_DEPTH_M) / 2 - _WALL_M)
+    openings = [Opening("north", room.centre_m[0] - left + width / 2, "passage") for room in rooms]
+    # In line with the way. A wall's left end, seen from inside: in the west it is the south.
+    if west:
+        openings.append(Opening("west", _CORRIDOR_DEPTH_M / 2 + _NORTH_OF_MIDDLE_M, "passage"))
+    if east:
+        openings.append(Opening("east", _CORRIDOR_DEPTH_M / 2 - _NORTH_OF_MIDDLE_M, "passage"))
+    size = (right - left + width, _CORRIDOR_DEPTH_M)
+    return RoomPlan(centre, size, tuple(openings), "corridor")
 
 
 def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[WayPoint]:
     """Way points in the corridor from one room's door towards the next one's."""
-    y = corridor.centre_m[1] + 0.1
+    y = corridor.centre_m[1] + _NORTH_OF_MIDDLE_M
     x0, x1 = start.centre_m[0], end.centre_m[0]
-    stands = np.linspace(x0 + 0.35, x1 - 0.35, 4)
-    return [_looking((x, y), 0.0 if x < x1 - 0.6 else 0.6) for x in stands]
+    east = x1 > x0
+    ahead, door = (0.0, 0.6) if east else (math.pi, math.pi - 0.6)
+    step = 0.35 if east else -0.35
+    stands = np.linspace(x0 + step, x1 - step, 4)
+    return [_looking((x, y), ahead if abs(x1 - x) > 0.6 else door) for x in stands]
 
 
 def _visit(
@@ -199,4 +229,5 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "rooms": rooms_with_corridor,
     "ring": ring_of_rooms,
     "twins": twin_rooms,
+    "hall": hall_of_rooms,
 }

@@ -36,8 +36,8 @@ class RoomSettings:
     """What to make.
 
     Attributes:
-        layout: "room", "rooms" (three and a corridor), "ring" (four that close a loop)
-            or "twins" (two of three rooms are identical).
+        layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
+            close a loop) or "twins" (two of three rooms are identical).
         seed: decides furniture, textures, sway of the camera and noise; at least 0.
         frames: how many, spread over the walk; None: a person's pace (300 for the default room,
             about 2000 for the others).

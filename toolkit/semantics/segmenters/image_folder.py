@@ -47,6 +47,7 @@ class LabelImageFolder:
         if not folder.is_dir():
             raise DatasetError(f"{folder} is no folder; give the folder of the label images")
         self._vocabulary = Vocabulary(read_class_names(names_file), str(names_file))
+        self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = self._vocabulary.names
         colours = read_class_colours(names_file)
         self._palette = None if colours is None else _Palette(colours, names_file)

@@ -125,6 +125,7 @@ class HeadSegmenter:
             )
         self._encoder, self._head = encoder, head
         self._least_confidence = least_confidence
+        self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = dict(enumerate(head.class_names, start=1))
 
     def segment(

@@ -28,6 +28,7 @@ class RecordedLabels:
 
     def __init__(self, names: Mapping[int, str]) -> None:
         self._vocabulary = Vocabulary(names, "the data set's classes.json")
+        self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = self._vocabulary.names
         self._warned = False
 

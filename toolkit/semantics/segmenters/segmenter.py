@@ -12,7 +12,14 @@ from toolkit.frame import Frame
 
 
 class Segmenter(Protocol):
-    """Labels every pixel of a frame, in a vocabulary of its own."""
+    """Labels every pixel of a frame, in a vocabulary of its own.
+
+    Attributes:
+        place_divergence: KL divergence between the class histograms of two views, in nats,
+            above which they are of different places. G has 0.4, for a rich set of classes.
+    """
+
+    place_divergence: float
 
     @property
     def class_names(self) -> Mapping[int, str]:

@@ -48,6 +48,7 @@ class TransformersSegmenter:
             raise FormatError(f"{folder}: id2label must number its classes from 0 without gaps")
         void = [True, *(names[i].casefold() in VOID_NAMES for i in range(self._count))]
         self._void = torch.tensor(void, device=self._device)
+        self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = {
             i + 1: name for i, name in names.items() if name.casefold() not in VOID_NAMES
         }

@@ -14,6 +14,7 @@ class Unlabelled:
     """Every pixel is void: for runs without semantics, so that no caller needs an `if`."""
 
     def __init__(self) -> None:
+        self.place_divergence = 0.0
         self.class_names: Mapping[int, str] = {}
 
     def segment(

@@ -59,6 +59,9 @@ class GeometricSegmenter:
 
     def __init__(self, options: GeometricOptions | None = None) -> None:
         self.class_names: Mapping[int, str] = CLASS_NAMES
+        # Of views that share less than half, 86 % (7-Scenes RedKitchen) and 89 % (four
+        # synthetic rooms) differ by more; with 40 classes 94 % differ by more than 0.4.
+        self.place_divergence = 0.05
         self._options = options or GeometricOptions()
         self._room = self._new_room()
 

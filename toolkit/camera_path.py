@@ -1,0 +1,115 @@
+"""Where each tracked frame is: beside a keyframe, so that it moves when the map does."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.result import TrackingResult
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _TrackedFrame:
+    """A frame beside the keyframe before it.
+
+    Attributes:
+        keyframe: frame index of that keyframe, one of `submap`.
+    """
+
+    index: int
+    timestamp_s: float
+    submap: int
+    keyframe: int
+    gain: float
+    bias: float
+
+
+class CameraPath:
+    """The tracked frames of a run, in order."""
+
+    def __init__(self) -> None:
+        self._frames: list[_TrackedFrame] = []
+        self._T_keyframe_camera: list[Array] = []
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(
+        self, frame: Frame, atlas: Atlas, T_submap_camera: Array, tracking: TrackingResult | None
+    ) -> None:
+        """Remember a frame of the active submap beside its newest keyframe.
+
+        Args:
+            T_submap_camera: [4, 4]. tracking: None for a frame that was not tracked.
+        """
+        last = atlas.mapper.keyframes[-1]
+        gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
+        self._frames.append(
+            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, gain, bias)
+        )
+        self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
+
+    @property
+    def indices(self) -> list[int]:
+        """Indices of the frames."""
+        return [f.index for f in self._frames]
+
+    @property
+    def submaps(self) -> list[int]:
+        """Number of the submap that each frame lies in."""
+        return [f.submap for f in self._frames]
+
+    def last_place(self, atlas: Atlas) -> tuple[int, Array]:
+        """Submap and pose [4, 4] of the newest frame; before any, where the active submap is."""
+        if not self._frames:
+            return atlas.active, np.eye(4)
+        return self._frames[-1].submap, self.poses_in_submaps(atlas)[-1]
+
+    def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
+        """T_submap_camera [4, 4] of each frame, in its own submap."""
+        known = {f.submap: atlas.keyframe_poses(f.submap) for f in self._frames}
+        return [
+            known[f.submap][f.keyframe] @ T
+            for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
+        ]
+
+    def exposures(self, of_submaps: dict[int, tuple[float, float]]) -> Array:
+        """(gain, bias) [M, 2] of each frame: map = gain * observed + bias.
+
+        Args:
+            of_submaps: gain and bias of submaps against the whole map, 1 and 0 where missing.
+        """
+        rows = []
+        for f in self._frames:
+            gain, bias = of_submaps.get(f.submap, (1.0, 0.0))
+            rows.append((gain * f.gain, gain * f.bias + bias))
+        return np.array(rows).reshape(-1, 2)
+
+    def trajectory(self, atlas: Atlas) -> Trajectory:
+        """Poses in the world."""
+        anchors = [atlas.T_world_submap(number) for number in range(len(atlas))]
+        poses = [
+            se3.orthonormalise(anchors[f.submap] @ T)
+            for f, T in zip(self._frames, self.poses_in_submaps(atlas), strict=True)
+        ]
+        times = np.array([f.timestamp_s for f in self._frames])
+        return Trajectory(times, np.array(poses).reshape(-1, 4, 4))
+
+    def state(self) -> tuple[Array, list[dict[str, Any]]]:
+        """Motions beside keyframes [M, 4, 4], and the rest as JSON holds it."""
+        T_keyframe_camera = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
+        return T_keyframe_camera, [asdict(f) for f in self._frames]
+
+    def restore(self, T_keyframe_camera: Array, values: list[dict[str, Any]]) -> None:
+        """Take over an earlier `state`."""
+        self._frames = [_TrackedFrame(**f) for f in values]
+        self._T_keyframe_camera = [np.array(T) for T in T_keyframe_camera]

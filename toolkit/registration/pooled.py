@@ -1,0 +1,91 @@
+"""One motion from the matched features of many pairs of keyframes together.
+
+Two views that share little have too few matches to be believed by themselves. Several such
+pairs between the same submaps must all obey one motion, and together they can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.registration.matching import Matched, MatchingOptions, match_features, rigid_fits
+
+Array = NDArray[np.float64]
+
+# The more pairs, the smaller the share of right matches: more motions must be tried than for
+# two images, and more matches agree by chance.
+_MORE = 4
+# Matches of one pair that make it count as one that agrees, and how many of these it takes.
+_FEWEST_OF_A_PAIR, _FEWEST_PAIRS = 4, 2
+_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class PooledMotion:
+    """The motion that most matches obey.
+
+    Attributes:
+        T_target_source: [4, 4].
+        pairs: places, among the pairs given, of those with matches that obey it.
+        matches: how many do in all.
+    """
+
+    T_target_source: Array
+    pairs: list[int]
+    matches: int
+
+
+def pooled_motion(
+    pairs: Sequence[tuple[Keyframe, Keyframe]],
+    options: MatchingOptions,
+    generator: np.random.Generator,
+) -> PooledMotion | None:
+    """T_target_source from the features of pairs (of the target, of the source), or None.
+
+    Nothing is believed that fewer than two pairs, or fewer than twice the matches that
+    `measure_offset` asks for, speak for.
+    """
+    found = [(place, match_features(*pair, options)) for place, pair in enumerate(pairs)]
+    pool = [_Pooled(place, matched, *pairs[place]) for place, matched in found if matched]
+    first = np.concatenate([p.in_target for p in pool] or [np.zeros((0, 3))])
+    second = np.concatenate([p.in_source for p in pool] or [np.zeros((0, 3))])
+    least = 2 * options.least_matches
+    if len(first) < least:
+        return None
+    order = np.argsort(generator.random((_MORE * options.hypotheses, len(first))), axis=1)
+    triples = order[:, :3]
+    motions = rigid_fits(first[triples], second[triples])
+    agree = np.concatenate([p.agree(motions, options) for p in pool], axis=1)
+    best = agree[int(np.argmax(agree.sum(axis=1)))]
+    T = np.eye(4)
+    for _ in range(_ROUNDS):
+        if best.sum() < least:
+            return None
+        T = rigid_fits(first[best][None], second[best][None])[0]
+        best = np.concatenate([p.agree(T[None], options)[0] for p in pool])
+    counts = [int(p.agree(T[None], options).sum()) for p in pool]
+    agreeing = [p.place for p, n in zip(pool, counts, strict=True) if n >= _FEWEST_OF_A_PAIR]
+    if best.sum() < least or len(agreeing) < _FEWEST_PAIRS:
+        return None
+    return PooledMotion(T, agreeing, int(best.sum()))
+
+
+class _Pooled:
+    """One pair's matches in the submaps' frames."""
+
+    def __init__(self, place: int, matched: Matched, target: Keyframe, source: Keyframe) -> None:
+        self.place, self._matched = place, matched
+        self._T_camera_target = se3.inverse(target.T_map_camera)
+        self._T_source_camera = source.T_map_camera
+        self.in_target = se3.transform_points(target.T_map_camera, matched.first)
+        self.in_source = se3.transform_points(source.T_map_camera, matched.second)
+
+    def agree(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+        """Which matches [H, n] obey which motions T_target_source [H, 4, 4]."""
+        return self._matched.agree(self._T_camera_target @ motions @ self._T_source_camera, options)
