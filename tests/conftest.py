@@ -1,4 +1,4 @@
-"""What all tests share: repeatable property tests, and the real recordings."""
+"""What all tests share: repeatable property tests, kernels without a GPU, real recordings."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+import torch
+
+# Triton asks once, at its import, whether to run kernels in Python: they are tested so where
+# there is no GPU to compile them for.
+if not torch.cuda.is_available():
+    os.environ.setdefault("TRITON_INTERPRET", "1")
 
 # The same examples each time, and no limit on their time: machines differ.
 hypothesis.settings.register_profile("semsplat", deadline=None, derandomize=True)

@@ -248,7 +248,7 @@ class Slam:
     @property
     def gaussians(self) -> GaussianCloud:
         """The whole map in the world's frame, once finished; until then the active submap."""
-        return self.mapper.gaussians if self.fused is None else self.fused.gaussians
+        return self.mapper.content.gaussians if self.fused is None else self.fused.gaussians
 
     @property
     def keyframe_indices(self) -> list[int]:

@@ -14,5 +14,5 @@ from toolkit.rendering.native import _load, available_instruction_sets
 def kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Each way to compute the losses: every compiled variant, then plain torch."""
     module: ModuleType | None = None if request.param == "torch" else _load(request.param)
-    monkeypatch.setattr(photometric, "kernels", lambda: module)
+    monkeypatch.setattr(photometric, "kernels_for", lambda tensor: module)
     return str(request.param)

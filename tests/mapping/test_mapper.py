@@ -153,7 +153,7 @@ def test_the_generator_decides_everything(room, other_seed):
 
 def test_it_works_without_compiled_kernels(room, monkeypatch):
     for module in (surface, photometric, sparse_adam):
-        monkeypatch.setattr(module, "kernels", lambda: None)
+        monkeypatch.setattr(module, "kernels_for", lambda tensor: None)
     options = replace(FEW, first_iterations=2)
     slow = fed(Mapper(options, backend_name="reference"), room, [0])
     monkeypatch.undo()

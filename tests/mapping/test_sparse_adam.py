@@ -24,7 +24,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
     def choose(name: str) -> None:
         module = None if name == "torch" else _load(name)
-        monkeypatch.setattr(sparse_adam, "kernels", lambda: module)
+        monkeypatch.setattr(sparse_adam, "kernels_for", lambda tensor: module)
 
     return choose
 

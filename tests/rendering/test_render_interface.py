@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import sys
 import weakref
 from collections.abc import Iterator
 
@@ -109,7 +110,25 @@ def test_wrong_image_gradients_are_named() -> None:
 def test_unknown_and_absent_backends() -> None:
     with pytest.raises(SettingsError, match="unknown rendering backend 'gpu'"):
         backend("gpu")
-    with pytest.raises(DependencyError, match="cuda"):
+
+
+def test_backends_for_gpus_say_what_they_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setitem(sys.modules, "triton", None)
+    for name in [n for n in sys.modules if n.startswith("toolkit.rendering.cuda")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(DependencyError, match="cuda backend needs triton"):
+        backend("cuda")
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    with pytest.raises(DependencyError, match="pip install gsplat"):
+        backend("gsplat")
+
+
+def test_compiled_kernels_need_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = pytest.importorskip("toolkit.rendering.cuda.backend")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(module, "interpreted", lambda: False)
+    with pytest.raises(DependencyError, match="needs a CUDA device"):
         backend("cuda")
 
 

@@ -46,7 +46,7 @@ def images_of(scene: Scene) -> Tensor:
 def test_kernel_agrees_with_torch(
     native: NativeBackend, monkeypatch: pytest.MonkeyPatch, number: int, count: int
 ) -> None:
-    monkeypatch.setattr(surface, "kernels", lambda: native._module)
+    monkeypatch.setattr(surface, "kernels_for", lambda tensor: native._module)
     scene = random_scene(number, count=count)
     images = images_of(scene).contiguous()
     actual = surface.surface_depth(images, scene.camera, scene.T_camera_map, 0.5).double()
@@ -65,7 +65,7 @@ def test_kernel_agrees_with_torch(
 def test_images_too_small_for_a_plane(
     native: NativeBackend, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
 ) -> None:
-    monkeypatch.setattr(surface, "kernels", lambda: native._module)
+    monkeypatch.setattr(surface, "kernels_for", lambda tensor: native._module)
     scene = random_scene(3, count=200, size=size)
     images = images_of(scene).contiguous()
     actual = surface.surface_depth(images, scene.camera, scene.T_camera_map, 0.3)
@@ -97,7 +97,9 @@ def test_few_wide_gaussians_are_drawn_where_they_are(
     native: NativeBackend, monkeypatch: pytest.MonkeyPatch, way: str, centres: list
 ) -> None:
     """Their mean centre hardly moves over the pixels: its rounding is no normal."""
-    monkeypatch.setattr(surface, "kernels", lambda: native._module if way == "kernel" else None)
+    monkeypatch.setattr(
+        surface, "kernels_for", lambda tensor: native._module if way == "kernel" else None
+    )
     count = len(centres)
     cloud = GaussianCloud.from_values(
         torch.tensor([[x, y, 2.0] for x, y in centres]),

@@ -43,7 +43,7 @@ def use(monkeypatch: pytest.MonkeyPatch):
     """Choose the kernels of `alignment`: a compiled module, or None for numpy."""
 
     def choose(module: ModuleType | None) -> None:
-        monkeypatch.setattr(alignment, "kernels", lambda: module)
+        monkeypatch.setattr(alignment, "kernels_for", lambda tensor: module)
 
     return choose
 

@@ -170,7 +170,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
 
 def test_it_works_without_compiled_kernels(room, gaussians, monkeypatch):
     for module in (native, surface, alignment):
-        monkeypatch.setattr(module, "kernels", lambda: None)
+        monkeypatch.setattr(module, "kernels_for", lambda tensor: None)
     tracker = DenseTracker(backend_name="reference")
     tracker.first_pose(room.frames[0])
     result = tracker.track(room.frames[1], gaussians)

@@ -25,6 +25,7 @@ from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
+from toolkit.rendering import map_device
 from toolkit.run_folder import RunFolder
 from toolkit.semantics.factory import build_code
 from toolkit.settings.files import dump, load
@@ -103,6 +104,7 @@ def build_slam(
         settings.backend,
         watch,
         build_semantic_mapping(settings.semantics, code, settings.seed),
+        map_device(settings.device, settings.backend),
     )
     atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if settings.poses == "slam":

@@ -111,6 +111,10 @@ class GaussianCloud:
             self.features,
         )
 
+    def to(self, device: str | torch.device) -> GaussianCloud:
+        """The same Gaussians on a device."""
+        return GaussianCloud(*(getattr(self, f.name).to(device) for f in fields(self)))
+
     def detached(self) -> GaussianCloud:
         """The same values without gradient history."""
         return GaussianCloud(*(getattr(self, f.name).detach() for f in fields(self)))

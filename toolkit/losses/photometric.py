@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import torch
 from torch import Tensor
 
-from toolkit.rendering.native import address, kernels
+from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.output import COLOUR, DEPTH_SUM, SILHOUETTE
 from toolkit.rendering.surface import SurfaceView
 
@@ -61,8 +61,8 @@ def rgbd_loss(
         The mean over pixels, and the gradient [5, H, W] of the **sum** over pixels, so that
         a Gaussian's gradient does not depend on the image's size.
     """
-    module = kernels()
     images = view.images
+    module = kernels_for(images)
     gradient = torch.empty_like(images) if out is None else out
     if module is None:
         value, found = _rgbd_loss_torch(view, rgb, depth_m, weights)
@@ -80,7 +80,9 @@ def _rgbd_loss_torch(
     view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
 ) -> tuple[float, Tensor]:
     """The same by autograd, where no kernels were compiled."""
-    with torch.enable_grad():
+    # On a GPU the convolutions' fastest gradients differ from run to run, or are rounded.
+    steady = torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False)
+    with torch.enable_grad(), steady:
         leaf = view.images.detach().clone().requires_grad_()
         value = rgbd_loss_torch(leaf, view.depth_m, (rgb, depth_m), weights)
         (gradient,) = torch.autograd.grad(value, leaf)
@@ -117,7 +119,7 @@ def _charbonnier(error: Tensor, scale: Tensor) -> Tensor:
 
 def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
     """Mean SSIM of [C, H, W] images: 11x11 Gaussian window, zero beyond the border."""
-    offsets = torch.arange(_WINDOW, dtype=x.dtype) - _WINDOW // 2
+    offsets = torch.arange(_WINDOW, dtype=x.dtype, device=x.device) - _WINDOW // 2
     window = torch.exp(-0.5 * (offsets / _SIGMA) ** 2)
     window = window / window.sum()
 

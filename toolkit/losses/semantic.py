@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toolkit.rendering.native import address, kernels
+from toolkit.rendering.native import address, kernels_for
 from toolkit.semantics.codes import Heads, SemanticCode
 from toolkit.semantics.decoder import NetworkDecoder
 
@@ -105,7 +105,7 @@ class SemanticLoss:
         scale = self.weights.weight * self.weights.intra
         least = self.weights.least_silhouette
         by_silhouette = torch.zeros_like(silhouette) if self.weights.moves_geometry else None
-        module = kernels()
+        module = kernels_for(features)
         if module is None or self.code.heads is None:
             images = (features, silhouette, labels)
             found = semantic_loss_torch(self.code, images, scale, least, by_silhouette is not None)
@@ -138,7 +138,7 @@ class SemanticLoss:
             start = torch.arange(weights.inter_pixels) * stride
             generator = np.random.default_rng((self._seed, network.steps))
             jitter = generator.integers(stride, size=weights.inter_pixels)
-            pixels = pixels[start + torch.from_numpy(jitter)]
+            pixels = pixels[(start + torch.from_numpy(jitter)).to(pixels.device)]
         thick = silhouette.view(-1)[pixels]
         values = features.view(len(features), -1).index_select(1, pixels) / thick
         value, by_values = network.learn(values, labels.view(-1)[pixels].long())

@@ -134,7 +134,7 @@ def _corrected(
     counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
     view = draw(counted, keyframe)
     silhouette = view.output.silhouette.clamp(min=0.5)
-    known = (view.images[0] / silhouette >= options.least_views).view(-1).numpy()
+    known = (view.images[0] / silhouette >= options.least_views).view(-1).cpu().numpy()
     class_ids, probabilities = semantics.probabilities(view)
     assert keyframe.class_ids is not None
     labels = keyframe.class_ids.numpy()
@@ -144,7 +144,7 @@ def _corrected(
     area = np.bincount(flat, minlength=count)
     evidence = np.bincount(flat[known], minlength=count)
     means = np.stack(
-        [np.bincount(flat[known], p[known], minlength=count) for p in probabilities.numpy()]
+        [np.bincount(flat[known], p[known], minlength=count) for p in probabilities.cpu().numpy()]
     ) / np.maximum(evidence, 1)
     place = np.searchsorted(class_ids, own)
     said = means[np.minimum(place, len(class_ids) - 1), np.arange(count)]

@@ -26,15 +26,17 @@ def build_mapper(
     backend_name: str = "auto",
     recorder: Recorder | None = None,
     semantics: SemanticMapping | None = None,
+    device: str = "cpu",
 ) -> Mapper:
-    """The mapper that the settings describe."""
+    """The mapper that the settings describe, its map on a device."""
     values = settings.model_dump()
     values["keyframes"] = KeyframePolicy(**values["keyframes"])
     values["seeding"] = SeedingOptions(**values["seeding"])
     values["rates"] = LearningRates(**values["rates"])
     values["consensus"] = ConsensusOptions(**values["consensus"])
     values["loss"] = RgbdLossWeights(**values["loss"])
-    return Mapper(MapperOptions(**values), generator, backend_name, recorder, semantics)
+    options = MapperOptions(**values)
+    return Mapper(options, generator, backend_name, recorder, semantics, device)
 
 
 def build_semantic_mapping(

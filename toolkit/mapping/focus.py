@@ -42,6 +42,6 @@ class TileFocus:
         tiles = torch.nn.functional.avg_pool2d(pull, TILE, ceil_mode=True)[0, 0]
         kept = max(1, round(self._share * tiles.numel()))
         worst = torch.topk(tiles.view(-1), kept).indices
-        region = torch.zeros(tiles.numel(), dtype=torch.bool)
+        region = torch.zeros(tiles.numel(), dtype=torch.bool, device=tiles.device)
         region[worst] = True
         self._regions[keyframe.index] = region.view(tiles.shape)

@@ -24,9 +24,27 @@ _NEAREST_M = 0.05
 _REACH = 1.05
 
 
+@dataclass(frozen=True)
+class Observed:
+    """What a keyframe saw, on some device.
+
+    Attributes:
+        rgb: [3, H, W] uint8. depth_m: [H, W] float32. class_ids: [H, W] int16, or None.
+    """
+
+    rgb: Tensor
+    depth_m: Tensor
+    class_ids: Tensor | None
+
+    def to(self, device: torch.device) -> Observed:
+        """The same on a device."""
+        ids = None if self.class_ids is None else self.class_ids.to(device)
+        return Observed(self.rgb.to(device), self.depth_m.to(device), ids)
+
+
 @dataclass
 class Keyframe:
-    """A frame that the map is optimised against.
+    """A frame that the map is optimised against; its images lie on the CPU.
 
     Attributes:
         index: the frame's index in the sequence.
@@ -107,16 +125,29 @@ class Keyframe:
             class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
         )
 
-    def target_rgb(self) -> Tensor:
-        """Observed colour [3, H, W] at the map's exposure."""
-        return (self.rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
+    @property
+    def images(self) -> Observed:
+        """Its own images."""
+        return Observed(self.rgb, self.depth_m, self.class_ids)
 
-    def observed(self, region: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
+    def target_rgb(self, images: Observed | None = None) -> Tensor:
+        """Observed colour [3, H, W] at the map's exposure, of its images on any device."""
+        rgb = self.rgb if images is None else images.rgb
+        return (rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
+
+    def observed(
+        self, region: Tensor | None, images: Observed | None = None
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
         """Colour, depth and labels as the losses take them, nothing outside a region of tiles.
 
         Where a renderer draws nothing, nothing was observed: both sides agree.
+
+        Args:
+            images: the keyframe's own on another device, where the region and the losses are.
         """
-        rgb, depth_m, labels = self.target_rgb(), self.depth_m, self.labels
+        images = images or self.images
+        rgb, depth_m, ids = self.target_rgb(images), images.depth_m, images.class_ids
+        labels = None if ids is None else ids.to(torch.int32)
         if region is None:
             return rgb, depth_m, labels
         inside = pixels_of_region(region, *depth_m.shape)

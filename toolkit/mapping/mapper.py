@@ -21,6 +21,7 @@ from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.depth_filter import denoised
 from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
+from toolkit.mapping.observations import Observations
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
@@ -105,7 +106,11 @@ class MapContent:
 
 
 class Mapper:
-    """Owns the Gaussians, the keyframes and the optimiser of one map."""
+    """Owns the Gaussians, the keyframes and the optimiser of one map.
+
+    Args:
+        device: where the map is kept and optimised, "cpu" or "cuda".
+    """
 
     def __init__(
         self,
@@ -114,17 +119,20 @@ class Mapper:
         backend_name: str = "auto",
         recorder: Recorder | None = None,
         semantics: SemanticMapping | None = None,
+        device: str = "cpu",
     ) -> None:
         self.options = options or MapperOptions()
         self.semantics = semantics or SemanticMapping()
-        self.gaussians = GaussianCloud.empty(self.semantics.channels)
+        self.device = torch.device(device)
+        self.gaussians = GaussianCloud.empty(self.semantics.channels, self.device)
         self.keyframes: list[Keyframe] = []
         rates = self.options.rates
         rates = replace(rates, features=rates.features * self.semantics.unit)
-        self.optimiser = SparseAdam(rates, self.semantics.channels)
-        self.seeded_by = torch.zeros(0, dtype=torch.int32)
+        self.optimiser = SparseAdam(rates, self.semantics.channels, self.device)
+        self.seeded_by = torch.zeros(0, dtype=torch.int32, device=self.device)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
+        self._observations = Observations(self.device)
         self._recorder = recorder or NullRecorder()
 
     def wants(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
@@ -170,16 +178,17 @@ class Mapper:
 
     def take(self, content: MapContent) -> None:
         """Work on other content from now on, with an optimiser that knows only its steps."""
-        self.gaussians, self.keyframes = content.gaussians, content.keyframes
-        self.seeded_by = content.seeded_by
-        self.optimiser = SparseAdam(self.optimiser.rates, self.semantics.channels)
+        self.gaussians, self.keyframes = content.gaussians.to(self.device), content.keyframes
+        self.seeded_by = content.seeded_by.to(self.device)
+        self.optimiser = SparseAdam(self.optimiser.rates, self.semantics.channels, self.device)
         self.optimiser.extend(len(self.gaussians))
-        self.optimiser.steps = content.steps.clone()
+        self.optimiser.steps = content.steps.to(self.device, copy=True)
 
     @property
     def content(self) -> MapContent:
-        """What the mapper works on; shared, not copied."""
-        return MapContent(self.gaussians, self.keyframes, self.seeded_by, self.optimiser.steps)
+        """What the mapper works on: shared, or a copy on the CPU of what lies on a GPU."""
+        seeded_by, steps = self.seeded_by.cpu(), self.optimiser.steps.cpu()
+        return MapContent(self.gaussians.to("cpu"), self.keyframes, seeded_by, steps)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Steps over the window of the newest keyframe; the last one's loss."""
@@ -214,9 +223,11 @@ class Mapper:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
-        arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
+        arrays = {
+            f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS
+        }
         arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
-        arrays["seeded_by"] = self.seeded_by.numpy()
+        arrays["seeded_by"] = self.seeded_by.cpu().numpy()
         # Copies: the next step changes the map in place.
         arrays = {name: array.copy() for name, array in arrays.items()}
         arrays |= {f"semantics/{name}": a for name, a in self.semantics.state().items()}
@@ -231,9 +242,9 @@ class Mapper:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Take over an earlier `state`."""
         tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
-        self.gaussians = GaussianCloud(**tensors)
+        self.gaussians = GaussianCloud(**tensors).to(self.device)
         self.optimiser.restore(arrays_below(arrays, "optimiser/"))
-        self.seeded_by = torch.from_numpy(np.array(arrays["seeded_by"]))
+        self.seeded_by = torch.from_numpy(np.array(arrays["seeded_by"])).to(self.device)
         self.semantics.restore(arrays_below(arrays, "semantics/"))
         self.keyframes = [
             Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), value)
@@ -271,7 +282,7 @@ class Mapper:
         """One optimisation step on one keyframe (H-24); `progress` is its place in the call."""
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         region = focus.region(keyframe)
-        rgb, depth_m, labels = keyframe.observed(region)
+        rgb, depth_m, labels = keyframe.observed(region, self._observations.of(keyframe))
         if not self.semantics.takes_part(progress[0]):
             labels = None
         with self._recorder.timed("map forward"):
@@ -281,7 +292,7 @@ class Mapper:
             )
         with self._recorder.timed("map loss"):
             images = view.drawn.images
-            by_images = torch.empty(len(images) - 3, *images.shape[1:])
+            by_images = images.new_empty(len(images) - 3, *images.shape[1:])
             loss, base = rgbd_loss(view, rgb, depth_m, self.options.loss, by_images[:BASE_CHANNELS])
             if region is None:
                 focus.learn(keyframe, base)
@@ -298,7 +309,7 @@ class Mapper:
             self.optimiser.step(self.gaussians, named, gradients.ids)
             poses |= self.options.bundle_adjustment
             if poses and keyframe is not self.keyframes[0]:
-                self._adjust_pose(keyframe, gradients.T_camera_map.numpy())
+                self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
         return loss + semantic
 
     def _adjust_pose(self, keyframe: Keyframe, by_matrix: NDArray[np.float64]) -> None:
@@ -312,21 +323,22 @@ class Mapper:
         keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))
 
     def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
-        missing = self._missing(self.view(keyframe), keyframe.depth_m)
+        observed = self._observations.of(keyframe)
+        missing = self._missing(self.view(keyframe), observed.depth_m)
         bright = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
         seeds = seed(
             replace(frame, rgb=bright),
             keyframe.T_map_camera,
-            missing.numpy(),
+            missing.cpu().numpy(),
             self.options.seeding,
             self.semantics.start_values,
             self._generator,
         )
         if len(seeds) == 0:
             return 0
-        self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
+        self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds.to(self.device)])
         self.optimiser.extend(len(seeds))
-        origin = torch.full((len(seeds),), keyframe.index, dtype=torch.int32)
+        origin = self.seeded_by.new_full((len(seeds),), keyframe.index)
         self.seeded_by = torch.cat([self.seeded_by, origin])
         return len(seeds)
 

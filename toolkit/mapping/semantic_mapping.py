@@ -61,7 +61,8 @@ class SemanticMapping:
     def codewords(self, labels: Tensor) -> Tensor:
         """What each pixel of class ids [H, W] asks the features for, [S, H, W]."""
         assert self._loss is not None
-        words = self._loss.code.codewords.index_select(0, labels.reshape(-1).long())
+        codewords = self._loss.code.codewords.to(labels.device)
+        words = codewords.index_select(0, labels.reshape(-1).long())
         return words.T.reshape(-1, *labels.shape)
 
     def votes(
@@ -78,7 +79,7 @@ class SemanticMapping:
         Returns:
             Gaussians [V], their votes [V, S] and the sums of their shares [V].
         """
-        by_images = torch.zeros(BASE_CHANNELS + self.channels, *counted.shape)
+        by_images = view.images.new_zeros(BASE_CHANNELS + self.channels, *counted.shape)
         by_images[0] = counted
         by_images[BASE_CHANNELS:] = words
         found = view.drawn.backward(by_images, detached=True)
@@ -132,7 +133,7 @@ class SemanticMapping:
         safe = view.output.silhouette.reshape(-1).clamp(min=_LEAST_SILHOUETTE)
         logits = self._loss.code.logits(view.features.reshape(self.channels, -1) / safe)
         told = self._told.nonzero().squeeze(1)
-        return told.numpy() + 1, logits.index_select(0, told).softmax(0)
+        return told.numpy() + 1, logits.index_select(0, told.to(logits.device)).softmax(0)
 
     def decode_gaussians(self, features: Tensor) -> Decoding:
         """What each Gaussian of features [N, S] is; those that never had a label are void."""
@@ -147,7 +148,7 @@ class SemanticMapping:
         logits = network.logits if by_network and network else self._loss.code.logits
 
         def among_told(values: Tensor) -> Tensor:
-            return logits(values).masked_fill(~self._told[:, None], -torch.inf)
+            return logits(values).masked_fill(~self._told.to(values.device)[:, None], -torch.inf)
 
         chosen = among_told if self._told.any() else logits
         return decode(values, chosen, self._loss.code.taxonomy, seen)

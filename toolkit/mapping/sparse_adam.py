@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.rendering.native import address, kernels
+from toolkit.rendering.native import address, kernels_for
 
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
 
@@ -45,12 +45,17 @@ BETA1, BETA2 = 0.9, 0.99
 class SparseAdam:
     """Moments and step counts of every Gaussian of one map."""
 
-    def __init__(self, rates: LearningRates, feature_channels: int = 0) -> None:
+    def __init__(
+        self,
+        rates: LearningRates,
+        feature_channels: int = 0,
+        device: str | torch.device = "cpu",
+    ) -> None:
         self.rates = rates
-        empty = GaussianCloud.empty(feature_channels)
+        empty = GaussianCloud.empty(feature_channels, device)
         self._first = {name: torch.zeros_like(getattr(empty, name)) for name in PARAMETERS}
         self._second = {name: torch.zeros_like(getattr(empty, name)) for name in PARAMETERS}
-        self.steps = torch.zeros(0, dtype=torch.int32)
+        self.steps = torch.zeros(0, dtype=torch.int32, device=device)
 
     def extend(self, count: int) -> None:
         """Make room for new Gaussians at the end."""
@@ -81,7 +86,7 @@ class SparseAdam:
             alive = (self.steps[ids] < self.rates.freeze_steps).nonzero().squeeze(1)
             ids = ids.index_select(0, alive)
             gradients = {name: g.index_select(0, alive) for name, g in gradients.items()}
-        module = kernels()
+        module = kernels_for(cloud.means)
         if module is None:
             self._step_torch(cloud, gradients, ids)
             return
@@ -121,14 +126,16 @@ class SparseAdam:
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes."""
-        arrays: dict[str, NDArray] = {"steps": self.steps.numpy()}
+        arrays: dict[str, NDArray] = {"steps": self.steps.cpu().numpy()}
         for kind, moments in (("first", self._first), ("second", self._second)):
-            arrays.update({f"{kind}_{name}": m.numpy() for name, m in moments.items()})
+            arrays.update({f"{kind}_{name}": m.cpu().numpy() for name, m in moments.items()})
         return arrays
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
         """Take over the moments of an earlier `state`."""
-        self.steps = torch.from_numpy(np.array(arrays["steps"]))
+        device = self.steps.device
+        self.steps = torch.from_numpy(np.array(arrays["steps"])).to(device)
         for kind, moments in (("first", self._first), ("second", self._second)):
             for name in moments:
-                moments[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
+                moment = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
+                moments[name] = moment.to(device)

@@ -21,6 +21,7 @@ def refine_submaps(atlas: Atlas) -> None:
         submap = atlas.submap(number)
         mapper.take(submap.content)
         mapper.refine()
-        submap.gaussians, submap.keyframes = mapper.gaussians, mapper.keyframes
-        submap.seeded_by, submap.steps = mapper.seeded_by, mapper.optimiser.steps
+        content = mapper.content
+        submap.gaussians, submap.keyframes = content.gaussians, content.keyframes
+        submap.seeded_by, submap.steps = content.seeded_by, content.steps
         atlas.put(submap)

@@ -8,7 +8,7 @@ from toolkit.rendering.backend import (
     tile_counts,
 )
 from toolkit.rendering.output import RenderOutput
-from toolkit.rendering.render import backend, render
+from toolkit.rendering.render import backend, map_device, render
 from toolkit.rendering.surface import DrawOptions, SurfaceView, draw_surface
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "SurfaceView",
     "backend",
     "draw_surface",
+    "map_device",
     "pixels_of_region",
     "region_of_pixels",
     "render",

@@ -59,6 +59,11 @@ def kernels() -> ModuleType | None:
     return _load(forced)
 
 
+def kernels_for(tensor: Tensor) -> ModuleType | None:
+    """The compiled kernels where they can work on a tensor: it must lie on the CPU."""
+    return kernels() if tensor.device.type == "cpu" else None
+
+
 def require_kernels() -> ModuleType:
     """The compiled kernels.
 

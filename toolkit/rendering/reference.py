@@ -68,8 +68,8 @@ def composite(
                 near = torch.zeros_like(near)
             inside = near.nonzero().squeeze(1)
             gridded = torch.meshgrid(
-                torch.arange(top, bottom, dtype=u.dtype),
-                torch.arange(left, right, dtype=u.dtype),
+                torch.arange(top, bottom, dtype=u.dtype, device=u.device),
+                torch.arange(left, right, dtype=u.dtype, device=u.device),
                 indexing="ij",
             )
             weights = _weights(gridded, u[inside], v[inside], sigma[inside], opacity[inside])
@@ -88,6 +88,24 @@ def _weights(
     passed = torch.cumprod(1.0 - alpha, dim=0)
     passed = torch.cat([torch.ones_like(passed[:1]), passed[:-1]])
     return alpha * passed
+
+
+def leaves_of(
+    gaussians: GaussianCloud, features: Tensor, T_camera_map: NDArray[np.float64]
+) -> tuple[GaussianCloud, Tensor, Tensor]:
+    """Cloud, features and pose [3, 4] as leaves of a graph of their own, on one device."""
+    leaves = (
+        t.detach().requires_grad_()
+        for t in (
+            gaussians.means,
+            gaussians.log_radii,
+            gaussians.opacity_logits,
+            gaussians.colours,
+            gaussians.features,
+        )
+    )
+    T = torch.as_tensor(T_camera_map[:3]).to(gaussians.means).requires_grad_()
+    return GaussianCloud(*leaves), features.detach().requires_grad_(), T
 
 
 class ReferenceForwardPass:
@@ -114,7 +132,7 @@ class ReferenceForwardPass:
         if detached:
             full[4] = self._gradients(images, inputs[4:5], image_gradients)[0]
         return GaussianGradients(
-            ids=torch.arange(len(cloud)),
+            ids=torch.arange(len(cloud), device=cloud.means.device),
             means=full[0],
             log_radii=full[1],
             opacity_logits=full[2],
@@ -151,20 +169,7 @@ class ReferenceBackend:
         if features is None:
             features = gaussians.means.new_zeros(len(gaussians), 0)
         with torch.enable_grad():
-            cloud = GaussianCloud(
-                *(
-                    t.detach().requires_grad_()
-                    for t in (
-                        gaussians.means,
-                        gaussians.log_radii,
-                        gaussians.opacity_logits,
-                        gaussians.colours,
-                        gaussians.features,
-                    )
-                )
-            )
-            features = features.detach().requires_grad_()
-            T = torch.as_tensor(T_camera_map[:3], dtype=gaussians.means.dtype).requires_grad_()
+            cloud, features, T = leaves_of(gaussians, features, T_camera_map)
             extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
             images = composite(cloud, camera, T, extra, region)
         return ReferenceForwardPass(cloud, T, features, images)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 from typing import Any
 
 import numpy as np
@@ -13,31 +14,108 @@ from torch import Tensor
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.backend import Backend, tile_counts
+from toolkit.rendering.backend import Backend, ForwardPass, tile_counts
+from toolkit.rendering.gsplat import GsplatBackend
 from toolkit.rendering.native import NativeBackend, kernels
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.reference import ReferenceBackend
 
-BACKENDS = ("auto", "native", "reference", "cuda")
+_log = logging.getLogger(__name__)
+
+BACKENDS = ("auto", "native", "reference", "cuda", "gsplat")
 
 
 @functools.cache
 def backend(name: str = "auto") -> Backend:
-    """The backend of a name; "auto" is native where it was built, else plain torch.
+    """The backend of a name.
+
+    "auto" draws where the Gaussians are: on a GPU with the cuda backend, on the CPU with the
+    native one where it was built, else in plain torch.
 
     Raises:
         SettingsError: unknown name.
         DependencyError: the backend cannot run here.
     """
     if name == "auto":
-        name = "native" if kernels() is not None else "reference"
+        on_cpu = backend("native" if kernels() is not None else "reference")
+        return _ByDevice(on_cpu) if torch.cuda.is_available() else on_cpu
     if name == "native":
         return NativeBackend()
     if name == "reference":
         return ReferenceBackend()
     if name == "cuda":
-        raise DependencyError("the cuda backend is not part of this version; use --backend native")
+        return _cuda_backend()
+    if name == "gsplat":
+        return GsplatBackend()
     raise SettingsError(f"unknown rendering backend '{name}'; choose one of {', '.join(BACKENDS)}")
+
+
+def _cuda_backend() -> Backend:
+    try:
+        from toolkit.rendering.cuda.backend import CudaBackend, interpreted
+    except ImportError as error:
+        raise DependencyError(
+            f"the cuda backend needs triton, which comes with torch's CUDA build ({error}): "
+            "pip install 'semsplat[cuda]', or use --backend native"
+        ) from error
+    if not (torch.cuda.is_available() or interpreted()):
+        raise DependencyError(
+            "the cuda backend needs a CUDA device, and none is there; use --backend native"
+        )
+    return CudaBackend()
+
+
+class _ByDevice:
+    """Each map is drawn where it lies."""
+
+    name = "auto"
+
+    def __init__(self, on_cpu: Backend) -> None:
+        self._on_cpu = on_cpu
+
+    def forward(
+        self,
+        gaussians: GaussianCloud,
+        camera: Camera,
+        T_camera_map: NDArray[np.float64],
+        features: Tensor | None,
+        region: Tensor | None,
+        centres: bool = False,
+    ) -> ForwardPass:
+        """See Backend.forward."""
+        chosen = backend("cuda") if gaussians.means.is_cuda else self._on_cpu
+        return chosen.forward(gaussians, camera, T_camera_map, features, region, centres)
+
+
+def map_device(name: str, backend_name: str) -> str:
+    """Where a map is kept and optimised, "cpu" or "cuda".
+
+    Args:
+        name: "cpu", "cuda", or "auto": a GPU where there is one and the backend draws there.
+        backend_name: that draws it.
+
+    Raises:
+        SettingsError: the backend cannot draw there.
+        DependencyError: there is no GPU, or no backend for it.
+    """
+    on_cpu = backend_name in ("native", "reference")
+    if name == "cpu" or (name == "auto" and (on_cpu or not torch.cuda.is_available())):
+        return "cpu"
+    if on_cpu:
+        raise SettingsError(
+            f"--device cuda and --backend {backend_name}, which draws on the CPU; "
+            "use --backend auto"
+        )
+    if not torch.cuda.is_available():
+        raise DependencyError("--device cuda, and no CUDA device is there; use --device auto")
+    try:
+        backend("cuda" if backend_name == "auto" else backend_name)
+    except DependencyError as error:
+        if name == "cuda":
+            raise
+        _log.warning("the GPU stays idle: %s", error)
+        return "cpu"
+    return "cuda"
 
 
 def render(
@@ -59,7 +137,7 @@ def render(
         T_camera_map: [4, 4], map to camera; a tensor may require gradients.
         features: [N, S] channels to composite beside the colour, or None for none.
         region: [ceil(H / 16), ceil(W / 16)] bool; only these tiles are drawn, others stay 0.
-        backend_name: "auto", "native", "reference" or "cuda".
+        backend_name: "auto", "native", "reference", "cuda" or "gsplat".
 
     Returns:
         Colour, depth, silhouette and features, [H, W, ...].

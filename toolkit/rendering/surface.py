@@ -19,7 +19,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.native import address, kernels
+from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
 
 _EDGE = 0.05  # depth differences beyond this share are an edge
@@ -96,7 +96,7 @@ def surface_depth(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], least_silhouette: float
 ) -> Tensor:
     """Surface depth [H, W] of images [..., H, W] whose last channels are the centres."""
-    module = kernels()
+    module = kernels_for(images)
     if module is None:
         return _surface_depth_torch(images, camera, T_camera_map, least_silhouette)
     depth_m = torch.empty(camera.height, camera.width)
@@ -116,7 +116,7 @@ def _surface_depth_torch(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], least_silhouette: float
 ) -> Tensor:
     """The kernel's equations: the reference, and what runs without a compiler."""
-    T = torch.as_tensor(T_camera_map, dtype=images.dtype)
+    T = torch.as_tensor(T_camera_map).to(images)
     solid = images[4] >= least_silhouette
     mean = images[-3:] / torch.where(solid, images[4], torch.ones_like(images[4]))
     points = torch.einsum("ij,jyx->yxi", T[:3, :3], mean) + T[:3, 3]
@@ -134,7 +134,7 @@ def _surface_depth_torch(
     # Neighbours lie two pixels apart in both directions.
     footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)
     smooth &= normal.norm(dim=-1) >= _LEAST_NORMAL * footprint
-    rays = torch.from_numpy(camera.rays()[1:-1, 1:-1]).to(images.dtype)
+    rays = torch.from_numpy(camera.rays()[1:-1, 1:-1]).to(images)
     met = (normal * centre).sum(-1) / (normal * rays).sum(-1)
     smooth &= (met - centre[..., 2]).abs() < _MOST_CORRECTION * centre[..., 2]
     depth[1:-1, 1:-1] = torch.where(smooth, met, centre[..., 2])

@@ -181,9 +181,11 @@ class HeadedCode:
         total = values.new_zeros(values.shape[1])
         for k, (first, width) in enumerate(zip(heads.first, heads.width, strict=True)):
             part = values[first : first + width]
-            target = torch.from_numpy(heads.targets[:, k])[class_ids - 1].long()
+            target = torch.from_numpy(heads.targets[:, k]).to(values.device)[class_ids - 1].long()
             if heads.bits:
-                wanted = (target[None] >> torch.arange(int(width))[:, None]) & 1
+                wanted = (
+                    target[None] >> torch.arange(int(width), device=target.device)[:, None]
+                ) & 1
                 loss = torch.nn.functional.binary_cross_entropy_with_logits(
                     part, wanted.to(part), reduction="none"
                 ).sum(0)

@@ -62,7 +62,7 @@ def decode(
     index = seen.nonzero().squeeze(1)
     with torch.no_grad():
         for part in torch.split(index, _CHUNK):
-            _decode_part(logits(values.index_select(1, part)), members, part.numpy(), out)
+            _decode_part(logits(values.index_select(1, part)), members, part.cpu().numpy(), out)
     return out
 
 
@@ -81,14 +81,14 @@ def _decode_part(
     logs = torch.log_softmax(logits, dim=0)
     probability = logs.exp()
     best = probability.max(dim=0)
-    out.class_ids[part] = best.indices.numpy() + 1
-    out.confidence[part] = best.values.numpy()
+    out.class_ids[part] = best.indices.cpu().numpy() + 1
+    out.confidence[part] = best.values.cpu().numpy()
     # A class that is ruled out has no logarithm, and no part in the entropy.
     surprise = torch.where(probability > 0, -probability * logs, torch.zeros_like(logs))
-    out.entropy[part] = (surprise.sum(0) / np.log(len(logs))).numpy()
+    out.entropy[part] = (surprise.sum(0) / np.log(len(logs))).cpu().numpy()
     for level, (nodes, place) in enumerate(members):
         summed = probability.new_zeros(len(nodes), probability.shape[1])
-        summed.index_add_(0, place, probability)
+        summed.index_add_(0, place.to(summed.device), probability)
         likeliest = summed.max(dim=0)
-        out.nodes[part, level] = nodes[likeliest.indices].numpy()
-        out.node_confidence[part, level] = likeliest.values.numpy()
+        out.nodes[part, level] = nodes[likeliest.indices.cpu()].numpy()
+        out.node_confidence[part, level] = likeliest.values.cpu().numpy()

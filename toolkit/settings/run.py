@@ -41,7 +41,12 @@ class RunSettings(Settings):
     hold_out: int | None = Field(None, ge=2, description="keep every n-th frame out of the map")
     poses: Literal["slam", "given"] = Field("slam", description="track, or take the truth's")
     map: Path | None = Field(None, description="folder of a finished run to begin in and extend")
-    backend: Literal["auto", "native", "reference", "cuda"] = Field("auto", description="renderer")
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="where tracking and mapping run"
+    )
+    backend: Literal["auto", "native", "reference", "cuda", "gsplat"] = Field(
+        "auto", description="renderer"
+    )
     tracking: TrackingSettings = TrackingSettings()
     mapping: MappingSettings = MappingSettings()
     semantics: SemanticsSettings = SemanticsSettings()

@@ -1,7 +1,7 @@
 """Dense alignment of a frame to a rendered view: pyramids and Gauss-Newton sums.
 
 The work is done by the native kernels, or by the same equations in numpy where none were
-compiled; the two agree and are tested against each other.
+compiled; on a GPU by torch and Triton. They agree and are tested against each other.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.native import address, kernels
+from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.surface import SurfaceView
-from toolkit.tracking import alignment_numpy
+from toolkit.tracking import alignment_numpy, alignment_torch
 
 LUMA = (0.299, 0.587, 0.114)
 _SUMS = 49  # doubles of the kernel's result
@@ -60,8 +61,8 @@ class Scales:
 
 # Start and bounds of the scales, which every step re-estimates.
 START_SCALES = Scales(intensity=0.05, depth_m=0.01)
-_LEAST = Scales(intensity=0.002, depth_m=0.0001)
-_MOST = Scales(intensity=0.2, depth_m=0.05)
+LEAST_SCALES = Scales(intensity=0.002, depth_m=0.0001)
+MOST_SCALES = Scales(intensity=0.2, depth_m=0.05)
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,12 @@ class Linearisation:
         return total / pixels
 
 
+def finest_level(frame: Frame, device: torch.device) -> FrameLevel:
+    """A frame's own size, on a device."""
+    intensity, depth_m = intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)
+    return FrameLevel(frame.camera, intensity.to(device), depth_m.to(device))
+
+
 def intensity_of(rgb: NDArray[np.float32]) -> Tensor:
     """Luma [H, W] of an RGB image [H, W, 3]."""
     weights = np.array(LUMA, dtype=np.float32)
@@ -103,7 +110,9 @@ def intensity_of(rgb: NDArray[np.float32]) -> Tensor:
 def halved(level: FrameLevel) -> FrameLevel:
     """The next level: averaged intensity; depth of the nearest surface in each 2x2 cell."""
     camera = level.camera.halved()
-    module = kernels()
+    if level.depth_m.is_cuda:
+        return FrameLevel(camera, *alignment_torch.halve(level.intensity, level.depth_m))
+    module = kernels_for(level.depth_m)
     if module is None:
         intensity, depth = alignment_numpy.halve(level.intensity.numpy(), level.depth_m.numpy())
         return FrameLevel(camera, torch.from_numpy(intensity), torch.from_numpy(depth))
@@ -132,7 +141,10 @@ def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
 
 def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> FrameLevel:
     """Intensity and surface depth of a drawn view, 0 where it is too thin."""
-    module = kernels()
+    if surface.images.is_cuda:
+        seen_there = alignment_torch.intensity_of(surface.images, least_silhouette)
+        return FrameLevel(camera, seen_there, surface.depth_m)
+    module = kernels_for(surface.images)
     if module is None:
         seen = alignment_numpy.intensity_of(surface.images.numpy(), least_silhouette)
         return FrameLevel(camera, torch.from_numpy(seen), surface.depth_m)
@@ -146,7 +158,9 @@ def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> Fr
 def model_level(level: FrameLevel) -> ModelLevel:
     """Derivatives and planes of one level of a rendered view."""
     camera = level.camera
-    module = kernels()
+    if level.depth_m.is_cuda:
+        return ModelLevel(camera, *alignment_torch.model(camera, level.intensity, level.depth_m))
+    module = kernels_for(level.depth_m)
     if module is None:
         texture, surface = alignment_numpy.model(
             camera, level.intensity.numpy(), level.depth_m.numpy()
@@ -184,7 +198,11 @@ def linearise(
         max_distance: gate on depth differences, as a share of the depth.
     """
     camera = frame.camera
-    module = kernels()
+    if frame.depth_m.is_cuda:
+        from toolkit.tracking.cuda.aligner import linearised
+
+        return linearised(model, frame, T_model_frame, scales, exposure, max_distance)
+    module = kernels_for(frame.depth_m)
     if module is None:
         sums = alignment_numpy.accumulate(
             (model.texture.numpy(), model.surface.numpy()),
@@ -211,10 +229,10 @@ def rescaled(scales: Scales, linear: Linearisation, photometric_weight: float = 
     intensity = scales.intensity * np.sqrt(linear.intensity_variance / photometric_weight)
     depth_m = scales.depth_m * np.sqrt(linear.depth_variance)
     return Scales(
-        float(np.clip(intensity, _LEAST.intensity, _MOST.intensity))
+        float(np.clip(intensity, LEAST_SCALES.intensity, MOST_SCALES.intensity))
         if linear.intensity_pixels
         else scales.intensity,
-        float(np.clip(depth_m, _LEAST.depth_m, _MOST.depth_m))
+        float(np.clip(depth_m, LEAST_SCALES.depth_m, MOST_SCALES.depth_m))
         if linear.depth_pixels
         else scales.depth_m,
     )

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError
@@ -27,7 +26,7 @@ from toolkit.tracking.alignment import (
     Linearisation,
     ModelLevel,
     Scales,
-    intensity_of,
+    finest_level,
     linearise,
     model_level,
     pyramid,
@@ -195,7 +194,7 @@ class DenseTracker:
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
         """
-        finest = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
+        finest = finest_level(frame, gaussians.means.device)
         task = _Task(frame, gaussians, pyramid(finest, self.options.levels))
         view = self._draw(task, starts[0])
         start = self._best_start(task, view, starts)
@@ -275,6 +274,9 @@ class DenseTracker:
 
     def _align(self, task: _Task, view: _View, estimate: _Estimate, coarse: bool) -> None:
         """Coarse to fine; a second view of the same frame needs the finest level only."""
+        if task.levels[0].depth_m.is_cuda:
+            self._align_on_gpu(task, view, estimate, coarse)
+            return
         T_view_map = se3.inverse(view.T_map_view)
         for level in range(len(view.levels) - 1 if coarse else 0, -1, -1):
             gate = self.options.max_distance * 2**level
@@ -304,6 +306,29 @@ class DenseTracker:
                 if small:
                     estimate.converged = True
                     break
+
+    def _align_on_gpu(self, task: _Task, view: _View, estimate: _Estimate, coarse: bool) -> None:
+        """The same steps, none of which asks the host."""
+        from toolkit.tracking.cuda.aligner import Alignment, Rules, align
+
+        options, count = self.options, len(view.levels) if coarse else 1
+        T_view_camera = se3.inverse(view.T_map_view) @ estimate.T_map_camera
+        rules = Rules(
+            iterations=options.iterations,
+            max_distance=options.max_distance,
+            photometric_weight=options.photometric_weight,
+            exposure=self._exposure if options.exposure else None,
+            fewest_pixels=_FEWEST_PIXELS,
+            small_m=_SMALL_TRANSLATION_M,
+            small_rad=_SMALL_ROTATION_RAD,
+        )
+        start = Alignment(T_view_camera, estimate.scales, estimate.gain, estimate.bias)
+        found = align(view.levels[:count], task.levels[:count], start, rules)
+        estimate.T_map_camera = view.T_map_view @ found.T_view_camera
+        estimate.scales, estimate.last = found.scales, found.last or estimate.last
+        estimate.gain, estimate.bias = found.gain, found.bias
+        estimate.iterations += found.iterations
+        estimate.converged = found.converged
 
     def _weighted(self, scales: Scales) -> Scales:
         return Scales(scales.intensity / np.sqrt(self.options.photometric_weight), scales.depth_m)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 GAIN, BIAS = 6, 7
 
 # Share of the pixels that hold gain and bias where they were in the last frame.
-_PRIOR = 0.02
+PRIOR = 0.02
 
 # Changes of exposure smaller than both are not told from the map's own smoothness.
 _CONTRAST_LOSS, _BRIGHTNESS_LOSS = 0.06, 0.02
@@ -27,7 +27,7 @@ def hold(
         information: of all pixels about the bias, pixels / variance.
         change: [2] gain and bias less those of the last frame.
     """
-    prior = _PRIOR * information
+    prior = PRIOR * information
     for place, difference in zip((GAIN, BIAS), change, strict=True):
         H[place, place] += prior
         g[place] += prior * difference

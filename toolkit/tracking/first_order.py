@@ -27,6 +27,7 @@ from toolkit.tracking.alignment import (
     FrameLevel,
     Linearisation,
     Scales,
+    finest_level,
     intensity_of,
     linearise,
     model_level,
@@ -154,13 +155,14 @@ class FirstOrderTracker:
         self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64]
     ) -> TrackingResult:
         """Pose of a frame from a start near it; the tracker's own state stays as it is."""
-        rgb = torch.from_numpy(np.ascontiguousarray(frame.rgb.transpose(2, 0, 1)))
-        depth_m = torch.from_numpy(frame.depth_m)
+        device = gaussians.means.device
+        rgb = torch.from_numpy(np.ascontiguousarray(frame.rgb.transpose(2, 0, 1))).to(device)
+        depth_m = torch.from_numpy(frame.depth_m).to(device)
         weights = PRESETS[self.options.preset]
         features = labels = None
         if self._semantic is not None and frame.labels is not None:
             features = gaussians.features
-            labels = torch.from_numpy(np.where(frame.depth_m > 0, frame.labels, 0))
+            labels = torch.from_numpy(np.where(frame.depth_m > 0, frame.labels, 0)).to(device)
         T_camera_map = se3.inverse(T_map_camera)
         adam = PoseAdam(self.options.translation_rate, self.options.rotation_rate)
         best: _Candidate | None = None
@@ -180,7 +182,7 @@ class FirstOrderTracker:
                 break
             with self._recorder.timed("tracking backward"):
                 gradients = drawn.backward(loss.gradient, colours=False)
-            by_pose = pose_gradient(gradients.T_camera_map.numpy(), T_camera_map)
+            by_pose = pose_gradient(gradients.T_camera_map.cpu().numpy(), T_camera_map)
             T_camera_map = se3.orthonormalise(se3.exp(adam.step(by_pose)) @ T_camera_map)
         assert best is not None
         return self._result(frame, best, renders)
@@ -228,7 +230,7 @@ class FirstOrderTracker:
 def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, Scales]:
     """Normal equations at the pose that was drawn, and the scales of its residuals."""
     model = model_level(view)
-    own = FrameLevel(frame.camera, intensity_of(frame.rgb), torch.from_numpy(frame.depth_m))
+    own = finest_level(frame, view.depth_m.device)
     scales = START_SCALES
     for _ in range(_ROUNDS):
         linear = linearise(model, own, np.eye(4), scales, (1.0, 0.0), _MAX_DISTANCE)
@@ -243,6 +245,6 @@ def _view_of(images: Tensor, camera: Camera) -> FrameLevel:
     nothing = torch.zeros_like(output.silhouette)
     return FrameLevel(
         camera,
-        torch.where(solid, intensity_of(output.colour.numpy()), nothing),
+        torch.where(solid, intensity_of(output.colour.cpu().numpy()).to(nothing), nothing),
         torch.where(solid, output.depth_m, nothing),
     )

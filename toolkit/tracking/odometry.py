@@ -45,8 +45,8 @@ def frame_to_model(
     odometry = o3d.t.pipelines.odometry
     try:
         result = odometry.rgbd_odometry_multi_scale(
-            _depth_image(o3d, frame.depth_m.numpy()),
-            _depth_image(o3d, view.texture[..., 3].numpy()),
+            _depth_image(o3d, frame.depth_m.cpu().numpy()),
+            _depth_image(o3d, view.texture[..., 3].cpu().numpy()),
             _matrix(o3d, frame.camera),
             o3d.core.Tensor.from_numpy(np.ascontiguousarray(T_view_frame, dtype=np.float64)),
             1.0,

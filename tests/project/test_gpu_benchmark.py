@@ -1,0 +1,41 @@
+"""benchmarks/gpu.py where no GPU is: it runs through the interpreter, and it compiles."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+
+needs_triton = pytest.mark.skipif(
+    importlib.util.find_spec("triton") is None, reason="triton is not installed"
+)
+
+
+@needs_triton
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU to run it on")
+def test_it_runs_through_the_interpreter_and_times_nothing(run_python):
+    result = run_python("benchmarks/gpu.py", "--smoke")
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.count("| ok |") == 2
+    assert "| 300 | 24x16 | 18 | interpreter | interpreter" in result.stdout
+    assert "| cpu (cuda) | 24x16 | interpreter | interpreter |" in result.stdout
+
+
+def has_ptxas() -> bool:
+    spec = importlib.util.find_spec("triton")
+    if spec is None or spec.origin is None:
+        return False
+    return (Path(spec.origin).parent / "backends/nvidia/bin/ptxas").exists()
+
+
+@pytest.mark.skipif(not has_ptxas(), reason="triton brings no ptxas here")
+def test_every_kernel_compiles_for_a_gpu_that_is_not_there(run_python):
+    """What the interpreter accepts is more than what compiles."""
+    arguments = ("--compile-only", "--channels", "30", "--capabilities", "90")
+    result = run_python("benchmarks/gpu.py", *arguments)
+    assert result.returncode == 0, result.stderr
+    rows = [line.split("|") for line in result.stdout.splitlines() if line.startswith("| 90")]
+    used = {cells[3].strip(): [int(c) for c in cells[4:8]] for cells in rows}
+    assert len(used) == 8
+    assert used["composite"][1] == used["differentiate"][1] == 0  # nothing spilled
+    assert used["composite"][3] > 0 and used["differentiate"][3] > 0  # on tensor cores

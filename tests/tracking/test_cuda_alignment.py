@@ -1,0 +1,118 @@
+"""Alignment as on a GPU: its kernels, through Triton's interpreter, against the CPU's way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from test_alignment import SCALES, assert_close, assert_same_sums, level_of
+from tracked_room import angle_deg, distance_mm
+
+from toolkit.geometry import se3
+from toolkit.rendering.native import kernels_for
+from toolkit.tracking import alignment_numpy, alignment_torch
+from toolkit.tracking.alignment import (
+    START_SCALES,
+    FrameLevel,
+    ModelLevel,
+    linearise,
+    model_level,
+    pyramid,
+)
+from toolkit.tracking.dense import DenseOptions, DenseTracker, _Estimate, _Task, _View
+
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+
+
+@pytest.fixture
+def aligner():
+    """The launcher of the kernels."""
+    pytest.importorskip("triton", reason="triton is not installed")
+    backend = pytest.importorskip("toolkit.rendering.cuda.backend")
+    if DEVICE == "cpu" and not backend.interpreted():
+        pytest.skip("no GPU, and triton was imported to compile")
+    from toolkit.tracking.cuda import aligner
+
+    return aligner
+
+
+def there(level: FrameLevel) -> FrameLevel:
+    return FrameLevel(level.camera, level.intensity.to(DEVICE), level.depth_m.to(DEVICE))
+
+
+def model_there(level: ModelLevel) -> ModelLevel:
+    return ModelLevel(level.camera, level.texture.to(DEVICE), level.surface.to(DEVICE))
+
+
+def test_sums(room, aligner):
+    frame, view = level_of(room, 1, 63, 45), level_of(room, 0, 63, 45)
+    pose = se3.inverse(room.T_map_camera[0]) @ room.T_map_camera[1]
+    pose = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ pose
+    model = model_level(view)
+    arguments = (pose, SCALES, (1.1, -0.02), 0.05)
+    expected = linearise(model, frame, *arguments)
+    assert expected.depth_pixels > 500 and expected.intensity_pixels > 500
+    actual = aligner.linearised(model_there(model), there(frame), *arguments)
+    assert_same_sums(actual, expected, 2e-3)
+
+
+@pytest.mark.parametrize(("levels", "exposure"), [(2, True), (1, False)])
+def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
+    """Level by level, with exposure and scales, as often, to a hundredth of a millimetre."""
+    options = DenseOptions(levels=levels, iterations=5, exposure=exposure)
+    view = [model_level(level) for level in pyramid(level_of(room, 0, 48, 36), levels)]
+    frames = pyramid(level_of(room, 1, 48, 36), levels)
+    start = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004]))
+    found = []
+    for on_gpu in (False, True):
+        tracker = DenseTracker(options)
+        estimate = _Estimate(start.copy(), START_SCALES)
+        place = (there, model_there) if on_gpu else (lambda x: x, lambda x: x)
+        task = _Task(room.frames[1], None, [place[0](level) for level in frames])
+        drawn = _View(np.eye(4), [place[1](level) for level in view])
+        align = tracker._align_on_gpu if on_gpu else tracker._align
+        align(task, drawn, estimate, coarse=True)
+        found.append(estimate)
+    expected, actual = found
+    assert distance_mm(actual.T_map_camera, expected.T_map_camera) < 0.01
+    assert angle_deg(actual.T_map_camera, expected.T_map_camera) < 0.001
+    assert actual.gain == pytest.approx(expected.gain, abs=1e-4)
+    assert actual.bias == pytest.approx(expected.bias, abs=1e-4)
+    assert actual.scales.intensity == pytest.approx(expected.scales.intensity, rel=1e-3)
+    assert actual.scales.depth_m == pytest.approx(expected.scales.depth_m, rel=1e-3)
+    assert actual.iterations == expected.iterations
+    assert actual.converged == expected.converged
+    assert expected.last is not None and actual.last is not None
+    assert_same_sums(actual.last, expected.last, 2e-3)
+
+
+def test_too_few_pixels_change_nothing(room, aligner):
+    frame, view = level_of(room, 1, 20, 16), level_of(room, 0, 20, 16)
+    frame.depth_m[:] = 0.0
+    start = aligner.Alignment(np.eye(4), START_SCALES, 1.0, 0.0)
+    rules = aligner.Rules(3, 0.05, 1.0, (1.0, 0.0), 50, 1e-5, 1e-5)
+    found = aligner.align([model_there(model_level(view))], [there(frame)], start, rules)
+    assert np.array_equal(found.T_view_camera, np.eye(4))
+    assert (found.iterations, found.converged, found.gain) == (1, False, 1.0)
+
+
+@pytest.mark.parametrize("size", [(95, 71), (1, 9), (8, 1), (2, 2)])
+def test_torch_computes_what_numpy_does(room, size):
+    """Pyramids and models, which a GPU makes with torch."""
+    level = level_of(room, 0, *size)
+    arrays = level.intensity.numpy(), level.depth_m.numpy()
+    half = alignment_torch.halve(*(t.to(DEVICE) for t in (level.intensity, level.depth_m)))
+    for actual, expected in zip(half, alignment_numpy.halve(*arrays), strict=True):
+        assert_close(actual.cpu()[..., None], torch.from_numpy(expected)[..., None], few=2)
+    made = alignment_torch.model(level.camera, level.intensity, level.depth_m)
+    for actual, expected in zip(made, alignment_numpy.model(level.camera, *arrays), strict=True):
+        assert_close(actual, torch.from_numpy(expected), few=2)
+    images = torch.rand(5, *reversed(size), generator=torch.Generator().manual_seed(0))
+    expected = alignment_numpy.intensity_of(images.numpy(), 0.6)
+    assert_close(
+        alignment_torch.intensity_of(images, 0.6)[..., None], torch.from_numpy(expected)[..., None]
+    )
+
+
+def test_kernels_of_the_cpu_keep_away_from_other_devices():
+    assert kernels_for(torch.empty(1, device="meta")) is None

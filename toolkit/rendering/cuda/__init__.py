@@ -1,0 +1,1 @@
+"""The renderer in Triton: CUDA GPUs, and any CPU through Triton's interpreter (slowly)."""

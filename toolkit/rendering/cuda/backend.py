@@ -1,0 +1,311 @@
+"""The Triton renderer behind the interface of all backends."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+import torch
+import triton
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.backend import ForwardPass, GaussianGradients
+from toolkit.rendering.cuda import compositing, reduction
+from toolkit.rendering.cuda.binning import Binning, bin_gaussians
+from toolkit.rendering.output import BASE_CHANNELS
+
+_SUMS = int(compositing.SUMS.value)
+_REDUCED = 64  # Gaussians a program that adds up rows
+_ADDED = 16  # the same, of many channels at once
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Sizes that change speed, memory and rounding, but not what is computed.
+
+    They are fixed, not tuned at run time: a choice by the clock would change the order of sums
+    from run to run.
+
+    Attributes:
+        side: of a tile in pixels, 8 or 16.
+        batch: Gaussians composited at once, a power of two from 16.
+        channels_forward, channels_backward: most feature channels at once, powers of two from 16;
+            the backward kernel takes so many always, since narrow products spill registers.
+        warps: of the compositing kernels.
+        precision: of matrix products, Triton's input precision. "tf32" rounds features, weights
+            and the gradients of images to 11 bits; "tf32x3" and "ieee" keep float32 and cost
+            more. Colour, depth, silhouette and centres, which need no such product, are float32
+            in any case, and so are the moments behind the gradients of means and radii.
+        scratch_bytes: most memory for gradients of features on the way to their Gaussians.
+    """
+
+    side: int = 8
+    batch: int = 16
+    channels_forward: int = 128
+    channels_backward: int = 32
+    warps: int = 4
+    precision: Literal["tf32", "tf32x3", "ieee"] = "tf32"
+    scratch_bytes: int = 2**30
+
+
+def block_of(channels: int, most: int) -> int:
+    """Feature channels that a kernel takes at once: a power of two from 16, or 0 for none."""
+    return 0 if channels == 0 else min(most, max(16, triton.next_power_of_2(channels)))
+
+
+def on(device: torch.device) -> contextlib.AbstractContextManager[None]:
+    """Kernels start on the current device: make it the tensors' own."""
+    return torch.cuda.device(device) if device.type == "cuda" else contextlib.nullcontext()
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What the forward pass leaves to the backward pass, beside the images."""
+
+    checkpoints: Tensor
+    transmittance: Tensor
+    batches: Tensor
+
+
+class CudaForwardPass:
+    """A view drawn by the Triton kernels, with what its backward pass needs."""
+
+    def __init__(self, cloud: GaussianCloud, camera: Camera, binning: Binning, tuning: Tuning):
+        self._cloud, self._camera = cloud, camera
+        self._binning, self._tuning = binning, tuning
+        self.images = torch.empty(0)
+        self._drawn: _Drawn | None = None
+
+    @property
+    def _channels(self) -> int:
+        return self._cloud.features.shape[1]
+
+    def draw(self, centres: bool) -> None:
+        """Fill `images`."""
+        bins, camera, tuning = self._binning, self._camera, self._tuning
+        channels, device = self._channels, bins.view.device
+        planes = BASE_CHANNELS + channels + (3 if centres else 0)
+        self.images = torch.empty(planes, camera.height, camera.width, device=device)
+        pixels = tuning.side**2
+        self._drawn = _Drawn(
+            torch.empty(len(bins.rows) // tuning.batch + bins.tiles, pixels, device=device),
+            torch.empty(bins.tiles, pixels, device=device),
+            torch.empty(bins.tiles, dtype=torch.int32, device=device),
+        )
+        block = block_of(channels, tuning.channels_forward)
+        compositing.composite[(bins.tiles, triton.cdiv(channels, block) if block else 1)](
+            bins.splats,
+            self._cloud.features,
+            self._cloud.means,
+            bins.gaussians,
+            bins.tile_begins,
+            self.images,
+            self._drawn.checkpoints,
+            self._drawn.transmittance,
+            self._drawn.batches,
+            bins.columns,
+            camera.width,
+            camera.height,
+            channels,
+            (BASE_CHANNELS + channels) * camera.width * camera.height,
+            SIDE=tuning.side,
+            BATCH=tuning.batch,
+            BLOCK_C=block,
+            CENTRES=centres,
+            PRECISION=tuning.precision,
+            num_warps=tuning.warps,
+        )
+
+    def backward(
+        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
+    ) -> GaussianGradients:
+        """See ForwardPass.backward."""
+        bins, device = self._binning, self._binning.view.device
+        channels = 0 if len(image_gradients) == BASE_CHANNELS else self._channels
+        expected = (BASE_CHANNELS + channels, *self.images.shape[1:])
+        if image_gradients.shape != expected:
+            raise ValueError(
+                f"image gradients must have shape {list(expected)}, "
+                f"got {list(image_gradients.shape)}"
+            )
+        by_images = image_gradients.detach().to(device, torch.float32).contiguous()
+        visible = len(bins.ids)
+        features = torch.empty(visible, channels, device=device)
+        sums = torch.empty(len(bins.rows), _SUMS, device=device)
+        if not visible:
+            return self._finished(sums, features, colours)
+        with on(device):
+            width = max(1, self._tuning.scratch_bytes // (4 * len(bins.rows)))
+            for first in range(0, max(1, channels), width):
+                last = min(first + width, channels)
+                rows = torch.empty(len(bins.rows), last - first, device=device)
+                self._differentiate(by_images, sums, rows, (first, last, channels), not detached)
+                self._add_rows(rows, features, first)
+            return self._finished(sums, features, colours)
+
+    def _differentiate(
+        self,
+        by_images: Tensor,
+        sums: Tensor,
+        rows: Tensor,
+        span: tuple[int, int, int],
+        move: bool,
+    ) -> None:
+        """Sums of the pairs, in the first call, and the rows of channels first to last of all."""
+        bins, camera, tuning, drawn = self._binning, self._camera, self._tuning, self._drawn
+        assert drawn is not None
+        first, last, channels = span
+        compositing.differentiate[(bins.tiles,)](
+            bins.splats,
+            self._cloud.features,
+            bins.gaussians,
+            bins.rows,
+            bins.tile_begins,
+            drawn.checkpoints,
+            drawn.transmittance,
+            drawn.batches,
+            by_images,
+            sums,
+            rows,
+            bins.columns,
+            camera.width,
+            camera.height,
+            channels,
+            first,
+            last,
+            SIDE=tuning.side,
+            BATCH=tuning.batch,
+            BLOCK_C=tuning.channels_backward if channels else 0,
+            GEOMETRY=first == 0,
+            MOVE=move and first == 0 and channels > 0,
+            PRECISION=tuning.precision,
+            num_warps=tuning.warps,
+        )
+
+    def _add_rows(self, rows: Tensor, features: Tensor, first: int) -> None:
+        bins, (visible, channels), width = self._binning, features.shape, rows.shape[1]
+        if width == 0:
+            return
+        block = block_of(width, 64)
+        reduction.add_rows[(triton.cdiv(visible, _ADDED), triton.cdiv(width, block))](
+            bins.begins,
+            bins.counts,
+            rows,
+            features,
+            visible,
+            width,
+            channels,
+            first,
+            BLOCK=_ADDED,
+            BLOCK_C=block,
+        )
+
+    def _finished(self, sums: Tensor, features: Tensor, colours: bool) -> GaussianGradients:
+        """The chain rule from the pairs' sums to parameters and pose."""
+        bins, device, visible = self._binning, sums.device, len(self._binning.ids)
+        blocks = triton.cdiv(visible, _REDUCED)
+        pose = torch.zeros(max(1, blocks), 12, dtype=torch.float64, device=device)
+        by_colours = torch.empty(visible, 3, device=device) if colours else None
+        means = torch.empty(visible, 3, device=device)
+        log_radii = torch.empty(visible, device=device)
+        opacity_logits = torch.empty(visible, device=device)
+        if visible:
+            reduction.finish[(blocks,)](
+                bins.view,
+                self._cloud.means,
+                bins.splats,
+                bins.ids,
+                bins.begins,
+                bins.counts,
+                bins.row_tiles,
+                sums,
+                means,
+                log_radii,
+                opacity_logits,
+                means if by_colours is None else by_colours,
+                pose,
+                visible,
+                bins.columns,
+                SIDE=self._tuning.side,
+                COLOURS=colours,
+                BLOCK=_REDUCED,
+            )
+        return GaussianGradients(
+            ids=bins.ids,
+            means=means,
+            log_radii=log_radii,
+            opacity_logits=opacity_logits,
+            colours=by_colours,
+            features=features,
+            T_camera_map=pose.sum(dim=0).view(3, 4),
+        )
+
+
+def interpreted() -> bool:
+    """Whether Triton runs its kernels in Python: TRITON_INTERPRET=1 was set at its import."""
+    return not isinstance(compositing.composite, triton.JITFunction)
+
+
+class _FromElsewhere:
+    """A view of Gaussians on the CPU that a GPU drew: what it returns lies where they do."""
+
+    def __init__(self, drawn: CudaForwardPass, home: torch.device) -> None:
+        self._drawn, self._home = drawn, home
+        self.images = drawn.images.to(home)
+
+    def backward(
+        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
+    ) -> GaussianGradients:
+        """See ForwardPass.backward."""
+        found = self._drawn.backward(image_gradients, colours, detached)
+        parts = {f.name: getattr(found, f.name) for f in fields(found)}
+        return GaussianGradients(
+            **{name: None if t is None else t.to(self._home) for name, t in parts.items()}
+        )
+
+
+class CudaBackend:
+    """Triton kernels on the GPU that holds the Gaussians, or on the first one."""
+
+    name = "cuda"
+
+    def __init__(self, tuning: Tuning | None = None) -> None:
+        self._tuning = tuning or Tuning()
+
+    def forward(
+        self,
+        gaussians: GaussianCloud,
+        camera: Camera,
+        T_camera_map: NDArray[np.float64],
+        features: Tensor | None,
+        region: Tensor | None,
+        centres: bool = False,
+    ) -> ForwardPass:
+        """See Backend.forward."""
+        home = gaussians.means.device
+        device = home if home.type == "cuda" or interpreted() else torch.device("cuda")
+        if features is None:
+            features = gaussians.means.new_zeros(len(gaussians), 0)
+        cloud = GaussianCloud(
+            *(
+                t.detach().to(device, torch.float32).contiguous()
+                for t in (
+                    gaussians.means,
+                    gaussians.log_radii,
+                    gaussians.opacity_logits,
+                    gaussians.colours,
+                    features,
+                )
+            )
+        )
+        region = None if region is None else region.to(device, torch.uint8).contiguous()
+        with on(device):
+            binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
+            drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
+            drawn.draw(centres)
+        return drawn if device == home else _FromElsewhere(drawn, home)

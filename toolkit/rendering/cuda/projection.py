@@ -1,0 +1,143 @@
+"""Kernels: centres and radii in pixels, and the pairs of Gaussians and tiles they touch."""
+
+import triton
+import triton.language as tl
+
+from toolkit.rendering.backend import ALPHA_CUT as _ALPHA_CUT
+from toolkit.rendering.backend import NEAR_M as _NEAR_M
+from toolkit.rendering.backend import TILE
+
+NEAR_M = tl.constexpr(_NEAR_M)
+ALPHA_CUT = tl.constexpr(_ALPHA_CUT)
+REGION_TILE = tl.constexpr(TILE)
+LEAST_SIGMA = tl.constexpr(1e-6)  # in pixels; the squares of smaller ones would underflow
+SPLAT = tl.constexpr(8)  # floats: u, v, exponent, opacity, red, green, blue, depth; one sector
+VIEW = 16  # floats: rows of [R | t], then fx, fy, cx, cy
+
+
+@triton.jit
+def _in_region(region, x, y, columns, within, SIDE: tl.constexpr):
+    """Whether the tiles (x, y) of SIDE pixels lie in marked tiles of the region."""
+    at = (y * SIDE // REGION_TILE) * columns + x * SIDE // REGION_TILE
+    return within & (tl.load(region + at, mask=within, other=0) != 0)
+
+
+@triton.jit
+def project(
+    view,
+    means,
+    log_radii,
+    opacity_logits,
+    colours,
+    region,
+    splats,
+    rectangles,
+    counts,
+    count,
+    width,
+    height,
+    region_columns,
+    SIDE: tl.constexpr,
+    HAS_REGION: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    """Splats [N, 8], rectangles of tiles [N, 4] (x, y, columns, rows) and their tiles [N].
+
+    Where a Gaussian is not seen its number of tiles is 0 and nothing else is written.
+    """
+    i = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    valid = i < count
+    mx = tl.load(means + 3 * i, mask=valid, other=0.0)
+    my = tl.load(means + 3 * i + 1, mask=valid, other=0.0)
+    mz = tl.load(means + 3 * i + 2, mask=valid, other=0.0)
+    x = tl.load(view) * mx + tl.load(view + 1) * my + tl.load(view + 2) * mz + tl.load(view + 3)
+    y = tl.load(view + 4) * mx + tl.load(view + 5) * my + tl.load(view + 6) * mz + tl.load(view + 7)
+    z = tl.load(view + 8) * mx + tl.load(view + 9) * my + tl.load(view + 10) * mz
+    z += tl.load(view + 11)
+    fx, fy = tl.load(view + 12), tl.load(view + 13)
+    ahead = valid & (z > NEAR_M)
+    inverse_z = 1.0 / tl.where(ahead, z, 1.0)
+    u = fx * x * inverse_z + tl.load(view + 14)
+    v = fy * y * inverse_z + tl.load(view + 15)
+    log_radius = tl.load(log_radii + i, mask=valid, other=0.0)
+    sigma = tl.sqrt(fx * fy) * tl.exp(log_radius) * inverse_z
+    opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logits + i, mask=valid, other=0.0)))
+    # Comparisons with NaN are false: what is not finite is not seen.
+    seen = ahead & (opacity > ALPHA_CUT) & (sigma > LEAST_SIGMA)
+    # A hair wider than exact, so that rounding never cuts what the alpha test keeps.
+    reach = tl.log(tl.where(seen, opacity, 1.0) / ALPHA_CUT)
+    support = tl.sqrt(2.0 * sigma * sigma * reach * 1.0001 + 1e-6)
+    # Pixels whose centres lie within the support, clamped before they become integers.
+    left = tl.ceil(tl.minimum(tl.maximum(u - support, 0.0), width * 1.0))
+    top = tl.ceil(tl.minimum(tl.maximum(v - support, 0.0), height * 1.0))
+    right = tl.floor(tl.minimum(tl.maximum(u + support, -1.0), width - 1.0))
+    bottom = tl.floor(tl.minimum(tl.maximum(v + support, -1.0), height - 1.0))
+    seen = seen & (left <= right) & (top <= bottom)
+    tile_x = tl.where(seen, left, 0.0).to(tl.int32) // SIDE
+    tile_y = tl.where(seen, top, 0.0).to(tl.int32) // SIDE
+    columns = tl.where(seen, right, 0.0).to(tl.int32) // SIDE - tile_x + 1
+    rows = tl.where(seen, bottom, 0.0).to(tl.int32) // SIDE - tile_y + 1
+    area = tl.where(seen, columns * rows, 0)
+    tiles = area
+    if HAS_REGION:
+        tiles = tl.zeros([BLOCK], dtype=tl.int32)
+        for k in range(tl.max(area, axis=0)):
+            inside = _in_region(
+                region, tile_x + k % columns, tile_y + k // columns, region_columns, k < area, SIDE
+            )
+            tiles += inside.to(tl.int32)
+    tl.store(counts + i, tiles, mask=valid)
+    seen = seen & (tiles > 0)
+    at = splats + i * SPLAT
+    tl.store(at, u, mask=seen)
+    tl.store(at + 1, v, mask=seen)
+    tl.store(at + 2, -0.5 / (sigma * sigma), mask=seen)
+    tl.store(at + 3, opacity, mask=seen)
+    for c in tl.static_range(3):
+        colour = tl.load(colours + 3 * i + c, mask=seen, other=0.0)
+        tl.store(at + 4 + c, colour, mask=seen)
+    tl.store(at + 7, z, mask=seen)
+    at = rectangles + 4 * i
+    tl.store(at, tile_x.to(tl.int16), mask=seen)
+    tl.store(at + 1, tile_y.to(tl.int16), mask=seen)
+    tl.store(at + 2, columns.to(tl.int16), mask=seen)
+    tl.store(at + 3, rows.to(tl.int16), mask=seen)
+
+
+@triton.jit
+def list_pairs(
+    gaussians,
+    begins,
+    rectangles,
+    region,
+    pair_tiles,
+    pair_gaussians,
+    visible,
+    tiles_x,
+    region_columns,
+    SIDE: tl.constexpr,
+    HAS_REGION: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    """Tile [P] and Gaussian [P] of every pair, those of one Gaussian side by side.
+
+    `gaussians` [V] are written in this order, each from its place `begins` [V] on.
+    """
+    j = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    valid = j < visible
+    i = tl.load(gaussians + j, mask=valid, other=0)
+    place = tl.load(begins + j, mask=valid, other=0)
+    at = rectangles + 4 * i
+    tile_x = tl.load(at, mask=valid, other=0).to(tl.int32)
+    tile_y = tl.load(at + 1, mask=valid, other=0).to(tl.int32)
+    columns = tl.load(at + 2, mask=valid, other=1).to(tl.int32)
+    area = columns * tl.load(at + 3, mask=valid, other=0).to(tl.int32)
+    for k in range(tl.max(area, axis=0)):
+        x, y = tile_x + k % columns, tile_y + k // columns
+        inside = k < area
+        if HAS_REGION:
+            inside = _in_region(region, x, y, region_columns, inside, SIDE)
+        tile = y * tiles_x + x
+        tl.store(pair_tiles + place, tile.to(pair_tiles.dtype.element_ty), mask=inside)
+        tl.store(pair_gaussians + place, i.to(tl.int32), mask=inside)
+        place += inside.to(tl.int64)

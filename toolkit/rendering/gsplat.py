@@ -1,0 +1,96 @@
+"""gsplat behind the interface of all backends, where it is installed and a GPU is there.
+
+gsplat projects each Gaussian's covariance, so off the image's axis ours, which stay round,
+look slightly different there. Its pixel centres lie at halves, ours at integers.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.errors import DependencyError
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.backend import NEAR_M, pixels_of_region
+from toolkit.rendering.reference import ReferenceForwardPass, leaves_of
+
+_FAR_M = 1e10
+
+
+def load_gsplat() -> Any:
+    """The package.
+
+    Raises:
+        DependencyError: it is not installed, or there is no CUDA device to run it on.
+    """
+    try:
+        module = importlib.import_module("gsplat")
+    except ImportError as error:
+        raise DependencyError(
+            "the gsplat backend needs gsplat: pip install gsplat, or use --backend cuda"
+        ) from error
+    if not torch.cuda.is_available():
+        raise DependencyError("gsplat needs a CUDA device, and none is there; use --backend native")
+    return module
+
+
+class GsplatBackend:
+    """gsplat's rasterization, gradients by autograd."""
+
+    name = "gsplat"
+
+    def __init__(self, package: Any = None) -> None:
+        self._package = package or load_gsplat()
+
+    def forward(
+        self,
+        gaussians: GaussianCloud,
+        camera: Camera,
+        T_camera_map: NDArray[np.float64],
+        features: Tensor | None,
+        region: Tensor | None,
+        centres: bool = False,
+    ) -> ReferenceForwardPass:
+        """See Backend.forward. A region hides the other tiles, but saves no work."""
+        if features is None:
+            features = gaussians.means.new_zeros(len(gaussians), 0)
+        with torch.enable_grad():
+            cloud, features, T = leaves_of(gaussians, features, T_camera_map)
+            extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
+            images = self._images(cloud, camera, T, extra)
+            if region is not None:
+                images = images * pixels_of_region(region.to(images.device), *images.shape[1:])
+        return ReferenceForwardPass(cloud, T, features, images)
+
+    def _images(
+        self, cloud: GaussianCloud, camera: Camera, T_camera_map: Tensor, extra: Tensor
+    ) -> Tensor:
+        """Images [5 + S, H, W] of colours and further channels [N, S]."""
+        count, device = len(cloud), cloud.means.device
+        upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).expand(count, 4)
+        last = T_camera_map.new_tensor([[0.0, 0.0, 0.0, 1.0]])
+        K = torch.from_numpy(camera.matrix).to(cloud.means)
+        K[:2, 2] += 0.5
+        drawn, alphas, _ = self._package.rasterization(
+            means=cloud.means,
+            quats=upright.contiguous(),
+            scales=cloud.radii_m[:, None].expand(count, 3).contiguous(),
+            opacities=cloud.opacities,
+            colors=torch.cat([cloud.colours, extra], dim=1),
+            viewmats=torch.cat([T_camera_map, last])[None],
+            Ks=K[None],
+            width=camera.width,
+            height=camera.height,
+            near_plane=NEAR_M,
+            far_plane=_FAR_M,
+            eps2d=0.0,  # its default widens every Gaussian by 0.3 square pixels
+            render_mode="RGB+D",
+        )
+        planes = drawn[0].permute(2, 0, 1)  # colours, further channels, summed depth
+        return torch.cat([planes[:3], planes[-1:], alphas[0].permute(2, 0, 1), planes[3:-1]])

@@ -1,0 +1,214 @@
+"""Launches the alignment's kernels, level by level, and reads the answer once at the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import triton
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.rendering.cuda.backend import on
+from toolkit.tracking import exposure
+from toolkit.tracking.alignment import (
+    LEAST_SCALES,
+    MOST_SCALES,
+    FrameLevel,
+    Linearisation,
+    ModelLevel,
+    Scales,
+)
+from toolkit.tracking.cuda import kernels
+
+_BLOCK, _WARPS = 64, 2  # pixels at once, by so many warps: more would not fit the registers
+_PARTS = 512  # partial sums at most, so that their order does not depend on the GPU
+_ADDED = 32  # partial sums read at once
+_WIDE = int(kernels.WIDE.value)
+_PART = int(kernels.PART.value)
+_PHASE = int(kernels.PHASE.value)
+_SOLVABLE, _CONVERGED = 1.5, 1.0
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How an alignment goes on.
+
+    Attributes:
+        iterations: most steps a level.
+        max_distance: gate on depth differences at the finest level; doubled at each coarser one.
+        photometric_weight: of the photometric term against the geometric one.
+        exposure: gain and bias of the last frame, or None to leave exposure alone. Only the
+            finest level adjusts it.
+        fewest_pixels: residuals that fix a pose.
+        small_m, small_rad: steps below these end the finest level; four times as much does at
+            each coarser one.
+    """
+
+    iterations: int
+    max_distance: float
+    photometric_weight: float
+    exposure: tuple[float, float] | None
+    fewest_pixels: int
+    small_m: float
+    small_rad: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The state of one frame's alignment against one view.
+
+    Attributes:
+        T_view_camera: [4, 4]. scales: of the residuals. gain, bias: of the frame.
+        iterations: taken. converged: at the finest level.
+        last: the normal equations of the last step, or None before the first.
+    """
+
+    T_view_camera: NDArray[np.float64]
+    scales: Scales
+    gain: float
+    bias: float
+    iterations: int = 0
+    converged: bool = False
+    last: Linearisation | None = None
+
+
+def align(
+    models: list[ModelLevel], frames: list[FrameLevel], start: Alignment, rules: Rules
+) -> Alignment:
+    """Gauss-Newton from coarse to fine; nothing is copied to the host before the end.
+
+    Args:
+        models, frames: levels from fine to coarse, on one device.
+    """
+    device = frames[0].depth_m.device
+    weight = float(np.sqrt(rules.photometric_weight))
+    state = _state_of(start, weight, device)
+    parts = torch.empty(_PARTS, _PART, device=device)
+    last = torch.zeros(_WIDE, _WIDE, dtype=torch.float64, device=device)
+    with on(device):
+        for level in range(len(models) - 1, -1, -1):
+            state[_PHASE].mul_(state[_PHASE] > _SOLVABLE)
+            camera = _intrinsics(frames[level].camera, device)
+            gate = rules.max_distance * 2**level
+            for _ in range(rules.iterations):
+                count = _accumulate(models[level], frames[level], camera, (state, parts), gate)
+                _advance((parts, state, last), count, rules, level)
+    return _read(state, last, weight)
+
+
+def linearised(
+    model: ModelLevel,
+    frame: FrameLevel,
+    T_model_frame: NDArray[np.float64],
+    scales: Scales,
+    gain_and_bias: tuple[float, float],
+    max_distance: float,
+) -> Linearisation:
+    """See alignment.linearise."""
+    device = frame.depth_m.device
+    state = _state_of(Alignment(T_model_frame, scales, *gain_and_bias), 1.0, device)
+    parts = torch.empty(_PARTS, _PART, device=device)
+    camera = _intrinsics(frame.camera, device)
+    with on(device):
+        count = _accumulate(model, frame, camera, (state, parts), max_distance)
+    return _unpack(parts[:count].double().sum(0).view(_WIDE, _WIDE).cpu().numpy())
+
+
+def _state_of(start: Alignment, weight: float, device: torch.device) -> Tensor:
+    numbers = np.zeros(kernels.STATE)
+    numbers[:12] = start.T_view_camera[:3].reshape(-1)
+    numbers[12:16] = start.gain, start.bias, start.scales.intensity / weight, start.scales.depth_m
+    return torch.from_numpy(numbers).to(device)
+
+
+def _intrinsics(camera: Camera, device: torch.device) -> Tensor:
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return torch.tensor(numbers, dtype=torch.float32, device=device)
+
+
+def _accumulate(
+    model: ModelLevel,
+    frame: FrameLevel,
+    camera: Tensor,
+    state_and_parts: tuple[Tensor, Tensor],
+    gate: float,
+) -> int:
+    """Launch the sums of one step; the number of partial results."""
+    state, parts = state_and_parts
+    width, height = frame.camera.size
+    chunks = triton.cdiv(width * height, _BLOCK)
+    count = min(chunks, _PARTS)
+    kernels.accumulate[(count,)](
+        model.texture,
+        model.surface,
+        frame.intensity,
+        frame.depth_m,
+        camera,
+        state,
+        parts,
+        width,
+        height,
+        gate,
+        chunks,
+        BLOCK=_BLOCK,
+        num_warps=_WARPS,
+    )
+    return count
+
+
+def _advance(tensors: tuple[Tensor, Tensor, Tensor], count: int, rules: Rules, level: int) -> None:
+    parts, state, last = tensors
+    adjust = rules.exposure is not None and level == 0
+    kernels.advance[(1,)](
+        parts,
+        state,
+        last,
+        count,
+        *(rules.exposure or (1.0, 0.0)),
+        rules.photometric_weight,
+        exposure.PRIOR,
+        rules.fewest_pixels,
+        rules.small_m * 4**level,
+        rules.small_rad * 4**level,
+        LEAST_SCALES.intensity,
+        MOST_SCALES.intensity,
+        LEAST_SCALES.depth_m,
+        MOST_SCALES.depth_m,
+        ROWS=_ADDED,
+        EXPOSURE=adjust,
+        num_warps=8,
+    )
+
+
+def _read(state: Tensor, last: Tensor, weight: float) -> Alignment:
+    """The one copy to the host."""
+    numbers = torch.cat([state, last.view(-1)]).cpu().numpy()
+    T = np.eye(4)
+    T[:3] = numbers[:12].reshape(3, 4)
+    gain, bias, intensity, depth_m, steps, phase = (float(x) for x in numbers[12:18])
+    return Alignment(
+        se3.orthonormalise(T),
+        Scales(intensity * weight, depth_m),
+        gain,
+        bias,
+        int(steps),
+        phase == _CONVERGED,
+        _unpack(numbers[kernels.STATE :].reshape(_WIDE, _WIDE)) if steps else None,
+    )
+
+
+def _unpack(sums: NDArray[np.float64]) -> Linearisation:
+    bright, flat, bright_square, flat_square, inside = (float(x) for x in sums[-1, :5])
+    return Linearisation(
+        H=sums[:8, :8].copy(),
+        g=sums[:8, 8].copy(),
+        intensity_pixels=bright,
+        depth_pixels=flat,
+        intensity_variance=bright_square / max(bright, 1.0),
+        depth_variance=flat_square / max(flat, 1.0),
+        frame_pixels=inside,
+    )
