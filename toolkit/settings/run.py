@@ -41,8 +41,9 @@ class RunSettings(Settings):
     hold_out: int | None = Field(None, ge=2, description="keep every n-th frame out of the map")
     poses: Literal["slam", "given"] = Field("slam", description="track, or take the truth's")
     map: Path | None = Field(None, description="folder of a finished run to begin in and extend")
+    # Not "auto": nothing has been run on a GPU yet, and nobody shall be the first unasked.
     device: Literal["auto", "cpu", "cuda"] = Field(
-        "auto", description="where tracking and mapping run"
+        "cpu", description="where tracking and mapping run; on a GPU not yet tried"
     )
     backend: Literal["auto", "native", "reference", "cuda", "gsplat"] = Field(
         "auto", description="renderer"
