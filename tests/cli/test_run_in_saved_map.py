@@ -16,7 +16,9 @@ from toolkit.cli.finished_run import open_finished_run
 from toolkit.cli.main import main
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.geometry import se3
+from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
+from toolkit.io.trajectories import read_tum
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +91,13 @@ def test_it_resumes_to_the_same_without_the_saved_run(
     assert main([*words, "--resume"]) == 0
     for name in ("trajectory.txt", "map.ply", "loops.jsonl"):
         assert (out / name).read_bytes() == (extended / name).read_bytes(), name
+
+
+def test_every_pose_says_how_sure_it_is(extended):
+    times, covariances = read_covariances(extended / "covariances.txt")
+    trajectory = read_tum(extended / "trajectory.txt")
+    np.testing.assert_allclose(times, trajectory.timestamps_s, atol=1e-6)
+    assert np.linalg.eigvalsh(covariances).min() > 0
 
 
 @pytest.mark.parametrize(
