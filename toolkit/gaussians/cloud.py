@@ -112,7 +112,9 @@ class GaussianCloud:
         )
 
     def to(self, device: str | torch.device) -> GaussianCloud:
-        """The same Gaussians on a device."""
+        """The same Gaussians on a device; this very cloud if it is there."""
+        if self.means.device == torch.device(device):
+            return self
         return GaussianCloud(*(getattr(self, f.name).to(device) for f in fields(self)))
 
     def detached(self) -> GaussianCloud:
