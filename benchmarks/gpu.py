@@ -23,7 +23,7 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -36,7 +36,13 @@ if "--smoke" in sys.argv and not torch.cuda.is_available():
 if "--compile-only" in sys.argv:
     os.environ.pop("TRITON_INTERPRET", None)
 
-from gpu_scene import camera_of, pose_of, surface_cloud, touched_pixels, walk
+from gpu_scene import (  # type: ignore[import-not-found]
+    camera_of,
+    pose_of,
+    surface_cloud,
+    touched_pixels,
+    walk,
+)
 
 from toolkit.errors import DependencyError
 from toolkit.frame import Frame
@@ -167,7 +173,7 @@ class Contest:
         return self._drawn.backward(self._weights)
 
 
-def medians_ms(steps: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+def medians_ms(steps: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
     """Median of each step on the GPU, all in turn, after three rounds of warming up."""
     times: dict[str, list[float]] = {name: [] for name in steps}
     for repeat in range(repeats + 3):
@@ -255,8 +261,8 @@ def walked(frames: list[Frame], device: str, backend_name: str, quick: bool) -> 
         DenseOptions(levels=2 if quick else 4, iterations=3 if quick else 12, start="velocity"),
         backend_name=backend_name,
     )
-    few = {"iterations": 1, "first_iterations": 1} if quick else {}
-    mapper = Mapper(MapperOptions(**few), backend_name=backend_name, device=device)
+    few = MapperOptions(iterations=1, first_iterations=1) if quick else MapperOptions()
+    mapper = Mapper(few, backend_name=backend_name, device=device)
     times: dict[str, list[float]] = {"track": [], "map": []}
     squares = []
     for frame in frames:
@@ -305,7 +311,7 @@ def frame_table(plan: Plan) -> None:
 
 def compile_table(channels: tuple[int, ...], capabilities: tuple[int, ...]) -> None:
     """What every kernel uses as machine code; no GPU is asked."""
-    from gpu_kernels import every_kernel
+    from gpu_kernels import every_kernel  # type: ignore[import-not-found]
 
     from toolkit.rendering.cuda.backend import Tuning
 

@@ -154,7 +154,7 @@ def draw_pairs(
         share = overlap(pieces[a], pieces[b])
         if share >= LEAST_OVERLAP:
             possible.append((share, a, b))
-    pairs = []
+    pairs: list[Pair] = []
     while possible and len(pairs) < count:
         wanted = generator.uniform(LEAST_OVERLAP, 1.0)
         nearest = int(np.argmin([abs(share - wanted) for share, _, _ in possible]))

@@ -58,7 +58,7 @@ def write_splat_parts(
 
 def _header(file: BinaryIO) -> bytes:
     """The lines of a PLY up to its data."""
-    lines = []
+    lines: list[bytes] = []
     while not lines or lines[-1] not in (_END, b""):
         lines.append(file.readline())
     return b"".join(lines)

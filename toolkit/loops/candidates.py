@@ -298,7 +298,7 @@ def _chosen(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
     for place, candidate in enumerate(ranked):
         numbered.append((turns[candidate.match_submap], place, candidate))
         turns[candidate.match_submap] += 1
-    chosen = []
+    chosen: list[LoopCandidate] = []
     for turn, place, candidate in sorted(numbered, key=lambda entry: entry[:2]):
         reason = f"number {place + 1} of {len(ranked)} by landmarks, {turn + 1} of its submap"
         accepted = len(chosen) < kept

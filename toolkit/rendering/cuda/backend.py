@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -263,10 +263,11 @@ class _FromElsewhere:
     ) -> GaussianGradients:
         """See ForwardPass.backward."""
         found = self._drawn.backward(image_gradients, colours, detached)
-        parts = {f.name: getattr(found, f.name) for f in fields(found)}
-        return GaussianGradients(
-            **{name: None if t is None else t.to(self._home) for name, t in parts.items()}
-        )
+        parts: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(found)}
+        home: dict[str, Any] = {
+            k: None if t is None else t.to(self._home) for k, t in parts.items()
+        }
+        return GaussianGradients(**home)
 
 
 class CudaBackend:
