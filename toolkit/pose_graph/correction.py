@@ -7,7 +7,7 @@ submap a Gaussian follows the keyframe that seeded it, by T_new inverse(T_old).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -79,7 +79,7 @@ def submap_graph(
 
     Args:
         T_world_submap: [4, 4] of each submap, by number.
-        odometry: edges between neighbouring anchors (`boundary_edge`), as measured when the
+        odometry: edges between neighbouring anchors, as measured when the
             submap closed: not from poses that were corrected since.
         registrations: loop edges, made by `LoopNoise.edge`.
 
@@ -95,7 +95,7 @@ def keyframe_graph(
     """The graph of one submap's keyframes, in its frame, with its first keyframe fixed.
 
     Args:
-        odometry: edges between neighbouring keyframes (`keyframe_odometry`); nodes are the
+        odometry: edges between neighbouring keyframes (`OdometryNoise.along`); nodes are the
             keyframes' frame indices.
         loops: measured between what the two keyframes observed; two renders of the same map
             would agree whatever the drift.
@@ -104,61 +104,6 @@ def keyframe_graph(
         ValueError: an edge has the wrong kind, or the graph falls apart.
     """
     return _graph({k.index: k.T_map_camera for k in submap.keyframes}, odometry, loops)
-
-
-def keyframe_odometry(submap: Submap, informations: Sequence[Array]) -> list[PoseEdge]:
-    """Edges between neighbouring keyframes at their present poses.
-
-    Args:
-        informations: [6, 6] of each edge, one fewer than keyframes (`OdometryNoise`).
-
-    Raises:
-        ValueError: their number does not fit.
-    """
-    keyframes = submap.keyframes
-    if len(informations) != max(len(keyframes) - 1, 0):
-        raise ValueError(
-            f"{len(keyframes)} keyframes have {max(len(keyframes) - 1, 0)} odometry edges, "
-            f"got informations of {len(informations)}"
-        )
-    edges = []
-    for k, information in enumerate(informations):
-        first, second = keyframes[k], keyframes[k + 1]
-        T_first_second = se3.inverse(first.T_map_camera) @ second.T_map_camera
-        edges.append(PoseEdge(first.index, second.index, T_first_second, information))
-    return edges
-
-
-def boundary_edge(submap: Submap, following: Submap, information: Array) -> PoseEdge:
-    """The odometry edge from a submap's anchor to the next one's.
-
-    The next anchor is a keyframe of both submaps, so its pose in this one is the motion.
-
-    Args:
-        information: [6, 6] of that motion, of the whole way through the submap
-            (`graph.composed`).
-
-    Raises:
-        ValueError: the submap does not hold the keyframe that the next one starts with.
-    """
-    start = following.keyframes[0].index
-    for keyframe in submap.keyframes:
-        if keyframe.index == start:
-            return PoseEdge(submap.number, following.number, keyframe.T_map_camera, information)
-    raise ValueError(
-        f"submap {submap.number} does not hold frame {start}, where submap "
-        f"{following.number} starts; a boundary frame belongs to both"
-    )
-
-
-def correct_anchors(submaps: Iterable[Submap], correction: PoseCorrection) -> None:
-    """Give submaps their new `T_world_submap`; nothing inside them changes.
-
-    Submaps that the correction does not name stay where they are.
-    """
-    for submap in submaps:
-        if submap.number in correction.T_new:
-            submap.T_world_submap = np.array(correction.T_new[submap.number])
 
 
 def correct_keyframes(submap: Submap, correction: PoseCorrection) -> None:
