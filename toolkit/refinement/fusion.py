@@ -30,8 +30,9 @@ Array = NDArray[np.float64]
 VOXEL_M = 0.05
 # A submap shows a surface in a voxel where its Gaussians' opacities sum to so much.
 _LEAST_OPACITY = 2.0
-# Parts of the map that are kept in memory, those that views asked for last.
-_HELD = 3
+# Parts of the map are kept in memory up to so many megabytes, those that views asked for last:
+# to make one again, its submap is read with all its keyframes.
+_HELD_MB = 256.0
 # Beyond so many radii a Gaussian is nowhere drawn.
 _REACH = 4.0
 
@@ -85,7 +86,7 @@ class FusedMap:
             cloud = cloud.select(kept).transformed(submap.T_world_submap)
             cloud = replace(cloud, colours=cloud.colours * gain + bias)
         self._held[number] = cloud
-        if len(self._held) > _HELD:
+        while len(self._held) > 1 and sum(map(_megabytes, self._held.values())) > _HELD_MB:
             self._held.popitem(last=False)
         return cloud
 
@@ -122,6 +123,10 @@ class FusedMap:
     def submap(self) -> Tensor:
         """[N] int32, where each Gaussian came from."""
         return torch.cat([torch.full((self._size(n),), n, dtype=torch.int32) for n in self.numbers])
+
+
+def _megabytes(cloud: GaussianCloud) -> float:
+    return 4e-6 * len(cloud) * (8 + cloud.features.shape[1])
 
 
 def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> bool:
