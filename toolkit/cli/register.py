@@ -176,25 +176,11 @@ def _report(
         "T_a_b": best.T_first_second.tolist(),
         "submap_a": best.pair.first,
         "submap_b": best.pair.second,
-        **_figures(best),
+        **best.result.figures(),
         "verified": choice.verified,
         "agreeing": choice.agreeing,
-        "tried": [_figures(f) | _verdict(f) for f in found],
+        "tried": [f.result.figures() | _verdict(f) for f in found],
     }
-
-
-def _figures(found: MapRegistration) -> dict[str, Any]:
-    result = found.result
-    values = {
-        "method": result.method,
-        "overlap": result.overlap,
-        "inliers": result.inliers,
-        "class_agreement": result.class_agreement,
-        "intensity": result.residual.intensity,
-        "depth_m": result.residual.depth_m,
-    }
-    # JSON has no nan: what was not measured is null.
-    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
 
 
 def _verdict(found: MapRegistration) -> dict[str, Any]:

@@ -75,7 +75,7 @@ def write_results(
     folder.write_map(_labelled_parts(scene, slam, settings, numbers))
     folder.write_json(folder.frames, _frames(slam, tracked))
     # Before evaluation, which has memory needs of its own.
-    costs = _costs(slam, dataset, watch)
+    costs = _costs(slam, scene, dataset, watch)
     _log.info("measuring the run")
     reading = reading_of(semantics, slam.taxonomy, dataset)
     metrics = cost_metrics(costs) | measured(scene, tracked, dataset, settings, reading)
@@ -162,8 +162,8 @@ def _submaps(atlas: Atlas) -> list[dict[str, Any]]:
     ]
 
 
-def _costs(slam: Slam, dataset: Dataset, watch: StageRecorder) -> RunCosts:
-    count = len(slam.mapper.gaussians) if slam.fused is None else len(slam.fused)
+def _costs(slam: Slam, scene: GaussianScene, dataset: Dataset, watch: StageRecorder) -> RunCosts:
+    count = len(scene)
     # Centre, radius, opacity, colour.
     floats = count * (8 + slam.mapper.semantics.channels)
     return RunCosts(

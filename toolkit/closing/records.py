@@ -28,16 +28,7 @@ def verdict(reason: str) -> dict[str, Any]:
 def figures_of(result: RegistrationResult, T_before: Array) -> dict[str, Any]:
     """A registration for the log."""
     change = se3.inverse(T_before) @ result.T_target_source
-    values = {
-        "method": result.method,
-        "overlap": result.overlap,
-        "inliers": result.inliers,
-        "class_agreement": result.class_agreement,
-        "intensity": result.residual.intensity,
-        "depth_m": result.residual.depth_m,
+    return result.figures() | {
         "moved_m": float(np.linalg.norm(change[:3, 3])),
         "turned_rad": float(se3.rotation_angle_rad(change[:3, :3])),
-    }
-    return {
-        k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,20 @@ class RegistrationResult:
     renders: int
     method: str
     reason: str = ""
+
+    def figures(self) -> dict[str, Any]:
+        """What a log or a report tells of it; None, which JSON knows, for what was not measured."""
+        values = {
+            "method": self.method,
+            "overlap": self.overlap,
+            "inliers": self.inliers,
+            "class_agreement": self.class_agreement,
+            "intensity": self.residual.intensity,
+            "depth_m": self.residual.depth_m,
+        }
+        return {
+            k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()
+        }
 
     def inverted(self) -> RegistrationResult:
         """The same registration with the roles of the submaps exchanged.

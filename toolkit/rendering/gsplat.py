@@ -18,7 +18,7 @@ from toolkit.errors import DependencyError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.backend import NEAR_M, pixels_of_region
-from toolkit.rendering.reference import ReferenceForwardPass, leaves_of
+from toolkit.rendering.reference import ReferenceForwardPass, drawn_by_autograd
 
 _FAR_M = 1e10
 
@@ -58,15 +58,14 @@ class GsplatBackend:
         centres: bool = False,
     ) -> ReferenceForwardPass:
         """See Backend.forward. A region hides the other tiles, but saves no work."""
-        if features is None:
-            features = gaussians.means.new_zeros(len(gaussians), 0)
-        with torch.enable_grad():
-            cloud, features, T = leaves_of(gaussians, features, T_camera_map)
-            extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
+
+        def draw(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
             images = self._images(cloud, camera, T, extra)
-            if region is not None:
-                images = images * pixels_of_region(region.to(images.device), *images.shape[1:])
-        return ReferenceForwardPass(cloud, T, features, images)
+            if region is None:
+                return images
+            return images * pixels_of_region(region.to(images.device), *images.shape[1:])
+
+        return drawn_by_autograd(draw, gaussians, T_camera_map, features, centres)
 
     def _images(
         self, cloud: GaussianCloud, camera: Camera, T_camera_map: Tensor, extra: Tensor

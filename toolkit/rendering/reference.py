@@ -5,6 +5,8 @@ Every other backend is tested against it, and it takes over where nothing was co
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -151,6 +153,28 @@ class ReferenceForwardPass:
         return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
 
 
+def drawn_by_autograd(
+    draw: Callable[[GaussianCloud, Tensor, Tensor], Tensor],
+    gaussians: GaussianCloud,
+    T_camera_map: NDArray[np.float64],
+    features: Tensor | None,
+    centres: bool,
+) -> ReferenceForwardPass:
+    """A view whose gradients autograd finds.
+
+    Args:
+        draw: images [5 + S, H, W] of a cloud, T_camera_map [3, 4] and channels [N, S].
+        gaussians, T_camera_map, features, centres: as of `Backend.forward`.
+    """
+    if features is None:
+        features = gaussians.means.new_zeros(len(gaussians), 0)
+    with torch.enable_grad():
+        cloud, features, T = leaves_of(gaussians, features, T_camera_map)
+        extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
+        images = draw(cloud, T, extra)
+    return ReferenceForwardPass(cloud, T, features, images)
+
+
 class ReferenceBackend:
     """Plain torch behind the interface of the compiled backends."""
 
@@ -166,10 +190,8 @@ class ReferenceBackend:
         centres: bool = False,
     ) -> ReferenceForwardPass:
         """See Backend.forward."""
-        if features is None:
-            features = gaussians.means.new_zeros(len(gaussians), 0)
-        with torch.enable_grad():
-            cloud, features, T = leaves_of(gaussians, features, T_camera_map)
-            extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
-            images = composite(cloud, camera, T, extra, region)
-        return ReferenceForwardPass(cloud, T, features, images)
+
+        def draw(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
+            return composite(cloud, camera, T, extra, region)
+
+        return drawn_by_autograd(draw, gaussians, T_camera_map, features, centres)
