@@ -227,6 +227,19 @@ class TestSettle:
         assert len(registrar.asked) == count * (count - 1) // 2 >= held
         assert len(closer.loops) >= held
 
+    @pytest.mark.parametrize(("inliers", "joins"), [(0.7, True), (0.5, False)])
+    def test_neighbours_that_were_refused_are_asked_again_for_less(self, frames, inliers, joins):
+        # Bent by drift inside, too few of their surfaces agree for submaps that lie anywhere.
+        atlas, closer, registrar = closed(frames, nearby_changes={"inliers": inliers})
+        closer.close_between(atlas, atlas.active)
+        atlas.rest()
+        registrar.changes["fails"] = True
+        around = (0, atlas.active)
+        closer.loops = [loop for loop in closer.loops if (loop.first, loop.second) == around]
+        assert closer.loops and closer.settle(atlas)
+        neighbours = {(n, n + 1) for n in range(len(atlas) - 1)} if joins else set()
+        assert {(loop.first, loop.second) for loop in closer.loops} == {around} | neighbours
+
     def test_without_a_loop_nothing_is_touched(self, frames):
         atlas, closer, registrar = closed(frames, {"fails": True})
         closer.close_between(atlas, atlas.active)

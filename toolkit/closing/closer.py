@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from toolkit.closing.keyframe_loops import KeyframeLoops
 from toolkit.closing.parts import ClosingOptions, ClosingParts
-from toolkit.closing.records import figures_of, moved_by, verdict
-from toolkit.closing.sights import Sights
+from toolkit.closing.records import moved_by, verdict
+from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.closing.uncertainty import frame_covariances
-from toolkit.errors import ToolkitError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -29,14 +28,12 @@ from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
 from toolkit.loops.relocalisation import Found
-from toolkit.loops.verification import objection
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import (
     PoseCorrection,
     submap_graph,
 )
 from toolkit.pose_graph.graph import PoseEdge
-from toolkit.registration.result import register_pair
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -66,6 +63,7 @@ class LoopCloser:
         self._recorder = recorder or NullRecorder()
         self._links: list[PoseEdge] = []
         self._suspected: list[LoopCandidate] = []
+        self._between = SubmapLoops(parts, self.options, self._record)
 
     def begin_in(self, atlas: Atlas) -> None:
         """Take note of the saved map that an atlas begins with, which is rigid from now on."""
@@ -150,10 +148,11 @@ class LoopCloser:
             # Where a lost frame was found, two submaps are joined before they are registered.
             held = {(loop.first, loop.second): loop for loop in self.loops}
             for other in sorted({c.match_submap for c in mine}):
-                new = self._registered(atlas, other, number)
+                new = self._between.registered(atlas, other, number, self._links)
                 edge = new or held.get((other, number))
                 pairs = [c for c in mine if c.match_submap == other]
-                if edge is not None and self._confirmed(atlas, edge, pairs) and new is not None:
+                proven = edge is not None and self._between.confirmed(atlas, edge, pairs)
+                if new is not None and proven:
                     self.loops.append(new)
                     found = True
             return found and self._correct_between(atlas)
@@ -170,81 +169,25 @@ class LoopCloser:
         with self._recorder.timed("anchors settle"):
             held = {(loop.first, loop.second): loop for loop in self.loops}
             measured = []
-            for first, second in self._overlapping(atlas, set(held)):
-                edge = self._registered(atlas, first, second)
+            for first, second in self._between.overlapping(atlas, set(held)):
+                edge = self._between.registered(atlas, first, second, self._links)
                 edge = edge or held.get((first, second))
                 measured += [] if edge is None else [edge]
             self.loops = measured
-            return self._correct_between(atlas)
+            moved = self._correct_between(atlas)
+            return self._join_neighbours(atlas) or moved
 
-    def _overlapping(self, atlas: Atlas, held: set[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Pairs of submaps with a loop, or whose keyframes see the same places."""
-        views = {number: Sights.of(atlas.submap(number)) for number in atlas.readable()}
-        # Two submaps of a saved map stay as they are.
-        pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
-        least = self.options.least_visible
-        return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
+    def _join_neighbours(self, atlas: Atlas) -> bool:
+        """Register neighbours without a loop once more, from where the others have put them.
 
-    def _registered(self, atlas: Atlas, first: int, second: int) -> PoseEdge | None:
-        """A loop edge between two submaps, or None where nothing can be verified.
-
-        Alike keyframes can lead to another place that looks the same. Where the odometry rules
-        that out, the submaps are laid over each other once more where the odometry has them.
+        Drift between two that stay unjoined would only be spread over the graph.
         """
-        values: dict[str, Any] = {"first": first, "second": second}
-        T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
-        for registrar in (self._parts.registrar, self._parts.nearby):
-            try:
-                result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
-            except ToolkitError as error:
-                # A submap whose file is lost must not end the run.
-                self._record("between", values | {"accepted": False, "reason": str(error)})
-                return None
-            edge = self._parts.loop_noise.edge(
-                first, second, result.T_target_source, result.information
-            )
-            impossible = self._against_odometry(edge)
-            reason = objection(result, self._parts.verification) or impossible
-            self._record("between", values | figures_of(result, T) | verdict(reason))
-            if not reason:
-                return edge
-            if not impossible:
-                break
-        return None
-
-    def _against_odometry(self, edge: PoseEdge) -> str:
-        """Why the odometry rules a loop out, empty where it does not."""
-        agreement = consistent_loops(OdometryChain(self._links), [edge], self._parts.consistency)
-        return agreement.reason(0)
-
-    def _confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: list[LoopCandidate]) -> bool:
-        """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
-
-        Submaps that overlap anyhow can be registered whatever was suspected; without this they
-        would be taken for a proof of it.
-        """
-        matches = {k.index: k for k in atlas.submap(edge.first).keyframes}
-        queries = {k.index: k for k in atlas.submap(edge.second).keyframes}
-        confirmed = 0
-        for pair in pairs:
-            query, match = queries[pair.query], matches[pair.match]
-            points = se3.transform_points(edge.T_first_second, query.points_in_map())
-            shared = float(match.reaches(points).mean()) if len(points) else 0.0
-            T_first_query = edge.T_first_second @ query.T_map_camera
-            apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
-            enough = shared >= self.options.least_shared
-            reason = "" if enough else f"the views share only {100 * shared:.0f} %"
-            values = {
-                "first": edge.first,
-                "second": edge.second,
-                "query": pair.query,
-                "match": pair.match,
-                "shared": shared,
-                "apart_m": apart_m,
-            }
-            self._record("verified", values | verdict(reason))
-            confirmed += enough
-        return confirmed > 0
+        joined = {(loop.first, loop.second) for loop in self.loops}
+        apart = [pair for pair in self._between.neighbours(atlas) if pair not in joined]
+        edges = [self._between.joined(atlas, *pair, self._links) for pair in apart]
+        new = [edge for edge in edges if edge is not None]
+        self.loops += new
+        return bool(new) and self._correct_between(atlas)
 
     def _correct_between(self, atlas: Atlas) -> bool:
         """Move the anchors to where all loops that agree put them."""
