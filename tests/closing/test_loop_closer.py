@@ -227,10 +227,18 @@ class TestSettle:
         assert len(registrar.asked) == count * (count - 1) // 2 >= held
         assert len(closer.loops) >= held
 
-    @pytest.mark.parametrize(("inliers", "joins"), [(0.7, True), (0.5, False)])
-    def test_neighbours_that_were_refused_are_asked_again_for_less(self, frames, inliers, joins):
+    @pytest.mark.parametrize(
+        ("inliers", "confidence", "joins"),
+        [(0.7, 0.99, True), (0.5, 0.99, False), (0.7, 1.0, False)],
+    )
+    def test_neighbours_that_were_refused_are_asked_again_for_less(
+        self, frames, inliers, confidence, joins
+    ):
         # Bent by drift inside, too few of their surfaces agree for submaps that lie anywhere.
-        atlas, closer, registrar = closed(frames, nearby_changes={"inliers": inliers})
+        options = ClosingOptions(drift_confidence=confidence)
+        atlas, closer, registrar = closed(
+            frames, options=options, nearby_changes={"inliers": inliers}
+        )
         closer.close_between(atlas, atlas.active)
         atlas.rest()
         registrar.changes["fails"] = True

@@ -23,7 +23,8 @@ class ClosingOptions:
         least_shared: share of what a suspected keyframe observed that the other one must see,
             once their submaps are registered.
         drift_confidence: the keyframes of a submap stay where they are unless its loops
-            contradict them with so much confidence. A pair of images is no better than a
+            contradict them with so much confidence, and neighbours that were not registered
+            before stay as odometry has them. A pair of images is no better than a
             centimetre; a map that was tracked well is, and would be disturbed for nothing.
     """
 

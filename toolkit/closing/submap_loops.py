@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import Record, figures_of, verdict
@@ -15,13 +16,23 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.graph import PoseEdge
-from toolkit.registration.result import Registrar, register_pair
+from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.atlas import Atlas
 
 # Two neighbours saw the same things from their boundary; bent by drift inside they agree less.
 _OF_NEIGHBOURS = VerificationOptions(least_overlap=0.15, least_inliers=0.6)
+
+
+@dataclass(frozen=True, eq=False)
+class _Laid:
+    """Two submaps laid over each other: the edge, what it came from, and how they lay before."""
+
+    edge: PoseEdge
+    result: RegistrationResult
+    T_before: NDArray[np.float64]
 
 
 class SubmapLoops:
@@ -55,13 +66,15 @@ class SubmapLoops:
         Alike keyframes can lead to another place that looks the same. Where the odometry rules
         that out, the submaps are laid over each other once more where the odometry has them.
         """
-        parts = self._parts
-        for registrar in (parts.registrar, parts.nearby):
-            edge, possible = self._tried(
-                registrar, parts.verification, atlas, (first, second), odometry
-            )
-            if edge is not None or possible:
-                return edge
+        for registrar in (self._parts.registrar, self._parts.nearby):
+            laid = self._laid(registrar, atlas, first, second)
+            if laid is None:
+                return None
+            impossible = self._against(odometry, laid.edge)
+            if self._believed(laid, objection(laid.result, self._parts.verification) or impossible):
+                return laid.edge
+            if not impossible:
+                return None
         return None
 
     def joined(
@@ -69,37 +82,41 @@ class SubmapLoops:
     ) -> PoseEdge | None:
         """A loop edge between neighbours that lie nearly right, or None.
 
-        They cannot be look-alikes, so less is asked of them than of others.
+        They cannot be look-alikes, so less is asked of them than of others. Where they lie right
+        already, the odometry between them is the better measurement.
         """
-        pair = (first, second)
-        return self._tried(self._parts.nearby, _OF_NEIGHBOURS, atlas, pair, odometry)[0]
+        laid = self._laid(self._parts.nearby, atlas, first, second)
+        if laid is None:
+            return None
+        reason = objection(laid.result, _OF_NEIGHBOURS) or self._against(odometry, laid.edge)
+        chi2 = laid.edge.chi2(np.eye(4), laid.T_before)
+        if not reason and chi2 <= quantile(self._options.drift_confidence, 6):
+            reason = "the submaps lie so already"
+        return laid.edge if self._believed(laid, reason) else None
 
-    def _tried(
-        self,
-        registrar: Registrar,
-        verification: VerificationOptions,
-        atlas: Atlas,
-        pair: tuple[int, int],
-        odometry: Sequence[PoseEdge],
-    ) -> tuple[PoseEdge | None, bool]:
-        """An edge or None, and whether the odometry allows what was found."""
-        first, second = pair
-        values: dict[str, Any] = {"first": first, "second": second}
+    def _laid(self, registrar: Registrar, atlas: Atlas, first: int, second: int) -> _Laid | None:
+        """A registration from where two submaps lie, None where one of them cannot be read."""
         T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
         try:
             result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
         except ToolkitError as error:
             # A submap whose file is lost must not end the run.
-            self._record("between", values | verdict(str(error)))
-            return None, True
-        edge = self._parts.loop_noise.edge(
-            first, second, result.T_target_source, result.information
-        )
+            self._record("between", {"first": first, "second": second} | verdict(str(error)))
+            return None
+        noise = self._parts.loop_noise
+        edge = noise.edge(first, second, result.T_target_source, result.information)
+        return _Laid(edge, result, T)
+
+    def _against(self, odometry: Sequence[PoseEdge], edge: PoseEdge) -> str:
+        """Why the odometry rules a loop out, empty where it does not."""
         chain = OdometryChain(odometry)
-        impossible = consistent_loops(chain, [edge], self._parts.consistency).reason(0)
-        reason = objection(result, verification) or impossible
-        self._record("between", values | figures_of(result, T) | verdict(reason))
-        return None if reason else edge, not impossible
+        return consistent_loops(chain, [edge], self._parts.consistency).reason(0)
+
+    def _believed(self, laid: _Laid, reason: str) -> bool:
+        """Write a registration down with what speaks against it; whether nothing does."""
+        values = {"first": laid.edge.first, "second": laid.edge.second}
+        self._record("between", values | figures_of(laid.result, laid.T_before) | verdict(reason))
+        return not reason
 
     def confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: Sequence[LoopCandidate]) -> bool:
         """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
