@@ -148,7 +148,6 @@ class Mapper:
         frame: Frame,
         T_map_camera: NDArray[np.float64],
         gain: float = 1.0,
-        bias: float = 0.0,
     ) -> MappingResult:
         """Extend and optimise the map with a frame whose pose is known.
 
@@ -158,7 +157,7 @@ class Mapper:
             frame = replace(frame, depth_m=denoised(frame.depth_m))
         if self.semantics.channels == 0:
             frame = replace(frame, labels=None)
-        keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
+        keyframe = Keyframe.from_frame(frame, T_map_camera, gain)
         self.keyframes.append(keyframe)
         self.semantics.observe(frame.labels)
         with self._recorder.timed("seeding"):
