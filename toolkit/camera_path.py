@@ -30,6 +30,7 @@ class _TrackedFrame:
     submap: int
     keyframe: int
     gain: float
+    bias: float
 
 
 class CameraPath:
@@ -51,9 +52,9 @@ class CameraPath:
             T_submap_camera: [4, 4]. tracking: None for a frame that was not tracked.
         """
         last = atlas.mapper.keyframes[-1]
-        gain = tracking.gain if tracking else 1.0
+        gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
         self._frames.append(
-            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, gain)
+            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, gain, bias)
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
 
@@ -81,13 +82,15 @@ class CameraPath:
             for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
         ]
 
-    def gains(self, of_submaps: dict[int, float]) -> Array:
-        """Exposure [M] of each frame: map = gain * observed.
+    def exposures(self, gain_of_submap: dict[int, float]) -> Array:
+        """(gain, bias) [M, 2] of each frame: map = gain * observed + bias.
 
         Args:
-            of_submaps: gains of submaps against the whole map, 1 where missing.
+            gain_of_submap: of submaps against the whole map, 1 where missing.
         """
-        return np.array([of_submaps.get(f.submap, 1.0) * f.gain for f in self._frames])
+        gains = [gain_of_submap.get(f.submap, 1.0) for f in self._frames]
+        rows = [(g * f.gain, g * f.bias) for g, f in zip(gains, self._frames, strict=True)]
+        return np.array(rows).reshape(-1, 2)
 
     def trajectory(self, atlas: Atlas) -> Trajectory:
         """Poses in the world."""

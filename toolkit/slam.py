@@ -128,11 +128,11 @@ class Slam:
         self._lost_in_a_row = 0
         mapping = None
         if may_map and self.mapper.wants(frame, T_map_camera):
-            gain = tracking.gain if tracking else 1.0
+            exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
             if self._labeller is not None and not self._labels_first:
                 frame = self._labelled(frame, T_map_camera)
             with self._recorder.timed("mapping"):
-                mapping = self.mapper.add_keyframe(frame, T_map_camera, gain)
+                mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
             if self._closer is not None:
                 self._closer.observe(self.atlas)
             T_map_camera = self._allocate(frame, tracking)
@@ -179,8 +179,8 @@ class Slam:
             if found is None:
                 atlas.begin_at(frame, *self._path.last_place(atlas), inherit=False)
             else:
-                gain = found.result.gain
-                atlas.begin_at(frame, found.submap, found.T_submap_camera, gain)
+                exposure = (found.result.gain, found.result.bias)
+                atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
         self._closer.join(atlas, found)
         self._closer.close_between(atlas, atlas.active - 1)
         self._closer.observe(atlas)
@@ -280,12 +280,12 @@ class Slam:
         return self._path.indices
 
     @property
-    def gains(self) -> NDArray[np.float64]:
-        """Exposure [M] of the tracked frames: map = gain * observed.
+    def exposures(self) -> NDArray[np.float64]:
+        """(gain, bias) [M, 2] of the tracked frames: map = gain * observed + bias.
 
         The map is the frame's submap, or once finished the whole one.
         """
-        return self._path.gains({} if self.fused is None else self.fused.gains)
+        return self._path.exposures({} if self.fused is None else self.fused.gains)
 
     @property
     def trajectory(self) -> Trajectory:

@@ -42,7 +42,10 @@ def run(tmp_path, gaussians, recording) -> Path:
     times = np.array([i / 30.0 for i in kept])
     folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))
     folder.write_map([(gaussians, None, None)])
-    rows = [{"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "held_out": i == 4} for i in kept]
+    rows = [
+        {"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "bias": 0.0, "held_out": i == 4}
+        for i in kept
+    ]
     folder.write_json(folder.frames, {"frames": rows, "lost": [9], "keyframes": [0, 5]})
     folder.write_json(folder.metrics, {"tracking_ms_per_frame": 12.5, "psnr_db": 1.0})
     return folder.path

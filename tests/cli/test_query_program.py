@@ -62,7 +62,7 @@ def finished(tmp_path_factory) -> Path:
     write_splat_ply(run.map, gaussians, labels.columns())
     TAXONOMY.save(run.path / "taxonomy.yaml")
     rows = [
-        {"index": i, "timestamp_s": t, "gain": 1.0, "held_out": False}
+        {"index": i, "timestamp_s": t, "gain": 1.0, "bias": 0.0, "held_out": False}
         for i, t in enumerate(times.tolist())
     ]
     run.write_json(run.frames, {"frames": rows, "lost": [], "keyframes": [0]})

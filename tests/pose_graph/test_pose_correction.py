@@ -44,6 +44,7 @@ def keyframe(index: int, T_map_camera: np.ndarray) -> Keyframe:
         depth_m=torch.ones(6, 8),
         camera=CAMERA,
         gain=1.0,
+        bias=0.0,
         points=np.zeros((0, 3), np.float32),
     )
 

@@ -1,4 +1,4 @@
-"""Exposure in the normal equations: fixed, held, and what is believed of it."""
+"""Exposure in the normal equations: fixed, held, and believed only beyond the map's own loss."""
 
 from __future__ import annotations
 
@@ -42,29 +42,18 @@ def test_holding_is_the_derivative_of_a_quadratic_cost():
     assert np.allclose(g[6:], weight * change)
 
 
-@pytest.fixture
-def image():
-    return np.random.default_rng(0).uniform(0.1, 0.9, 2000)
+@pytest.mark.parametrize(
+    ("gain", "bias"),
+    [
+        (0.97, 0.015),  # a smooth map: less contrast about the same grey
+        (1.05, -0.03),
+        (1.0, 0.0),
+    ],
+)
+def test_a_loss_of_contrast_is_not_believed(gain, bias):
+    assert exposure.believable(gain, bias) == (1.0, 0.0)
 
 
-def fitted(image, model):
-    """Gain and bias by least squares, and the normal equations they came from."""
-    J = np.stack([image, np.ones_like(image)], axis=1)
-    H = np.zeros((8, 8))
-    H[exposure.GAIN :, exposure.GAIN :] = J.T @ J
-    gain, bias = np.linalg.solve(J.T @ J, J.T @ model)
-    return gain, bias, H
-
-
-@pytest.mark.parametrize("true", [0.8, 1.0, 1.3])
-def test_a_smoother_map_and_a_noisy_image_change_no_exposure(image, true):
-    smooth = true * (image.mean() + 0.9 * (image - image.mean()))
-    noisy = image + 0.05 * np.random.default_rng(1).normal(size=image.shape)
-    gain, bias, H = fitted(noisy, smooth)
-    assert gain < 0.95 * true and bias > 0.0, "what the fit says is not to be believed"
-    assert exposure.brightness_ratio(gain, bias, H) == pytest.approx(true, rel=0.01)
-
-
-def test_a_black_image_tells_no_exposure(image):
-    assert exposure.brightness_ratio(0.5, 0.2, np.zeros((8, 8))) == 1.0
-    assert exposure.brightness_ratio(*fitted(0.01 * image, image)) == 1.0
+@pytest.mark.parametrize("gain_bias", [(0.9, 0.05), (1.0, 0.05), (0.96, -0.01), (1.2, -0.1)])
+def test_exposure_that_changes_brightness_or_much_contrast_is(gain_bias):
+    assert exposure.believable(*gain_bias) == gain_bias

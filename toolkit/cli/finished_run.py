@@ -200,6 +200,7 @@ def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[Tra
             timestamp_s=float(row["timestamp_s"]),
             T_map_camera=T_map_camera,
             gain=float(row["gain"]),
+            bias=float(row["bias"]),
             held_out=bool(row["held_out"]),
         )
         for row, T_map_camera in zip(rows, poses, strict=True)

@@ -51,7 +51,7 @@ class TrackedFrame:
         index: its position in the data set.
         timestamp_s: its time in seconds.
         T_map_camera: [4, 4] float64 pose in the map's frame.
-        gain: exposure, map = gain * observed.
+        gain, bias: map = gain * observed + bias.
         held_out: whether it was kept out of the map.
     """
 
@@ -59,16 +59,18 @@ class TrackedFrame:
     timestamp_s: float
     T_map_camera: NDArray[np.float64]
     gain: float = 1.0
+    bias: float = 0.0
     held_out: bool = False
 
 
 @dataclass(frozen=True)
 class View:
-    """A frame, where it was taken, and its exposure against the map (map = gain * rgb)."""
+    """A frame, where it was taken, and its exposure against the map (map = gain * rgb + bias)."""
 
     frame: Frame
     T_map_camera: NDArray[np.float64]
     gain: float = 1.0
+    bias: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ def _tracked_views(
     chosen = [frames[i] for i in _evenly_spaced(len(frames), max_views)]
     images = prefetched(dataset, [frame.index for frame in chosen])
     for frame, image in zip(chosen, images, strict=True):
-        yield View(image, frame.T_map_camera, frame.gain)
+        yield View(image, frame.T_map_camera, frame.gain, frame.bias)
 
 
 def _unseen_views(
@@ -242,7 +244,7 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
     result = tracker.locate(view.frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
-    return replace(view, T_map_camera=result.T_map_camera, gain=result.gain)
+    return replace(view, T_map_camera=result.T_map_camera, gain=result.gain, bias=result.bias)
 
 
 def _quality(
@@ -254,7 +256,7 @@ def _quality(
     drawn = draw_surface(backend(backend_name), gaussians, camera, T_camera_map, options)
     scores.add(view.frame, drawn)
     # Back to the camera's own exposure, so that the observed image stays as it is.
-    colour = drawn.output.colour.numpy() / view.gain
+    colour = (drawn.output.colour.numpy() - view.bias) / view.gain
     return view_quality(
         view.frame.index,
         (colour.clip(0.0, 1.0).astype(np.float32), drawn.depth_m.numpy()),

@@ -50,7 +50,7 @@ class Keyframe:
         index: the frame's index in the sequence.
         T_map_camera: [4, 4] float64; local bundle adjustment may move it.
         rgb: [3, H, W] uint8 and depth_m: [H, W] float32, as observed.
-        gain: exposure against the map, map = gain * observed.
+        gain, bias: exposure against the map, map = gain * observed + bias.
         class_ids: [H, W] int16 labels of the taxonomy, 0 void, or None.
         points: [P, 3] float32 sparse observed points in camera coordinates (m).
         pose_moments: [13] float64 of the optimiser that adjusts the pose.
@@ -63,6 +63,7 @@ class Keyframe:
     depth_m: Tensor
     camera: Camera
     gain: float
+    bias: float
     points: NDArray[np.float32]
     class_ids: Tensor | None = None
     pose_moments: NDArray[np.float64] = field(default_factory=lambda: np.zeros(MOMENTS))
@@ -83,6 +84,7 @@ class Keyframe:
             "timestamp_s": self.timestamp_s,
             "camera": asdict(self.camera),
             "gain": self.gain,
+            "bias": self.bias,
         }
 
     @classmethod
@@ -96,6 +98,7 @@ class Keyframe:
             depth_m=torch.from_numpy(np.array(arrays["depth_m"])),
             camera=Camera(**values["camera"]),
             gain=float(values["gain"]),
+            bias=float(values["bias"]),
             points=np.array(arrays["points"]),
             class_ids=_tensor(arrays.get("class_ids")),
             pose_moments=np.array(arrays["pose_moments"]),
@@ -103,7 +106,7 @@ class Keyframe:
 
     @classmethod
     def from_frame(
-        cls, frame: Frame, T_map_camera: NDArray[np.float64], gain: float = 1.0
+        cls, frame: Frame, T_map_camera: NDArray[np.float64], gain: float = 1.0, bias: float = 0.0
     ) -> Keyframe:
         """A keyframe of a tracked frame."""
         levels = torch.from_numpy(np.rint(frame.rgb * 255.0).astype(np.uint8))
@@ -117,6 +120,7 @@ class Keyframe:
             depth_m=torch.from_numpy(frame.depth_m),
             camera=frame.camera,
             gain=gain,
+            bias=bias,
             points=sparse[sparse[..., 2] > 0].astype(np.float32),
             class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
         )
@@ -129,7 +133,7 @@ class Keyframe:
     def target_rgb(self, images: Observed | None = None) -> Tensor:
         """Observed colour [3, H, W] at the map's exposure, of its images on any device."""
         rgb = self.rgb if images is None else images.rgb
-        return (rgb.to(torch.float32) * (self.gain / 255.0)).clamp(0.0, 1.0)
+        return (rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
 
     def observed(
         self, region: Tensor | None, images: Observed | None = None

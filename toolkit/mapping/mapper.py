@@ -148,6 +148,7 @@ class Mapper:
         frame: Frame,
         T_map_camera: NDArray[np.float64],
         gain: float = 1.0,
+        bias: float = 0.0,
     ) -> MappingResult:
         """Extend and optimise the map with a frame whose pose is known.
 
@@ -157,7 +158,7 @@ class Mapper:
             frame = replace(frame, depth_m=denoised(frame.depth_m))
         if self.semantics.channels == 0:
             frame = replace(frame, labels=None)
-        keyframe = Keyframe.from_frame(frame, T_map_camera, gain)
+        keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
         self.keyframes.append(keyframe)
         self.semantics.observe(frame.labels)
         with self._recorder.timed("seeding"):

@@ -28,7 +28,7 @@ class DenseSettings(Settings):
     rerender_distance: float = Field(0.02, gt=0, description="motion that asks for a new view")
     least_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")
     max_distance: float = Field(0.05, gt=0, description="depth gate, share of the depth")
-    exposure: bool = Field(True, description="estimate every frame's exposure")
+    exposure: bool = Field(True, description="estimate gain and bias of every frame")
     photometric_weight: float = Field(1.0, gt=0, description="against the geometric term")
     start: Literal["velocity", "auto", "both"] = Field(
         "auto", description="from Open3D's odometry too: never, where a frame fits badly, always"

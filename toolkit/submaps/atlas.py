@@ -184,7 +184,7 @@ class Atlas:
         """
         self.mapper.settle(self._boundary.steps, self._boundary.bundle_adjustment)
         old, last = self.submap(self.active), self.mapper.keyframes[-1]
-        self._begin(frame, old, last.T_map_camera, last.gain)
+        self._begin(frame, old, last.T_map_camera, (last.gain, last.bias))
         return se3.inverse(last.T_map_camera)
 
     def begin_at(
@@ -192,27 +192,27 @@ class Atlas:
         frame: Frame,
         number: int,
         T_submap_camera: NDArray[np.float64],
-        gain: float = 1.0,
+        exposure: tuple[float, float] = (1.0, 0.0),
         inherit: bool = True,
     ) -> None:
         """Let the active submap rest and begin one at a frame that lies in another.
 
         Args:
             number: that submap. T_submap_camera: [4, 4] where in it.
-            gain: exposure of the frame against it.
+            exposure: gain and bias of the frame against it.
             inherit: False where the place is a guess, and nothing may be taken over.
         """
         around = self.submap(number)
         if not inherit:
             around = replace(around, gaussians=around.gaussians.select(_NONE), steps=_NONE.int())
-        self._begin(frame, around, T_submap_camera, gain)
+        self._begin(frame, around, T_submap_camera, exposure)
 
     def _begin(
         self,
         frame: Frame,
         around: Submap,
         T_around_camera: NDArray[np.float64],
-        gain: float,
+        exposure: tuple[float, float],
     ) -> None:
         """Begin a submap at a frame that lies somewhere in an older one."""
         old = self.submap(self.active)
@@ -222,7 +222,7 @@ class Atlas:
         self._anchors.append(around.T_world_submap @ T_around_camera)
         self._descriptors.append(self._boundary_row(old, frame.index))
         self.mapper.take(content)
-        self.mapper.add_keyframe(frame, np.eye(4), gain)
+        self.mapper.add_keyframe(frame, np.eye(4), *exposure)
 
     @staticmethod
     def _boundary_row(old: Submap, index: int) -> NDArray[np.float32]:

@@ -54,7 +54,7 @@ class DenseOptions:
         least_silhouette: rendered pixels thinner than this are not trusted.
         max_distance: gate on depth differences at the finest level, as a share of depth;
             doubled at every coarser level.
-        exposure: estimate every frame's.
+        exposure: estimate gain and bias of every frame.
         photometric_weight: weight of the photometric term against the geometric one.
         start: where alignment begins. "velocity": where constant velocity or standing still
             put the camera. "auto": where a frame then fits badly, once more where Open3D's
@@ -135,7 +135,7 @@ class DenseTracker:
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = START_SCALES
-        self._gain = 1.0
+        self._exposure = (1.0, 0.0)
 
     wants_labels = False
 
@@ -158,13 +158,14 @@ class DenseTracker:
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         scales = np.array([self._scales.intensity, self._scales.depth_m])
-        return {**self.motion.state(), "scales": scales, "gain": np.array(self._gain)}
+        return {**self.motion.state(), "scales": scales, "exposure": np.array(self._exposure)}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
         self.motion = ConstantVelocity.from_state(state)
         self._scales = Scales(*(float(s) for s in state["scales"]))
-        self._gain = float(state["gain"])
+        gain, bias = state["exposure"]
+        self._exposure = (float(gain), float(bias))
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """Pose of a frame against the map; the motion model follows unless it is lost."""
@@ -178,7 +179,7 @@ class DenseTracker:
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
             self._scales = Scales(result.intensity_residual, result.depth_residual_m)
-            self._gain = result.gain
+            self._exposure = (result.gain, result.bias)
         return result
 
     def locate(
@@ -223,7 +224,7 @@ class DenseTracker:
         model, frame = view.levels[-1], task.levels[-1]
         gate = self.options.max_distance * 2 ** (self.options.levels - 1)
         costs = [
-            linearise(model, frame, T_view_map @ T, self._scales, (self._gain, 0.0), gate).cost
+            linearise(model, frame, T_view_map @ T, self._scales, self._exposure, gate).cost
             for T in starts
         ]
         return starts[int(np.argmin(costs))]
@@ -260,7 +261,7 @@ class DenseTracker:
 
     def _aligned(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
         """Alignment from a start, first against a view of the map near it."""
-        estimate = _Estimate(start.copy(), self._scales, self._gain)
+        estimate = _Estimate(start.copy(), self._scales, *self._exposure)
         renders = 1
         while True:
             with self._recorder.timed("tracking align"):
@@ -316,7 +317,7 @@ class DenseTracker:
             iterations=options.iterations,
             max_distance=options.max_distance,
             photometric_weight=options.photometric_weight,
-            exposure=(self._gain, 0.0) if options.exposure else None,
+            exposure=self._exposure if options.exposure else None,
             fewest_pixels=_FEWEST_PIXELS,
             small_m=_SMALL_TRANSLATION_M,
             small_rad=_SMALL_ROTATION_RAD,
@@ -341,7 +342,7 @@ class DenseTracker:
         H, g = linear.H.copy(), linear.g.copy()
         if with_exposure:
             pixels = linear.intensity_pixels / estimate.scales.intensity**2
-            change = np.array([estimate.gain - self._gain, estimate.bias])
+            change = np.array([estimate.gain, estimate.bias]) - self._exposure
             exposure.hold(H, g, pixels, change)
         else:
             exposure.fix(H, g)
@@ -366,8 +367,8 @@ class DenseTracker:
         linear = estimate.last
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
         # Perturbations were on the view's side; the view stands at the pose itself now.
-        H = linear.H if linear else np.zeros((8, 8))
-        information = H[:6, :6]
+        information = linear.H[:6, :6] if linear else np.zeros((6, 6))
+        gain, bias = exposure.believable(estimate.gain, estimate.bias)
         health, reason = verdict(self.limits, estimate.scales, visible, information, measured)
         return TrackingResult(
             T_map_camera=estimate.T_map_camera,
@@ -380,5 +381,6 @@ class DenseTracker:
             information=information,
             health=health,
             reason=reason,
-            gain=exposure.brightness_ratio(estimate.gain, estimate.bias, H),
+            gain=gain,
+            bias=bias,
         )

@@ -32,7 +32,7 @@ class TrackingResult:
             T_map_camera exp(x) with x = (translation, rotation).
         health: GOOD or LOST.
         reason: why the frame is lost, empty when it is not.
-        gain: exposure of the frame against the map, map = gain * frame.
+        gain, bias: exposure of the frame against the map, model = gain * frame + bias.
     """
 
     T_map_camera: NDArray[np.float64]
@@ -46,6 +46,7 @@ class TrackingResult:
     health: Health = Health.GOOD
     reason: str = ""
     gain: float = 1.0
+    bias: float = 0.0
 
     @property
     def lost(self) -> bool:
