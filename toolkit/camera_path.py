@@ -82,14 +82,16 @@ class CameraPath:
             for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
         ]
 
-    def exposures(self, gain_of_submap: dict[int, float]) -> Array:
+    def exposures(self, of_submaps: dict[int, tuple[float, float]]) -> Array:
         """(gain, bias) [M, 2] of each frame: map = gain * observed + bias.
 
         Args:
-            gain_of_submap: of submaps against the whole map, 1 where missing.
+            of_submaps: gain and bias of submaps against the whole map, 1 and 0 where missing.
         """
-        gains = [gain_of_submap.get(f.submap, 1.0) for f in self._frames]
-        rows = [(g * f.gain, g * f.bias) for g, f in zip(gains, self._frames, strict=True)]
+        rows = []
+        for f in self._frames:
+            gain, bias = of_submaps.get(f.submap, (1.0, 0.0))
+            rows.append((gain * f.gain, gain * f.bias + bias))
         return np.array(rows).reshape(-1, 2)
 
     def trajectory(self, atlas: Atlas) -> Trajectory:

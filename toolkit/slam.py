@@ -285,7 +285,7 @@ class Slam:
 
         The map is the frame's submap, or once finished the whole one.
         """
-        return self._path.exposures({} if self.fused is None else self.fused.gains)
+        return self._path.exposures({} if self.fused is None else self.fused.exposures)
 
     @property
     def trajectory(self) -> Trajectory:

@@ -51,7 +51,7 @@ def test_colours_come_to_the_first_ones_exposure():
     means, colours = fused.gaussians.means.numpy(), fused.gaussians.colours.numpy()
     truth = 0.4 * (1.0 + 0.2 * means)
     assert np.abs(colours - truth).max() < 0.02
-    assert fused.gains[0] == 1.0
+    assert fused.exposures[0] == (1.0, 0.0)
 
 
 def test_a_view_is_drawn_from_the_parts_that_reach_into_it():

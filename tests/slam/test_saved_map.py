@@ -93,7 +93,7 @@ def test_the_saved_map_stays_as_it_is_and_is_told_with_the_new_one(room, saved):
         now = slam.atlas.submap(old.number)
         assert np.array_equal(now.T_world_submap, old.T_world_submap)
         assert np.array_equal(now.gaussians.means, old.gaussians.means)
-    assert slam.fused.gains[0] == 1.0
+    assert slam.fused.exposures[0] == (1.0, 0.0)
     assert {0, len(saved)} <= set(slam.fused.submap.tolist())
 
 

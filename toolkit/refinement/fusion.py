@@ -20,7 +20,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.refinement.exposures import agreed_gains
+from toolkit.refinement.exposures import agreed_exposures
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 
@@ -43,16 +43,16 @@ class FusedMap:
     Args:
         submap: gives a submap by its number, always the same.
         kept: [N] bool for each submap, which of its Gaussians are part of the map; None for all.
-        gains: of each submap by number, world = gain * submap.
+        exposures: gain and bias of each submap by number, world = gain * submap + bias.
     """
 
     def __init__(
         self,
         submap: Callable[[int], Submap],
         kept: dict[int, Tensor | None],
-        gains: dict[int, float],
+        exposures: dict[int, tuple[float, float]],
     ) -> None:
-        self.gains = gains
+        self.exposures = exposures
         self._submap, self._kept = submap, kept
         self._held: OrderedDict[int, GaussianCloud] = OrderedDict()
         self._boxes: dict[int, tuple[Array, Array]] = {}
@@ -82,8 +82,9 @@ class FusedMap:
         submap, kept = self._submap(number), self._kept[number]
         cloud = submap.gaussians
         if kept is not None:
+            gain, bias = self.exposures[number]
             cloud = cloud.select(kept).transformed(submap.T_world_submap)
-            cloud = replace(cloud, colours=cloud.colours * self.gains[number])
+            cloud = replace(cloud, colours=cloud.colours * gain + bias)
         self._held[number] = cloud
         while len(self._held) > 1 and sum(map(_megabytes, self._held.values())) > _HELD_MB:
             self._held.popitem(last=False)
@@ -143,7 +144,7 @@ def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> b
 def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     """Join the submaps that can be read. A single one passes unchanged."""
     if len(atlas) == 1:
-        return FusedMap(atlas.submap, {0: None}, {0: 1.0})
+        return FusedMap(atlas.submap, {0: None}, {0: (1.0, 0.0)})
     return fuse_submaps(atlas.readable(), atlas.submap, voxel_m)
 
 
@@ -158,12 +159,12 @@ def fuse_submaps(
     """
     seen = {number: _seen(submap(number), voxel_m) for number in numbers}
     owners = _owners(seen)
-    gains = agreed_gains({n: (s.voxels, s.colour) for n, s in seen.items()})
+    exposures = agreed_exposures({n: (s.voxels, s.colour) for n, s in seen.items()})
     kept: dict[int, Tensor | None] = {}
     for number in numbers:
         place = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
         kept[number] = torch.from_numpy(owners.submap[place] == number)
-    return FusedMap(submap, kept, gains)
+    return FusedMap(submap, kept, exposures)
 
 
 @dataclass(frozen=True)

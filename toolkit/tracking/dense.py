@@ -84,6 +84,9 @@ _BAD_FIT = 2.0
 # Odometry works on this pyramid level: a start need not be precise.
 _ODOMETRY_LEVEL = 1
 
+# Rounds of weights from exposure and exposure from weights.
+_TELLINGS = 3
+
 # Steps below these end a level: a thousandth of a pixel at usual focal lengths.
 _SMALL_TRANSLATION_M = 2e-5
 _SMALL_ROTATION_RAD = 1e-5
@@ -268,7 +271,8 @@ class DenseTracker:
                 self._align(task, view, estimate, coarse=renders == 1)
             near = not self._moved_far(view.T_map_view, estimate.T_map_camera, task.frame)
             if (near and estimate.converged) or renders == self.options.renders:
-                return self._result(estimate, renders, task.levels[0])
+                told = self._exposure_told(task, view, estimate)
+                return self._result(estimate, renders, task.levels[0], told)
             view = self._draw(task, estimate.T_map_camera)
             renders += 1
 
@@ -353,6 +357,29 @@ class DenseTracker:
             return None
         return step if np.isfinite(step).all() else None
 
+    def _exposure_told(self, task: _Task, view: _View, estimate: _Estimate) -> tuple[float, float]:
+        """Gain and bias for the map, from the coarsest level that has pixels enough.
+
+        There neither noise nor smoothness tells much.
+        """
+        told = (estimate.gain, estimate.bias)
+        if not self.options.exposure or estimate.last is None:
+            return told
+        T_view_camera = se3.inverse(view.T_map_view) @ estimate.T_map_camera
+        scales = self._weighted(estimate.scales)
+        levels = list(enumerate(zip(view.levels, task.levels, strict=True)))
+        for level, (model, frame) in reversed(levels):
+            gate = self.options.max_distance * 2**level
+            for _ in range(_TELLINGS):
+                linear = linearise(model, frame, T_view_camera, scales, told, gate)
+                if linear.intensity_pixels < _FEWEST_PIXELS:
+                    break
+                squares = linear.intensity_variance * linear.intensity_pixels
+                told = exposure.exposure_between(*exposure.tones(linear.H, linear.g, squares, told))
+            else:
+                return told
+        return 1.0, 0.0
+
     def _moved_far(
         self, T_map_view: NDArray[np.float64], T_map_camera: NDArray[np.float64], frame: Frame
     ) -> bool:
@@ -362,13 +389,18 @@ class DenseTracker:
         distance = np.linalg.norm(motion[:3, 3]) / reach + se3.rotation_angle_rad(motion[:3, :3])
         return bool(distance > self.options.rerender_distance)
 
-    def _result(self, estimate: _Estimate, renders: int, finest: FrameLevel) -> TrackingResult:
+    def _result(
+        self,
+        estimate: _Estimate,
+        renders: int,
+        finest: FrameLevel,
+        told: tuple[float, float],
+    ) -> TrackingResult:
         measured = float((finest.depth_m > 0).sum())
         linear = estimate.last
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
         # Perturbations were on the view's side; the view stands at the pose itself now.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
-        gain, bias = exposure.believable(estimate.gain, estimate.bias)
         health, reason = verdict(self.limits, estimate.scales, visible, information, measured)
         return TrackingResult(
             T_map_camera=estimate.T_map_camera,
@@ -381,6 +413,6 @@ class DenseTracker:
             information=information,
             health=health,
             reason=reason,
-            gain=gain,
-            bias=bias,
+            gain=told[0],
+            bias=told[1],
         )
