@@ -22,7 +22,7 @@ PRIOR = 0.02
 
 # Contrasts that differ by less are taken for equal, since noise and smoothness make a difference
 # too. Automatic exposure does more: 16 % on RedKitchen and on fr1_rpy.
-_EQUAL_CONTRAST = 0.08
+_EQUAL_CONTRAST = 0.05
 # Intensities below it, on average or about their mean, tell no factor.
 _DARKEST, _FLATTEST = 0.02, 0.01
 
