@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.tracking.exposure import Tones, exposure_between
+from toolkit.tracking.tones import Tones, exposure_between
 
 # Fewer common voxels say nothing about a pair.
 _FEWEST = 100

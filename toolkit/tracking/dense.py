@@ -37,6 +37,7 @@ from toolkit.tracking.health import HealthLimits, may_start_map, verdict
 from toolkit.tracking.motion import ConstantVelocity
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.tones import told_exposure
 
 _log = logging.getLogger(__name__)
 
@@ -83,9 +84,6 @@ _BAD_FIT = 2.0
 
 # Odometry works on this pyramid level: a start need not be precise.
 _ODOMETRY_LEVEL = 1
-
-# Rounds of weights from exposure and exposure from weights.
-_TELLINGS = 3
 
 # Steps below these end a level: a thousandth of a pixel at usual focal lengths.
 _SMALL_TRANSLATION_M = 2e-5
@@ -271,7 +269,7 @@ class DenseTracker:
                 self._align(task, view, estimate, coarse=renders == 1)
             near = not self._moved_far(view.T_map_view, estimate.T_map_camera, task.frame)
             if (near and estimate.converged) or renders == self.options.renders:
-                told = self._exposure_told(task, view, estimate)
+                told = self._told(task, view, estimate)
                 return self._result(estimate, renders, task.levels[0], told)
             view = self._draw(task, estimate.T_map_camera)
             renders += 1
@@ -357,28 +355,15 @@ class DenseTracker:
             return None
         return step if np.isfinite(step).all() else None
 
-    def _exposure_told(self, task: _Task, view: _View, estimate: _Estimate) -> tuple[float, float]:
-        """Gain and bias for the map, from the coarsest level that has pixels enough.
-
-        There neither noise nor smoothness tells much.
-        """
-        told = (estimate.gain, estimate.bias)
+    def _told(self, task: _Task, view: _View, estimate: _Estimate) -> tuple[float, float]:
+        """Gain and bias of the frame for the map."""
+        fitted = (estimate.gain, estimate.bias)
         if not self.options.exposure or estimate.last is None:
-            return told
+            return fitted
+        levels = list(zip(view.levels, task.levels, strict=True))
         T_view_camera = se3.inverse(view.T_map_view) @ estimate.T_map_camera
-        scales = self._weighted(estimate.scales)
-        levels = list(enumerate(zip(view.levels, task.levels, strict=True)))
-        for level, (model, frame) in reversed(levels):
-            gate = self.options.max_distance * 2**level
-            for _ in range(_TELLINGS):
-                linear = linearise(model, frame, T_view_camera, scales, told, gate)
-                if linear.intensity_pixels < _FEWEST_PIXELS:
-                    break
-                squares = linear.intensity_variance * linear.intensity_pixels
-                told = exposure.exposure_between(*exposure.tones(linear.H, linear.g, squares, told))
-            else:
-                return told
-        return 1.0, 0.0
+        scales, gate = self._weighted(estimate.scales), self.options.max_distance
+        return told_exposure(levels, T_view_camera, scales, fitted, gate)
 
     def _moved_far(
         self, T_map_view: NDArray[np.float64], T_map_camera: NDArray[np.float64], frame: Frame
