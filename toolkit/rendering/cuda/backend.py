@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.rendering.backend import ForwardPass, GaussianGradients
 from toolkit.rendering.cuda import compositing, reduction
 from toolkit.rendering.cuda.binning import Binning, bin_gaussians
+from toolkit.rendering.elsewhere import DrawnElsewhere
 from toolkit.rendering.output import BASE_CHANNELS
 
 _SUMS = int(compositing.SUMS.value)
@@ -251,25 +252,6 @@ def interpreted() -> bool:
     return not isinstance(compositing.composite, triton.JITFunction)
 
 
-class _FromElsewhere:
-    """A view of Gaussians on the CPU that a GPU drew: what it returns lies where they do."""
-
-    def __init__(self, drawn: CudaForwardPass, home: torch.device) -> None:
-        self._drawn, self._home = drawn, home
-        self.images = drawn.images.to(home)
-
-    def backward(
-        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
-    ) -> GaussianGradients:
-        """See ForwardPass.backward."""
-        found = self._drawn.backward(image_gradients, colours, detached)
-        parts: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(found)}
-        home: dict[str, Any] = {
-            k: None if t is None else t.to(self._home) for k, t in parts.items()
-        }
-        return GaussianGradients(**home)
-
-
 class CudaBackend:
     """Triton kernels on the GPU that holds the Gaussians, or on the first one."""
 
@@ -309,4 +291,4 @@ class CudaBackend:
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
             drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
             drawn.draw(centres)
-        return drawn if device == home else _FromElsewhere(drawn, home)
+        return drawn if device == home else DrawnElsewhere(drawn, home)
