@@ -105,6 +105,13 @@ def test_channels_in_parts_when_memory_is_short() -> None:
     assert_agrees(scene, narrow)
 
 
+def test_parts_are_whole_blocks_of_channels() -> None:
+    """One channel more than a block would cost a block's work."""
+    parts = [Tuning(scratch_bytes=4000 * most).channels_at_once(1000) for most in (0, 5, 35, 101)]
+    assert parts == [1, 5, 32, 96]
+    assert Tuning().channels_at_once(0) >= 1
+
+
 @pytest.mark.skipif(DEVICE == "cpu", reason="the interpreter does not round to tf32")
 def test_tf32_within_its_bound() -> None:
     """Eleven bits: 2^-10 of each product's factors, and twice that after the chain rule."""
