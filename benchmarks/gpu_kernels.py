@@ -19,7 +19,7 @@ from triton.compiler import ASTSource
 
 from toolkit.rendering.cuda import compositing, differentiation, projection, reduction
 from toolkit.rendering.cuda.backend import Tuning, block_of
-from toolkit.tracking.cuda import kernels as alignment
+from toolkit.tracking.cuda import accumulation, stepping
 
 _FLOAT, _INT, _LONG = "*fp32", "*i32", "*i64"
 # Types by argument; what is not named here is a 32-bit integer, and capitals are constants.
@@ -130,6 +130,6 @@ def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compile
         ),
         compiled(reduction.finish, capability, 2, SIDE=side, COLOURS=True, BLOCK=64),
         compiled(reduction.add_rows, capability, BLOCK=16, BLOCK_C=64),
-        compiled(alignment.accumulate, capability, 2, BLOCK=64),
-        compiled(alignment.advance, capability, 8, ROWS=32, EXPOSURE=True),
+        compiled(accumulation.accumulate, capability, 2, BLOCK=64),
+        compiled(stepping.advance, capability, 8, ROWS=32, EXPOSURE=True),
     ]
