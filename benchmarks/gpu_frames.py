@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -67,6 +68,14 @@ def tree(widths: Sequence[int], name: str = "class ") -> dict[str, Any]:
 
 
 TAXONOMY = Taxonomy(tree(WIDTHS))
+
+
+@functools.cache
+def walked(plan: Plan) -> list[Frame]:
+    """The frames of the walk."""
+    camera = camera_of(*plan.size)
+    frames: list[Frame] = walk(backend("cuda"), camera, plan.frames, plan.device, len(TAXONOMY))
+    return frames
 
 
 def places(plan: Plan) -> list[tuple[str, str]]:
@@ -172,7 +181,7 @@ def _frame_cells(found: Walked, plan: Plan) -> list[object]:
 
 def frame_table(plan: Plan) -> None:
     """A walk tracked and mapped, every fifth frame by 30 steps, without and with semantics."""
-    frames = walk(backend("cuda"), camera_of(*plan.size), plan.frames, plan.device, len(TAXONOMY))
+    frames = walked(plan)
     keyframes = KeyframePolicy(interval=INTERVAL, least_overlap=0.0)
     options = _quick(MapperOptions(iterations=30, keyframes=keyframes), plan)
     size = f"{plan.size[0]}x{plan.size[1]}"
@@ -195,7 +204,7 @@ def papers_table(plan: Plan) -> None:
     Rendering is of the map that this left, colour and depth or with its semantic channels.
     """
     count = min(plan.frames, 4)
-    frames = walk(backend("cuda"), camera_of(*plan.size), count, plan.device, len(TAXONOMY))
+    frames = walked(plan)[:count]
     every_frame = KeyframePolicy(interval=1)
     options = MapperOptions(iterations=60, first_iterations=60, keyframes=every_frame)
     options = _quick(options, plan)
