@@ -6,6 +6,7 @@ runs the same source in Python: slow, so scenes are small.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -40,6 +41,15 @@ pytestmark = pytest.mark.skipif(
     DEVICE == "cpu" and not interpreted(), reason="no GPU, and triton was imported to compile"
 )
 FLOAT32 = Tuning(precision="tf32x3")
+
+
+@pytest.fixture(autouse=True)
+def poisoned_memory() -> Iterator[None]:
+    """New memory holds NaN and largest integers: what a kernel forgets to write shows."""
+    torch.set_deterministic_debug_mode("warn")
+    assert torch.empty(1).isnan()
+    yield
+    torch.set_deterministic_debug_mode("default")
 
 
 @dataclass

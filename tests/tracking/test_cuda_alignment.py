@@ -28,14 +28,16 @@ DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 @pytest.fixture
 def aligner():
-    """The launcher of the kernels."""
+    """The launcher of the kernels, in memory that holds NaN where nothing was written."""
     pytest.importorskip("triton", reason="triton is not installed")
     backend = pytest.importorskip("toolkit.rendering.cuda.backend")
     if DEVICE == "cpu" and not backend.interpreted():
         pytest.skip("no GPU, and triton was imported to compile")
     from toolkit.tracking.cuda import aligner
 
-    return aligner
+    torch.set_deterministic_debug_mode("warn")
+    yield aligner
+    torch.set_deterministic_debug_mode("default")
 
 
 def there(level: FrameLevel) -> FrameLevel:
