@@ -8,17 +8,16 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
+from painted_box import box_frames, path
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import map_device
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 
-SIZE = (48, 36)
+SIZE = (96, 72)
 GPU = "cuda:0"
 KINDS = ("dense", "first-order")
 
@@ -27,9 +26,9 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is n
 
 @pytest.fixture(scope="module")
 def walk():
-    """Frames, and their true poses in the first camera's frame."""
-    frames, truth = tiny_room(2, *SIZE)
-    return frames, se3.inverse(truth.T_world_camera[0]) @ truth.T_world_camera
+    """Frames, and their true poses in the first camera's frame; a GPU server has no Open3D."""
+    T_map_camera = path(2)
+    return box_frames(T_map_camera, *SIZE), T_map_camera
 
 
 def mapped(device: str, walk) -> Mapper:
@@ -74,7 +73,7 @@ def test_mapping(walk, mapped_here):
 def one_view(walk):
     """A map of the first frame, and where trackers on the CPU find the second."""
     frames, poses = walk
-    mapper = Mapper(MapperOptions(first_iterations=2))
+    mapper = Mapper(MapperOptions(first_iterations=10))
     mapper.add_keyframe(frames[0], poses[0])
     return mapper.gaussians, {kind: tracked(kind, frames, mapper.gaussians) for kind in KINDS}
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from painted_box import box_frames, path
 from test_alignment import SCALES, assert_close, assert_same_sums, level_of
-from tracked_room import angle_deg, distance_mm
+from tracked_room import Room, angle_deg, distance_mm
 
 from toolkit.geometry import se3
 from toolkit.rendering.native import kernels_for
@@ -24,6 +25,13 @@ from toolkit.tracking.alignment import (
 from toolkit.tracking.dense import DenseOptions, DenseTracker, _Estimate, _Task, _View
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    """Of the tests' own making: a GPU server seldom has Open3D."""
+    T_map_camera = path(2)
+    return Room(box_frames(T_map_camera, 96, 72), T_map_camera)
 
 
 @pytest.fixture
