@@ -17,15 +17,16 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
-from toolkit.rendering.cuda import compositing, projection, reduction
+from toolkit.rendering.cuda import compositing, differentiation, projection, reduction
 from toolkit.rendering.cuda.backend import Tuning, block_of
-from toolkit.tracking.cuda import kernels as alignment
+from toolkit.tracking.cuda import accumulation, stepping
 
 _FLOAT, _INT, _LONG = "*fp32", "*i32", "*i64"
 # Types by argument; what is not named here is a 32-bit integer, and capitals are constants.
 _TYPES = {
     **dict.fromkeys(("view", "means", "log_radii", "opacity_logits", "colours"), _FLOAT),
-    **dict.fromkeys(("splats", "features", "images", "checkpoints", "transmittance"), _FLOAT),
+    **dict.fromkeys(("splats", "features", "images", "centre_images"), _FLOAT),
+    **dict.fromkeys(("checkpoints", "transmittance"), _FLOAT),
     **dict.fromkeys(("by_images", "sums", "feature_rows", "rows", "out"), _FLOAT),
     **dict.fromkeys(("by_means", "by_log_radii", "by_opacity_logits", "by_colours"), _FLOAT),
     **dict.fromkeys(("texture", "surface", "intensity", "depth", "camera", "parts"), _FLOAT),
@@ -60,10 +61,15 @@ def compiled(kernel: Any, capability: int, warps: int = 4, **constants: Any) -> 
     """A kernel as machine code for a compute capability, 90 or 80 say."""
     names = kernel.arg_names
     types = {n: _type_of(n, kernel.__name__) for n in names if n not in constants}
+    # As torch allocates them: a launch tells the compiler so.
+    aligned = {
+        (i,): [["tt.divisibility", 16]] for i, n in enumerate(names) if "*" in types.get(n, "")
+    }
     source = ASTSource(
         kernel,
         {n: types.get(n, "constexpr") for n in names},
         {(names.index(n),): value for n, value in constants.items()},
+        aligned,
     )
     options = {"num_warps": warps}
     built = triton.compile(source, target=GPUTarget("cuda", capability, 32), options=options)
@@ -97,7 +103,8 @@ def _output(*command: object) -> str:
 
 def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compiled]:
     """All kernels of rendering with so many feature channels, and of alignment."""
-    side, batch, warps = tuning.side, tuning.batch, tuning.warps
+    side, batch = tuning.side, tuning.batch
+    block = block_of(channels, tuning.channels_forward)
     tile = {"SIDE": side, "BATCH": batch, "PRECISION": tuning.precision}
     few = {"SIDE": side, "HAS_REGION": True, "BLOCK": 128}
     widest = tuning.channels_backward if channels else 0
@@ -107,22 +114,22 @@ def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compile
         compiled(
             compositing.composite,
             capability,
-            warps,
-            BLOCK_C=block_of(channels, tuning.channels_forward),
+            tuning.forward_warps(block),
+            BLOCK_C=block,
             CENTRES=True,
             **tile,
         ),
         compiled(
-            compositing.differentiate,
+            differentiation.differentiate,
             capability,
-            warps,
+            tuning.backward_warps(channels),
             BLOCK_C=widest,
             GEOMETRY=True,
             MOVE=channels > 0,
             **tile,
         ),
-        compiled(reduction.finish, capability, SIDE=side, COLOURS=True, BLOCK=64),
+        compiled(reduction.finish, capability, 2, SIDE=side, COLOURS=True, BLOCK=64),
         compiled(reduction.add_rows, capability, BLOCK=16, BLOCK_C=64),
-        compiled(alignment.accumulate, capability, 2, BLOCK=64),
-        compiled(alignment.advance, capability, 8, ROWS=32, EXPOSURE=True),
+        compiled(accumulation.accumulate, capability, 2, BLOCK=64),
+        compiled(stepping.advance, capability, 8, ROWS=32, EXPOSURE=True),
     ]

@@ -10,10 +10,12 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.trajectory import Trajectory
 from toolkit.rendering import DrawOptions, draw_surface
 from toolkit.rendering.backend import ALPHA_CUT, Backend
 
 _STEP_M, _TURN_RAD = 0.01, 0.004  # a frame: a person's pace at 30 Hz
+_PATCH_M = 0.2  # side of a patch of one class
 
 
 def camera_of(width: int, height: int) -> Camera:
@@ -63,8 +65,12 @@ def touched_pixels(cloud: GaussianCloud, camera: Camera) -> float:
     return float((torch.pi * support).double().sum())
 
 
-def walk(backend: Backend, camera: Camera, frames: int, device: str) -> list[Frame]:
-    """Frames of a short walk along the surface, drawn from Gaussians a pixel and more."""
+def walk(backend: Backend, camera: Camera, frames: int, device: str, classes: int) -> list[Frame]:
+    """Frames of a short walk along the surface, drawn from Gaussians a pixel and more.
+
+    Args:
+        classes: that the surface is divided among, in patches.
+    """
     pixels = camera.width * camera.height
     cloud = surface_cloud(camera, 4 * pixels, 0, margin=1.5).to(device)
     out = []
@@ -74,8 +80,24 @@ def walk(backend: Backend, camera: Camera, frames: int, device: str) -> list[Fra
         )
         rgb = view.output.colour.clamp(0.0, 1.0).contiguous().cpu().numpy()
         depth_m = view.depth_m.cpu().numpy()
-        out.append(Frame(index, index / 30.0, rgb, depth_m, camera=camera))
+        labels = _patches(camera, depth_m, pose_of(index), classes)
+        out.append(Frame(index, index / 30.0, rgb, depth_m, labels=labels, camera=camera))
     return out
+
+
+def _patches(
+    camera: Camera, depth_m: NDArray[np.float32], T_map_camera: NDArray[np.float64], classes: int
+) -> NDArray[np.int32]:
+    """Class ids [H, W] of a view, the same of a place from everywhere; 0 without depth."""
+    points = se3.transform_points(T_map_camera, camera.unproject(depth_m).reshape(-1, 3))
+    column, row = np.floor(points[:, :2] / _PATCH_M).astype(np.int64).T
+    ids = 1 + (column + 7 * row) % classes
+    return np.where(depth_m > 0, ids.reshape(depth_m.shape), 0).astype(np.int32)
+
+
+def trajectory(frames: int) -> Trajectory:
+    """Where the walk's cameras are."""
+    return Trajectory(np.arange(frames) / 30.0, np.array([pose_of(i) for i in range(frames)]))
 
 
 def pose_of(index: int) -> NDArray[np.float64]:

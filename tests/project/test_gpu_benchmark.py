@@ -16,9 +16,10 @@ needs_triton = pytest.mark.skipif(
 def test_it_runs_through_the_interpreter_and_times_nothing(run_python):
     result = run_python("benchmarks/gpu.py", "--smoke")
     assert result.returncode == 0, result.stdout + result.stderr
-    assert result.stdout.count("| ok |") == 2
-    assert "| 300 | 24x16 | 18 | interpreter | interpreter" in result.stdout
-    assert "| cpu (cuda) | 24x16 | interpreter | interpreter |" in result.stdout
+    assert result.stdout.count("| ok |") == 3
+    assert "| 300 | 40x24 | 18 | interpreter | interpreter" in result.stdout
+    assert "| cpu (cuda) | 40x24 | 26 | interpreter | interpreter |" in result.stdout
+    assert "| one-hot | 26 | interpreter |" in result.stdout
 
 
 def has_ptxas() -> bool:

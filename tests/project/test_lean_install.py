@@ -3,7 +3,10 @@
 # Draws, tracks and maps three small frames where the other libraries cannot be imported.
 RUN_STAGES = """
 import sys
-for name in ("open3d", "gtsam", "faiss", "pydantic", "tyro", "rich", "transformers", "triton"):
+for name in (
+    *("open3d", "gtsam", "faiss", "pydantic", "tyro", "rich", "transformers", "triton"),
+    *("yaml", "scipy", "sklearn", "tqdm", "matplotlib"),
+):
     sys.modules[name] = None  # an import of it now fails
 import numpy as np
 import torch

@@ -1,19 +1,81 @@
-"""gsplat behind our interface: against the reference, where it and a GPU are."""
+"""gsplat behind our interface: its call, and against the reference where it and a GPU are."""
 
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
-from splat_scenes import exact, reference_images, scene_at_pixels, skewed_camera
+from splat_scenes import (
+    assert_same_gradients,
+    exact,
+    gradients_of,
+    random_scene,
+    reference_images,
+    scene_at_pixels,
+    skewed_camera,
+)
+from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
 from toolkit.rendering.gsplat import GsplatBackend
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.rendering.reference import ReferenceBackend, composite
 
 
-def test_it_draws_what_the_reference_draws():
+class Rasteriser:
+    """What gsplat takes and returns, drawn by the reference on the CPU."""
+
+    @staticmethod
+    def rasterization(
+        means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, colors: Tensor, **rest: Any
+    ) -> tuple[Tensor, Tensor, dict[str, Any]]:
+        assert rest["render_mode"] == "RGB+D" and len(means) > 0
+        assert torch.equal(quats, torch.tensor([[1.0, 0, 0, 0]]).expand(len(means), 4))
+        K, T = rest["Ks"][0], rest["viewmats"][0]
+        # Its pixel centres lie at halves.
+        cx, cy = (float(c) - 0.5 for c in K[:2, 2])
+        camera = Camera(float(K[0, 0]), float(K[1, 1]), cx, cy, rest["width"], rest["height"])
+        rgb, features = colors[:, :3], colors[:, 3:]
+        cloud = GaussianCloud.from_values(means, scales[:, 0], opacities, rgb, features)
+        images = composite(cloud, camera, T, features)
+        drawn = torch.cat([images[:3], images[5:], images[3:4]])
+        return drawn.permute(1, 2, 0)[None], images[4][None, ..., None], {}
+
+
+def test_the_call_means_what_the_reference_means() -> None:
+    scene = random_scene(3, count=20, channels=4, size=(21, 17))
+    ours = GsplatBackend(Rasteriser(), device="cpu")
+    images = scene.draw(ours)
+    assert torch.allclose(images, reference_images(scene).float(), atol=1e-4)
+    weights = scene.loss_weights()
+    expected = gradients_of(exact(scene), ReferenceBackend(), weights)
+    assert_same_gradients(gradients_of(scene, ours, weights), expected, tolerance=1e-3)
+
+
+def test_regions_and_centres_are_added_to_it() -> None:
+    scene = random_scene(8, count=40, channels=2, size=(40, 20))
+    region = torch.tensor([[True, False, True], [False, True, False]])
+    arguments = (scene.cloud, scene.camera, scene.T_camera_map, scene.cloud.features, region)
+    ours = GsplatBackend(Rasteriser(), device="cpu").forward(*arguments, centres=True)
+    truth = ReferenceBackend().forward(*arguments, centres=True)
+    assert torch.allclose(ours.images, truth.images, atol=1e-4)
+
+
+def test_an_empty_map_needs_no_kernel() -> None:
+    camera = skewed_camera(20, 17)
+    empty = GaussianCloud.empty(3)
+    drawn = GsplatBackend(Rasteriser(), device="cpu").forward(
+        empty, camera, np.eye(4), empty.features, None, centres=True
+    )
+    assert torch.equal(drawn.images, torch.zeros(11, 17, 20))
+    assert len(drawn.backward(torch.ones(8, 17, 20)).ids) == 0
+
+
+@pytest.mark.parametrize("device", ["cuda", "cpu"])
+def test_it_draws_what_the_reference_draws(device: str) -> None:
     """Near the axis, where a projected covariance is as round as ours."""
     pytest.importorskip("gsplat", reason="gsplat is not installed")
     if not torch.cuda.is_available():
@@ -21,15 +83,15 @@ def test_it_draws_what_the_reference_draws():
     pixels = [(14.0 + i % 4, 19.0 + i // 4) for i in range(16)]
     depths = [1.0 + 0.1 * i for i in range(16)]
     scene = scene_at_pixels(pixels, skewed_camera(33, 33), depths, channels=3)
-    cloud = GaussianCloud(*(getattr(scene.cloud, f.name).cuda() for f in fields(GaussianCloud)))
+    cloud = GaussianCloud(*(getattr(scene.cloud, f.name).to(device) for f in fields(GaussianCloud)))
     drawn = GsplatBackend().forward(
         cloud, scene.camera, scene.T_camera_map, cloud.features, None, centres=True
     )
-    assert drawn.images.shape == (11, 33, 33)
+    assert drawn.images.shape == (11, 33, 33) and drawn.images.device.type == device
     expected = reference_images(scene)
     assert float((drawn.images[:8].cpu() - expected).abs().max()) < 0.05
     weights = scene.loss_weights()
-    actual = drawn.backward(weights.cuda())
+    actual = drawn.backward(weights.to(device))
     truth = exact(scene).forward(ReferenceBackend()).backward(weights.double())
     for name in ("colours", "features", "opacity_logits"):
         close = torch.nn.functional.cosine_similarity(

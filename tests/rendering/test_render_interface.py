@@ -107,6 +107,16 @@ def test_wrong_image_gradients_are_named() -> None:
         drawn.backward(torch.zeros(5, 37, 44))
 
 
+def test_second_derivatives_are_refused_not_wrong() -> None:
+    scene = random_scene(1, count=10, size=(12, 9))
+    cloud = scene.cloud.detached()
+    cloud.means.requires_grad_()
+    images = render(cloud, scene.camera, scene.T_camera_map).images
+    (gradient,) = torch.autograd.grad((images**2).sum(), cloud.means, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.sum().backward()
+
+
 def test_unknown_and_absent_backends() -> None:
     with pytest.raises(SettingsError, match="unknown rendering backend 'gpu'"):
         backend("gpu")

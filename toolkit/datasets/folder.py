@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
@@ -111,6 +110,8 @@ def read_intrinsics(path: Path) -> Intrinsics:
 
 
 def _load_mapping(path: Path) -> dict:
+    import yaml  # a GPU server may lack it, and no other layout asks for it
+
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

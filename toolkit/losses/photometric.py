@@ -123,18 +123,20 @@ def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
     window = torch.exp(-0.5 * (offsets / _SIGMA) ** 2)
     window = window / window.sum()
 
-    def blur(image: Tensor) -> Tensor:
+    def blur(images: Tensor) -> Tensor:
         column = torch.nn.functional.conv2d(
-            image[:, None], window.view(1, 1, -1, 1), padding=(_WINDOW // 2, 0)
+            images[:, None], window.view(1, 1, -1, 1), padding=(_WINDOW // 2, 0)
         )
         return torch.nn.functional.conv2d(
             column, window.view(1, 1, 1, -1), padding=(0, _WINDOW // 2)
         )[:, 0]
 
-    mean_x, mean_y = blur(x), blur(y)
-    variance_x = blur(x * x) - mean_x**2
-    variance_y = blur(y * y) - mean_y**2
-    covariance = blur(x * y) - mean_x * mean_y
+    # All at once: two convolutions instead of ten.
+    means = blur(torch.cat([x, y, x * x, y * y, x * y])).chunk(5)
+    mean_x, mean_y = means[:2]
+    variance_x = means[2] - mean_x**2
+    variance_y = means[3] - mean_y**2
+    covariance = means[4] - mean_x * mean_y
     c1, c2 = 0.01**2, 0.03**2
     luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)

@@ -17,8 +17,10 @@ from torch import Tensor
 from toolkit.errors import DependencyError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.backend import NEAR_M, pixels_of_region
-from toolkit.rendering.reference import ReferenceForwardPass, drawn_by_autograd
+from toolkit.rendering.backend import NEAR_M, ForwardPass, pixels_of_region
+from toolkit.rendering.elsewhere import DrawnElsewhere
+from toolkit.rendering.output import BASE_CHANNELS
+from toolkit.rendering.reference import drawn_by_autograd
 
 _FAR_M = 1e10
 
@@ -41,12 +43,17 @@ def load_gsplat() -> Any:
 
 
 class GsplatBackend:
-    """gsplat's rasterization, gradients by autograd."""
+    """gsplat's rasterization, gradients by autograd, on the GPU that holds the Gaussians.
+
+    Args:
+        device: draws Gaussians that lie on the CPU.
+    """
 
     name = "gsplat"
 
-    def __init__(self, package: Any = None) -> None:
+    def __init__(self, package: Any = None, device: str = "cuda") -> None:
         self._package = package or load_gsplat()
+        self._device = torch.device(device)
 
     def forward(
         self,
@@ -56,8 +63,10 @@ class GsplatBackend:
         features: Tensor | None,
         region: Tensor | None,
         centres: bool = False,
-    ) -> ReferenceForwardPass:
+    ) -> ForwardPass:
         """See Backend.forward. A region hides the other tiles, but saves no work."""
+        home = gaussians.means.device
+        device = home if home.type == "cuda" else self._device
 
         def draw(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
             images = self._images(cloud, camera, T, extra)
@@ -65,13 +74,19 @@ class GsplatBackend:
                 return images
             return images * pixels_of_region(region.to(images.device), *images.shape[1:])
 
-        return drawn_by_autograd(draw, gaussians, T_camera_map, features, centres)
+        features = None if features is None else features.to(device)
+        drawn = drawn_by_autograd(draw, gaussians.to(device), T_camera_map, features, centres)
+        return drawn if device == home else DrawnElsewhere(drawn, home)
 
     def _images(
         self, cloud: GaussianCloud, camera: Camera, T_camera_map: Tensor, extra: Tensor
     ) -> Tensor:
         """Images [5 + S, H, W] of colours and further channels [N, S]."""
         count, device = len(cloud), cloud.means.device
+        if count == 0:
+            return cloud.means.new_zeros(
+                BASE_CHANNELS + extra.shape[1], camera.height, camera.width
+            )
         upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).expand(count, 4)
         last = T_camera_map.new_tensor([[0.0, 0.0, 0.0, 1.0]])
         K = torch.from_numpy(camera.matrix).to(cloud.means)

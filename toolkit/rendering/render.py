@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
@@ -207,6 +208,7 @@ class _Render(torch.autograd.Function):
         return ctx.drawn.images.detach()
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:
         needed = ctx.needs_input_grad
         compact = ctx.drawn.backward(image_gradients, colours=needed[7])

@@ -134,8 +134,12 @@ def _surface_depth_torch(
     # Neighbours lie two pixels apart in both directions.
     footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)
     smooth &= normal.norm(dim=-1) >= _LEAST_NORMAL * footprint
-    rays = torch.from_numpy(camera.rays()[1:-1, 1:-1]).to(images)
-    met = (normal * centre).sum(-1) / (normal * rays).sum(-1)
+    # The rays are made where the images are: as an image from the host, they would take longer
+    # to arrive on a GPU than the map takes to be drawn.
+    y, x = (torch.arange(1, n - 1, device=images.device).to(images) for n in depth.shape)
+    ray_x, ray_y = (x - camera.cx) / camera.fx, ((y - camera.cy) / camera.fy)[:, None]
+    along = normal[..., 0] * ray_x + normal[..., 1] * ray_y + normal[..., 2]
+    met = (normal * centre).sum(-1) / along
     smooth &= (met - centre[..., 2]).abs() < _MOST_CORRECTION * centre[..., 2]
     depth[1:-1, 1:-1] = torch.where(smooth, met, centre[..., 2])
     return depth

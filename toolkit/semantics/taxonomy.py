@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
@@ -27,7 +26,6 @@ from toolkit.semantics.taxonomy_parsing import (
     is_names,
     leaf_paths,
     numbered_paths,
-    read_values,
     shortened,
 )
 
@@ -262,9 +260,9 @@ class Taxonomy:
         if Path(path).suffix == ".json":
             text = json.dumps(values, indent=1, ensure_ascii=False) + "\n"
         else:
-            text = yaml.safe_dump(
-                values, sort_keys=False, allow_unicode=True, width=100, default_flow_style=None
-            )
+            from toolkit.semantics.taxonomy_files import yaml_of
+
+            text = yaml_of(values)
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
@@ -307,6 +305,8 @@ class Taxonomy:
         Raises:
             FormatError: the file is missing, is neither, or holds no valid tree.
         """
+        from toolkit.semantics.taxonomy_files import read_values
+
         return cls.from_json(read_values(Path(path)), str(path))
 
     def _row(self, class_id: int) -> int:

@@ -1,13 +1,10 @@
-"""What a taxonomy's file and nested form must be, and the walk through them."""
+"""What a taxonomy's nested form must be, and the walk through it."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
-
-import yaml
 
 from toolkit.errors import FormatError
 
@@ -92,24 +89,6 @@ def is_names(values: object) -> bool:
     return isinstance(values, list) and all(isinstance(v, str) for v in values)
 
 
-def read_values(path: Path) -> Any:
-    """What a YAML or JSON file holds.
-
-    Raises:
-        FormatError: the file is missing, is neither, or repeats a key.
-    """
-    try:
-        # JSON is YAML; the loader that keeps duplicate keys apart finds both.
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: cannot be read ({error})") from error
-    except yaml.YAMLError as error:
-        reason = str(error).replace("\n", " ")
-        raise FormatError(f"{path}: is neither YAML nor JSON ({reason})") from error
-    except RecursionError:
-        raise FormatError(f"{path}: is nested far too deeply for a taxonomy") from None
-
-
 def _children(tree: Any, above: tuple[str, ...]) -> list[tuple[str, Any]]:
     where = " > ".join(above) or "the root"
     if isinstance(tree, Mapping):
@@ -141,22 +120,3 @@ def _repeated(names: Sequence[str]) -> list[str]:
     """Names that occur more than once, however they are written, sorted."""
     counts = Counter(folded(name) for name in names)
     return sorted(name for name, count in counts.items() if count > 1)
-
-
-class _UniqueKeys(yaml.SafeLoader):
-    """YAML whose mappings may not repeat a key: silently, the last one would win."""
-
-
-def _construct_mapping(loader: _UniqueKeys, node: yaml.MappingNode) -> dict:
-    values: dict[Any, Any] = {}
-    for key_node, value_node in node.value:
-        key = loader.construct_object(key_node, True)
-        if not isinstance(key, str | int | float):  # true, false and numbers are refused later
-            raise yaml.constructor.ConstructorError(None, None, f"{key!r} cannot be a name")
-        if key in values:
-            raise yaml.constructor.ConstructorError(None, None, f"'{key}' is given twice")
-        values[key] = loader.construct_object(value_node, True)
-    return values
-
-
-_UniqueKeys.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)

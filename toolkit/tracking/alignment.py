@@ -110,7 +110,7 @@ def intensity_of(rgb: NDArray[np.float32]) -> Tensor:
 def halved(level: FrameLevel) -> FrameLevel:
     """The next level: averaged intensity; depth of the nearest surface in each 2x2 cell."""
     camera = level.camera.halved()
-    if level.depth_m.is_cuda:
+    if level.depth_m.device.type != "cpu":
         return FrameLevel(camera, *alignment_torch.halve(level.intensity, level.depth_m))
     module = kernels_for(level.depth_m)
     if module is None:
@@ -141,7 +141,7 @@ def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
 
 def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> FrameLevel:
     """Intensity and surface depth of a drawn view, 0 where it is too thin."""
-    if surface.images.is_cuda:
+    if surface.images.device.type != "cpu":
         seen_there = alignment_torch.intensity_of(surface.images, least_silhouette)
         return FrameLevel(camera, seen_there, surface.depth_m)
     module = kernels_for(surface.images)
@@ -158,7 +158,7 @@ def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> Fr
 def model_level(level: FrameLevel) -> ModelLevel:
     """Derivatives and planes of one level of a rendered view."""
     camera = level.camera
-    if level.depth_m.is_cuda:
+    if level.depth_m.device.type != "cpu":
         return ModelLevel(camera, *alignment_torch.model(camera, level.intensity, level.depth_m))
     module = kernels_for(level.depth_m)
     if module is None:

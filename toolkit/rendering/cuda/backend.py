@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,11 +15,12 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.backend import ForwardPass, GaussianGradients
-from toolkit.rendering.cuda import compositing, reduction
+from toolkit.rendering.cuda import compositing, differentiation, reduction
 from toolkit.rendering.cuda.binning import Binning, bin_gaussians
+from toolkit.rendering.elsewhere import DrawnElsewhere
 from toolkit.rendering.output import BASE_CHANNELS
 
-_SUMS = int(compositing.SUMS.value)
+_SUMS = int(differentiation.SUMS.value)
 _REDUCED = 64  # Gaussians a program that adds up rows
 _ADDED = 16  # the same, of many channels at once
 
@@ -36,12 +37,15 @@ class Tuning:
         batch: Gaussians composited at once, a power of two from 16.
         channels_forward, channels_backward: most feature channels at once, powers of two from 16;
             the backward kernel takes so many always, since narrow products spill registers.
-        warps: of the compositing kernels.
+        warps, narrow_warps: of the compositing kernels; the latter where a program draws 32
+            feature channels or fewer, or differentiates none. Two warps are the 64 pixels of a
+            tile, so that a batch lies within threads and its scans and sums need no barrier.
         precision: of matrix products, Triton's input precision. "tf32" rounds features, weights
             and the gradients of images to 11 bits; "tf32x3" and "ieee" keep float32 and cost
             more. Colour, depth, silhouette and centres, which need no such product, are float32
             in any case, and so are the moments behind the gradients of means and radii.
         scratch_bytes: most memory for gradients of features on the way to their Gaussians.
+            Channels go in parts that fit, each of which computes all alphas again.
     """
 
     side: int = 8
@@ -49,8 +53,23 @@ class Tuning:
     channels_forward: int = 128
     channels_backward: int = 32
     warps: int = 4
+    narrow_warps: int = 2
     precision: Literal["tf32", "tf32x3", "ieee"] = "tf32"
-    scratch_bytes: int = 2**30
+    scratch_bytes: int = 2**32
+
+    def forward_warps(self, block: int) -> int:
+        """Of the kernel that draws so many feature channels at once."""
+        return self.narrow_warps if block <= 32 else self.warps
+
+    def backward_warps(self, channels: int) -> int:
+        """Of the kernel that differentiates so many feature channels."""
+        return self.narrow_warps if channels == 0 else self.warps
+
+    def channels_at_once(self, pairs: int) -> int:
+        """Feature channels whose gradients fit the scratch memory: whole blocks, if one does."""
+        most = max(1, self.scratch_bytes // (4 * max(1, pairs)))
+        block = self.channels_backward
+        return most if most < block else most - most % block
 
 
 def block_of(channels: int, most: int) -> int:
@@ -105,20 +124,19 @@ class CudaForwardPass:
             bins.gaussians,
             bins.tile_begins,
             self.images,
+            self.images[BASE_CHANNELS + channels :] if centres else self.images,
             self._drawn.checkpoints,
             self._drawn.transmittance,
             self._drawn.batches,
-            bins.columns,
             camera.width,
             camera.height,
             channels,
-            (BASE_CHANNELS + channels) * camera.width * camera.height,
             SIDE=tuning.side,
             BATCH=tuning.batch,
             BLOCK_C=block,
             CENTRES=centres,
             PRECISION=tuning.precision,
-            num_warps=tuning.warps,
+            num_warps=tuning.forward_warps(block),
         )
 
     def backward(
@@ -140,7 +158,7 @@ class CudaForwardPass:
         if not visible:
             return self._finished(sums, features, colours)
         with on(device):
-            width = max(1, self._tuning.scratch_bytes // (4 * len(bins.rows)))
+            width = self._tuning.channels_at_once(len(bins.rows))
             for first in range(0, max(1, channels), width):
                 last = min(first + width, channels)
                 rows = torch.empty(len(bins.rows), last - first, device=device)
@@ -160,7 +178,7 @@ class CudaForwardPass:
         bins, camera, tuning, drawn = self._binning, self._camera, self._tuning, self._drawn
         assert drawn is not None
         first, last, channels = span
-        compositing.differentiate[(bins.tiles,)](
+        differentiation.differentiate[(bins.tiles,)](
             bins.splats,
             self._cloud.features,
             bins.gaussians,
@@ -172,7 +190,6 @@ class CudaForwardPass:
             by_images,
             sums,
             rows,
-            bins.columns,
             camera.width,
             camera.height,
             channels,
@@ -184,7 +201,7 @@ class CudaForwardPass:
             GEOMETRY=first == 0,
             MOVE=move and first == 0 and channels > 0,
             PRECISION=tuning.precision,
-            num_warps=tuning.warps,
+            num_warps=tuning.backward_warps(channels),
         )
 
     def _add_rows(self, rows: Tensor, features: Tensor, first: int) -> None:
@@ -234,6 +251,7 @@ class CudaForwardPass:
                 SIDE=self._tuning.side,
                 COLOURS=colours,
                 BLOCK=_REDUCED,
+                num_warps=_REDUCED // 32,
             )
         return GaussianGradients(
             ids=bins.ids,
@@ -249,25 +267,6 @@ class CudaForwardPass:
 def interpreted() -> bool:
     """Whether Triton runs its kernels in Python: TRITON_INTERPRET=1 was set at its import."""
     return not isinstance(compositing.composite, triton.JITFunction)
-
-
-class _FromElsewhere:
-    """A view of Gaussians on the CPU that a GPU drew: what it returns lies where they do."""
-
-    def __init__(self, drawn: CudaForwardPass, home: torch.device) -> None:
-        self._drawn, self._home = drawn, home
-        self.images = drawn.images.to(home)
-
-    def backward(
-        self, image_gradients: Tensor, colours: bool = True, detached: bool = False
-    ) -> GaussianGradients:
-        """See ForwardPass.backward."""
-        found = self._drawn.backward(image_gradients, colours, detached)
-        parts: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(found)}
-        home: dict[str, Any] = {
-            k: None if t is None else t.to(self._home) for k, t in parts.items()
-        }
-        return GaussianGradients(**home)
 
 
 class CudaBackend:
@@ -309,4 +308,4 @@ class CudaBackend:
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
             drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
             drawn.draw(centres)
-        return drawn if device == home else _FromElsewhere(drawn, home)
+        return drawn if device == home else DrawnElsewhere(drawn, home)

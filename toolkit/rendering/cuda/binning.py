@@ -12,6 +12,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.rendering.backend import TILE
 from toolkit.rendering.cuda import projection
 
 _BLOCK = 128  # Gaussians a program
@@ -56,6 +57,43 @@ def view_of(camera: Camera, T_camera_map: NDArray[np.float64], device: torch.dev
     return torch.from_numpy(numbers).to(device)
 
 
+@dataclass(frozen=True)
+class _Projected:
+    """Every Gaussian as a view has it; where its count is 0 nothing else was written.
+
+    Attributes:
+        view: [16] float32. splats: [N, 8] float32.
+        rectangles: [N, 4] int16, of tiles: x, y, columns, rows.
+        counts: [N] int32, tiles touched.
+    """
+
+    view: Tensor
+    splats: Tensor
+    rectangles: Tensor
+    counts: Tensor
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """The tiles of an image, and the region of them that is drawn, None for all."""
+
+    camera: Camera
+    side: int
+    region: Tensor | None
+
+    @property
+    def columns(self) -> int:
+        return -(-self.camera.width // self.side)
+
+    @property
+    def tiles(self) -> int:
+        return self.columns * -(-self.camera.height // self.side)
+
+    @property
+    def region_columns(self) -> int:
+        return -(-self.camera.width // TILE)
+
+
 def bin_gaussians(
     cloud: GaussianCloud,
     camera: Camera,
@@ -69,67 +107,25 @@ def bin_gaussians(
     the map. The host waits twice, for the numbers of Gaussians and of pairs.
 
     Args:
-        cloud: contiguous float32. region: contiguous bool or None.
+        cloud: contiguous float32. region: contiguous uint8 or None.
         side: of a tile in pixels, which divides 16.
     """
-    device, count = cloud.means.device, len(cloud)
-    columns, rows = -(-camera.width // side), -(-camera.height // side)
-    regions = (region if region is not None else cloud.means, -(-camera.width // 16))
-    view = view_of(camera, T_camera_map, device)
-    splats = torch.empty(count, int(projection.SPLAT.value), device=device)
-    rectangles = torch.empty(count, 4, dtype=torch.int16, device=device)
-    all_counts = torch.empty(count, dtype=torch.int32, device=device)
-    if count:
-        projection.project[(triton.cdiv(count, _BLOCK),)](
-            view,
-            cloud.means,
-            cloud.log_radii,
-            cloud.opacity_logits,
-            cloud.colours,
-            regions[0],
-            splats,
-            rectangles,
-            all_counts,
-            count,
-            camera.width,
-            camera.height,
-            regions[1],
-            SIDE=side,
-            HAS_REGION=region is not None,
-            BLOCK=_BLOCK,
-        )
-    ids = all_counts.nonzero().squeeze(1)
-    order = torch.sort(splats[ids, 7], stable=True).indices
-    by_depth = ids[order]
-    counts = all_counts[ids]
+    grid = _Grid(camera, side, region)
+    projected = _projected(cloud, view_of(camera, T_camera_map, cloud.means.device), grid)
+    ids = projected.counts.nonzero().squeeze(1)
+    order = torch.sort(projected.splats[ids, 7], stable=True).indices
+    counts = projected.counts[ids]
     ends = counts[order].cumsum(0)
+    begins_by_depth = ends - counts[order]
     pairs = int(ends[-1]) if len(ids) else 0
-    by_depth_begins = ends - counts[order]
-    key = torch.int16 if columns * rows < 2**15 else torch.int32
-    row_tiles = torch.empty(pairs, dtype=key, device=device)
-    row_gaussians = torch.empty(pairs, dtype=torch.int32, device=device)
-    if pairs:
-        projection.list_pairs[(triton.cdiv(len(ids), _BLOCK),)](
-            by_depth,
-            by_depth_begins,
-            rectangles,
-            regions[0],
-            row_tiles,
-            row_gaussians,
-            len(ids),
-            columns,
-            regions[1],
-            SIDE=side,
-            HAS_REGION=region is not None,
-            BLOCK=_BLOCK,
-        )
+    row_tiles, row_gaussians = _pairs(projected, (ids[order], begins_by_depth), pairs, grid)
     tiles, listed = torch.sort(row_tiles, stable=True)
-    limits = torch.arange(columns * rows + 1, dtype=key, device=device)
-    begins = torch.empty_like(by_depth_begins)
-    begins[order] = by_depth_begins
+    limits = torch.arange(grid.tiles + 1, dtype=tiles.dtype, device=tiles.device)
+    begins = torch.empty_like(begins_by_depth)
+    begins[order] = begins_by_depth
     return Binning(
-        view=view,
-        splats=splats,
+        view=projected.view,
+        splats=projected.splats,
         ids=ids,
         begins=begins,
         counts=counts,
@@ -137,6 +133,65 @@ def bin_gaussians(
         gaussians=row_gaussians[listed],
         rows=listed,
         tile_begins=torch.searchsorted(tiles, limits, out_int32=True),
-        columns=columns,
-        tiles=columns * rows,
+        columns=grid.columns,
+        tiles=grid.tiles,
     )
+
+
+def _projected(cloud: GaussianCloud, view: Tensor, grid: _Grid) -> _Projected:
+    count, device = len(cloud), view.device
+    out = _Projected(
+        view,
+        splats=torch.empty(count, int(projection.SPLAT.value), device=device),
+        rectangles=torch.empty(count, 4, dtype=torch.int16, device=device),
+        counts=torch.empty(count, dtype=torch.int32, device=device),
+    )
+    if count:
+        projection.project[(triton.cdiv(count, _BLOCK),)](
+            view,
+            cloud.means,
+            cloud.log_radii,
+            cloud.opacity_logits,
+            cloud.colours,
+            view if grid.region is None else grid.region,
+            out.splats,
+            out.rectangles,
+            out.counts,
+            count,
+            grid.camera.width,
+            grid.camera.height,
+            grid.region_columns,
+            SIDE=grid.side,
+            HAS_REGION=grid.region is not None,
+            BLOCK=_BLOCK,
+        )
+    return out
+
+
+def _pairs(
+    projected: _Projected, by_depth: tuple[Tensor, Tensor], pairs: int, grid: _Grid
+) -> tuple[Tensor, Tensor]:
+    """Tile and Gaussian [P] of every pair, front to back.
+
+    Args:
+        by_depth: the visible Gaussians from front to back, and where the pairs of each begin.
+    """
+    device, visible = projected.view.device, len(by_depth[0])
+    key = torch.int16 if grid.tiles < 2**15 else torch.int32
+    tiles = torch.empty(pairs, dtype=key, device=device)
+    gaussians = torch.empty(pairs, dtype=torch.int32, device=device)
+    if pairs:
+        projection.list_pairs[(triton.cdiv(visible, _BLOCK),)](
+            *by_depth,
+            projected.rectangles,
+            projected.view if grid.region is None else grid.region,
+            tiles,
+            gaussians,
+            visible,
+            grid.columns,
+            grid.region_columns,
+            SIDE=grid.side,
+            HAS_REGION=grid.region is not None,
+            BLOCK=_BLOCK,
+        )
+    return tiles, gaussians

@@ -22,7 +22,9 @@ def _in_region(region, x, y, columns, within, SIDE: tl.constexpr):
     return within & (tl.load(region + at, mask=within, other=0) != 0)
 
 
-@triton.jit
+# Numbers of Gaussians are not specialised on (multiples of 16 are kernels of their own): a map
+# grows, and each new kind of number would stop it for seconds of compiling.
+@triton.jit(do_not_specialize=["count"])
 def project(
     view,
     means,
@@ -104,7 +106,7 @@ def project(
     tl.store(at + 3, rows.to(tl.int16), mask=seen)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["visible"])
 def list_pairs(
     gaussians,
     begins,

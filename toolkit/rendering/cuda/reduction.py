@@ -3,7 +3,7 @@
 import triton
 import triton.language as tl
 
-from toolkit.rendering.cuda.compositing import SUMS
+from toolkit.rendering.cuda.differentiation import SUMS
 from toolkit.rendering.cuda.projection import SPLAT
 
 POSE = tl.constexpr(12)
@@ -16,7 +16,7 @@ def _pose_sum(pose, entry: tl.constexpr, values, valid):
     tl.store(pose + tl.program_id(0) * POSE + entry, total)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["visible"])
 def finish(
     view,
     means,
@@ -99,7 +99,7 @@ def finish(
     _pose_sum(pose, 11, gz64, valid)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["visible"])
 def add_rows(
     begins,
     counts,

@@ -22,14 +22,14 @@ from toolkit.tracking.alignment import (
     ModelLevel,
     Scales,
 )
-from toolkit.tracking.cuda import kernels
+from toolkit.tracking.cuda import accumulation, layout, stepping
 
 _BLOCK, _WARPS = 64, 2  # pixels at once, by so many warps: more would not fit the registers
 _PARTS = 512  # partial sums at most, so that their order does not depend on the GPU
 _ADDED = 32  # partial sums read at once
-_WIDE = int(kernels.WIDE.value)
-_PART = int(kernels.PART.value)
-_PHASE = int(kernels.PHASE.value)
+_WIDE = int(layout.WIDE.value)
+_PART = int(layout.PART.value)
+_PHASE = int(layout.PHASE.value)
 _SOLVABLE, _CONVERGED = 1.5, 1.0
 
 
@@ -119,7 +119,7 @@ def linearised(
 
 
 def _state_of(start: Alignment, weight: float, device: torch.device) -> Tensor:
-    numbers = np.zeros(kernels.STATE)
+    numbers = np.zeros(layout.STATE)
     numbers[:12] = start.T_view_camera[:3].reshape(-1)
     numbers[12:16] = start.gain, start.bias, start.scales.intensity / weight, start.scales.depth_m
     return torch.from_numpy(numbers).to(device)
@@ -142,7 +142,7 @@ def _accumulate(
     width, height = frame.camera.size
     chunks = triton.cdiv(width * height, _BLOCK)
     count = min(chunks, _PARTS)
-    kernels.accumulate[(count,)](
+    accumulation.accumulate[(count,)](
         model.texture,
         model.surface,
         frame.intensity,
@@ -163,7 +163,7 @@ def _accumulate(
 def _advance(tensors: tuple[Tensor, Tensor, Tensor], count: int, rules: Rules, level: int) -> None:
     parts, state, last = tensors
     adjust = rules.exposure is not None and level == 0
-    kernels.advance[(1,)](
+    stepping.advance[(1,)](
         parts,
         state,
         last,
@@ -197,7 +197,7 @@ def _read(state: Tensor, last: Tensor, weight: float) -> Alignment:
         bias,
         int(steps),
         phase == _CONVERGED,
-        _unpack(numbers[kernels.STATE :].reshape(_WIDE, _WIDE)) if steps else None,
+        _unpack(numbers[layout.STATE :].reshape(_WIDE, _WIDE)) if steps else None,
     )
 
 

@@ -1,0 +1,66 @@
+"""Where the time goes on a GPU: kernels by their total time, as torch's profiler saw them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from gpu_frames import TAXONOMY  # type: ignore[import-not-found]
+from gpu_render import OurContest  # type: ignore[import-not-found]
+from gpu_report import Plan, row, table  # type: ignore[import-not-found]
+from gpu_scene import camera_of, pose_of, surface_cloud, walk  # type: ignore[import-not-found]
+from torch.profiler import ProfilerActivity, profile
+
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.rendering import backend
+from toolkit.semantics.codes import one_hot_code
+from toolkit.tracking.dense import DenseOptions, DenseTracker
+
+_SHOWN = 15
+
+
+def profile_table(plan: Plan) -> None:
+    """A view forward and backward, a tracked frame, and ten mapping steps."""
+    if not plan.timed:
+        print("\nThe interpreter has no kernels to profile.")
+        return
+    camera = camera_of(*plan.size)
+    cloud = surface_cloud(camera, plan.counts[0], plan.channels[0] - 4).to(plan.device)
+    contest = OurContest(backend("cuda"), cloud, camera)
+
+    def view() -> None:
+        contest.forward()
+        contest.backward()
+
+    _profiled(f"One view of {plan.counts[0]} Gaussians, {plan.channels[0]} channels", view)
+    frames = walk(backend("cuda"), camera, 3, plan.device, len(TAXONOMY))
+    semantics = SemanticMapping(SemanticLoss(one_hot_code(TAXONOMY), SemanticLossWeights()))
+    mapper = Mapper(MapperOptions(), None, "cuda", None, semantics, plan.device)
+    tracker = DenseTracker(DenseOptions(start="velocity"), backend_name="cuda")
+    tracker.first_pose(frames[0])
+    mapper.add_keyframe(frames[0], np.eye(4))
+    _profiled("One tracked frame", lambda: tracker.track(frames[1], mapper.gaussians))
+    mapper.add_keyframe(frames[1], pose_of(1))
+    mapper.options = replace(mapper.options, iterations=10)
+    _profiled("A keyframe of ten steps", lambda: mapper.add_keyframe(frames[2], pose_of(2)))
+
+
+def _profiled(title: str, step: Callable[[], object]) -> None:
+    """The kernels of a step that has run before, so that nothing is compiled."""
+    if title.startswith("One"):
+        step()
+    torch.cuda.synchronize()
+    with profile(activities=[ProfilerActivity.CPU, ProfilerActivity.CUDA]) as found:
+        step()
+        torch.cuda.synchronize()
+    events = [e for e in found.key_averages() if e.self_device_time_total > 0]
+    total = sum(e.self_device_time_total for e in events) / 1e3
+    launches = sum(e.count for e in events)
+    title = f"{title}: {launches} launches, {total:.3g} ms on the GPU"
+    table(title, "kernel", "calls", "ms together")
+    for event in sorted(events, key=lambda e: -e.self_device_time_total)[:_SHOWN]:
+        row(event.key[:60].replace("|", " "), event.count, event.self_device_time_total / 1e3)

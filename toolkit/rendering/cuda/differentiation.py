@@ -1,0 +1,239 @@
+"""Kernel: the gradients of one tile a program, back to front.
+
+Sums over pixels are matrix products, as sums over Gaussians are when a tile is drawn.
+"""
+
+import triton
+import triton.language as tl
+
+from toolkit.rendering.cuda.tiles import (
+    ALPHA_CUT,
+    ALPHA_MAX,
+    BASE,
+    alphas_of,
+    checkpoints_of,
+    colour_and_depth,
+    cut,
+    pixels_of,
+)
+
+SUMS = tl.constexpr(8)  # floats a pair; see `differentiate`
+TF32_BITS = tl.constexpr(-8192)  # all but the 13 bits that tf32 drops
+WIDE = tl.constexpr(16)  # the least width of a matrix product
+
+
+@triton.jit
+def _moments(SIDE: tl.constexpr):
+    """Columns 1, x, y, x^2 + y^2 of a tile's pixels, seen from its centre, [pixels, 16].
+
+    All of them are exact in tf32, so that the products lose nothing on this side.
+    """
+    column = tl.arange(0, WIDE)[None, :]
+    pixel = tl.arange(0, SIDE * SIDE)
+    px = (pixel % SIDE).to(tl.float32)[:, None] - (SIDE - 1) * 0.5
+    py = (pixel // SIDE).to(tl.float32)[:, None] - (SIDE - 1) * 0.5
+    return (
+        tl.where(column == 0, 1.0, 0.0)
+        + tl.where(column == 1, px, 0.0)
+        + tl.where(column == 2, py, 0.0)
+        + tl.where(column == 3, px * px + py * py, 0.0)
+    )
+
+
+@triton.jit
+def _clear(
+    pair_rows,
+    begin,
+    end,
+    sums,
+    feature_rows,
+    width,
+    BATCH: tl.constexpr,
+    BLOCK_C: tl.constexpr,
+    GEOMETRY: tl.constexpr,
+):
+    """Pairs behind everything that was drawn own a row, too, and it must read zero."""
+    for start in range(begin, end, BATCH):
+        pair = start + tl.arange(0, BATCH)
+        row = tl.load(pair_rows + pair, mask=pair < end, other=0)[:, None]
+        valid = (pair < end)[:, None]
+        if GEOMETRY:
+            entry = row * SUMS + tl.arange(0, SUMS)[None, :]
+            tl.store(sums + entry, tl.zeros([BATCH, SUMS], dtype=tl.float32), mask=valid)
+        if BLOCK_C > 0:
+            for c in range(0, width, BLOCK_C):
+                column = c + tl.arange(0, BLOCK_C)[None, :]
+                nothing = tl.zeros([BATCH, BLOCK_C], dtype=tl.float32)
+                tl.store(
+                    feature_rows + row * width + column, nothing, mask=valid & (column < width)
+                )
+
+
+@triton.jit
+def _by_features(
+    asked,
+    inside,
+    plane,
+    features,
+    gaussian,
+    valid,
+    weight,
+    feature_rows,
+    row,
+    channels,
+    first,
+    last,
+    BLOCK_C: tl.constexpr,
+    MOVE: tl.constexpr,
+    PRECISION: tl.constexpr,
+):
+    """Writes a batch's feature rows; <f, d> [batch, pixels] over the channels, 0 without MOVE."""
+    product = tl.zeros(weight.shape, dtype=tl.float32)
+    stop = channels if MOVE else last
+    for start in range(0 if MOVE else first, stop, BLOCK_C):
+        c = start + tl.arange(0, BLOCK_C)
+        by_feature = tl.load(
+            asked[None, :] + (c + BASE).to(tl.int64)[:, None] * plane,
+            mask=inside[None, :] & (c < channels)[:, None],
+            other=0.0,
+        )
+        if MOVE:
+            value = tl.load(
+                features + gaussian[:, None] * channels + c[None, :],
+                mask=valid[:, None] & (c < channels)[None, :],
+                other=0.0,
+            )
+            product = tl.dot(value, by_feature, product, input_precision=PRECISION)
+        by_value = tl.dot(weight, tl.trans(by_feature), input_precision=PRECISION)
+        to = feature_rows + row[:, None] * (last - first) + (c - first)[None, :]
+        mine = (c >= first) & (c < last)
+        tl.store(to, by_value, mask=valid[:, None] & mine[None, :])
+    return product
+
+
+@triton.jit
+def _slopes(raw, before, product, behind):
+    """alpha dL/dalpha [batch, pixels], and what the next batch towards the camera has behind it.
+
+    Of alphas [batch, pixels] as they were before the cut, the transmittance before each, <f, d>,
+    and the sum [pixels] of w <f, d> over all that lies behind the batch.
+    """
+    alpha, keep = cut(raw)
+    own = alpha * before * product
+    after = behind[None, :] + (tl.cumsum(own, axis=0, reverse=True) - own)
+    free = (raw >= ALPHA_CUT) & (raw < ALPHA_MAX)
+    slope = tl.where(free, (before * product - after / keep) * alpha, 0.0)
+    return slope, behind + tl.sum(own, axis=0)
+
+
+@triton.jit
+def _in_moments(slope, basis):
+    """slope @ basis, with 22 bits of the slope: in the chain rule the moments cancel.
+
+    Two products, since the basis is exact in tf32. A third would hold twice the registers.
+    """
+    coarse = (slope.to(tl.int32, bitcast=True) & TF32_BITS).to(tl.float32, bitcast=True)
+    found = tl.dot(slope - coarse, basis, input_precision="tf32")
+    return tl.dot(coarse, basis, found, input_precision="tf32")
+
+
+@triton.jit
+def differentiate(
+    splats,
+    features,
+    pair_gaussians,
+    pair_rows,
+    tile_begins,
+    checkpoints,
+    transmittance,
+    batches,
+    by_images,
+    sums,
+    feature_rows,
+    width,
+    height,
+    channels,
+    first,
+    last,
+    SIDE: tl.constexpr,
+    BATCH: tl.constexpr,
+    BLOCK_C: tl.constexpr,
+    GEOMETRY: tl.constexpr,
+    MOVE: tl.constexpr,
+    PRECISION: tl.constexpr,
+):
+    """Sums of every pair of one tile, back to front, each in the row that the pair owns.
+
+    sums [P, 8]: alpha dL/dalpha times 1, x, y, x^2 + y^2 (pixels from the tile's centre),
+    then weight times dL/d(red, green, blue, depth). feature_rows [P, last - first]: dL/df of
+    the feature channels from `first` to `last`. With w_k = alpha_k T_k and d = dL/d(pixel),
+    dL/dalpha_k = T_k <f_k, d> - S_k / (1 - alpha_k), where S_k sums w_j <f_j, d> over all j
+    behind k and starts with what the silhouette asks. MOVE: f and d include the feature
+    channels. Without GEOMETRY only the feature rows are written.
+    """
+    PIXELS: tl.constexpr = SIDE * SIDE
+    tile = tl.program_id(0)
+    x, y, inside = pixels_of(tile, width, height, SIDE)
+    begin, end = tl.load(tile_begins + tile), tl.load(tile_begins + tile + 1)
+    used = tl.load(batches + tile)
+    checkpoint = checkpoints_of(checkpoints, begin, tile, BATCH, PIXELS)
+    plane = width * height
+    asked = by_images + y * width + x
+    wide = tl.arange(0, WIDE)
+    if GEOMETRY:
+        basis = _moments(SIDE)
+        by_base = tl.load(
+            asked[:, None] + (wide - 4)[None, :] * plane,
+            mask=inside[:, None] & ((wide >= 4) & (wide < SUMS))[None, :],
+            other=0.0,
+        )
+        by_red = tl.load(asked, mask=inside, other=0.0)
+        by_green = tl.load(asked + plane, mask=inside, other=0.0)
+        by_blue = tl.load(asked + 2 * plane, mask=inside, other=0.0)
+        by_depth = tl.load(asked + 3 * plane, mask=inside, other=0.0)
+        left_over = tl.load(transmittance + tile.to(tl.int64) * PIXELS + tl.arange(0, PIXELS))
+        behind = -left_over * tl.load(asked + 4 * plane, mask=inside, other=0.0)
+    rest = begin + used * BATCH
+    _clear(pair_rows, rest, end, sums, feature_rows, last - first, BATCH, BLOCK_C, GEOMETRY)
+    for i in range(used):
+        number = used - 1 - i
+        pair = begin + number * BATCH + tl.arange(0, BATCH)
+        valid = pair < end
+        gaussian = tl.load(pair_gaussians + pair, mask=valid, other=0).to(tl.int64)
+        row = tl.load(pair_rows + pair, mask=valid, other=0)
+        raw = alphas_of(splats, gaussian, valid, x, y)
+        alpha, keep = cut(raw)
+        # From what the forward pass left here: no division by what was let through.
+        left = tl.load(checkpoint + number * PIXELS)
+        before = left[None, :] * tl.cumprod(keep, axis=0) / keep
+        weight = alpha * before
+        product = tl.zeros([BATCH, PIXELS], dtype=tl.float32)
+        if BLOCK_C > 0:
+            product = _by_features(
+                asked,
+                inside,
+                plane,
+                features,
+                gaussian,
+                valid,
+                weight,
+                feature_rows,
+                row,
+                channels,
+                first,
+                last,
+                BLOCK_C,
+                MOVE,
+                PRECISION,
+            )
+        if GEOMETRY:
+            r, g, b, z = colour_and_depth(splats, gaussian, valid)
+            product += r[:, None] * by_red[None, :]
+            product += g[:, None] * by_green[None, :]
+            product += b[:, None] * by_blue[None, :]
+            product += z[:, None] * by_depth[None, :]
+            slope, behind = _slopes(raw, before, product, behind)
+            found = _in_moments(slope, basis)
+            found = tl.dot(weight, by_base, found, input_precision=PRECISION)
+            entry = row[:, None] * SUMS + wide[None, :]
+            tl.store(sums + entry, found, mask=valid[:, None] & (wide < SUMS)[None, :])

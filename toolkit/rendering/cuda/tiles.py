@@ -1,0 +1,59 @@
+"""Kernels' parts that drawing and differentiating share: a tile's pixels, and its alphas."""
+
+import triton
+import triton.language as tl
+
+from toolkit.rendering.backend import ALPHA_CUT as _ALPHA_CUT
+from toolkit.rendering.backend import ALPHA_MAX as _ALPHA_MAX
+from toolkit.rendering.cuda.projection import SPLAT
+
+ALPHA_CUT = tl.constexpr(_ALPHA_CUT)
+ALPHA_MAX = tl.constexpr(_ALPHA_MAX)
+BASE = tl.constexpr(5)  # red, green, blue, depth, silhouette
+
+
+@triton.jit
+def pixels_of(tile, width, height, SIDE: tl.constexpr):
+    """Column and row of a tile's pixels, and which of them are in the image."""
+    tiles_x = tl.cdiv(width, SIDE)
+    pixel = tl.arange(0, SIDE * SIDE)
+    x = tile % tiles_x * SIDE + pixel % SIDE
+    y = tile // tiles_x * SIDE + pixel // SIDE
+    return x, y, (x < width) & (y < height)
+
+
+@triton.jit
+def alphas_of(splats, gaussian, valid, x, y):
+    """Alphas [batch, pixels] before they are cut and capped, 0 beyond the tile's pairs."""
+    at = splats + gaussian * SPLAT
+    u = tl.load(at, mask=valid, other=0.0)
+    v = tl.load(at + 1, mask=valid, other=0.0)
+    exponent = tl.load(at + 2, mask=valid, other=0.0)
+    opacity = tl.load(at + 3, mask=valid, other=0.0)
+    dx = x.to(tl.float32)[None, :] - u[:, None]
+    dy = y.to(tl.float32)[None, :] - v[:, None]
+    return opacity[:, None] * tl.exp(exponent[:, None] * (dx * dx + dy * dy))
+
+
+@triton.jit
+def cut(raw):
+    """Alphas after the cut and the cap, and what they let through, which is never 0."""
+    alpha = tl.where(raw >= ALPHA_CUT, tl.minimum(raw, ALPHA_MAX), 0.0)
+    return alpha, 1.0 - alpha
+
+
+@triton.jit
+def colour_and_depth(splats, gaussian, valid):
+    """Red, green, blue and depth [batch] of Gaussians."""
+    at = splats + gaussian * SPLAT + 4
+    red = tl.load(at, mask=valid, other=0.0)
+    green = tl.load(at + 1, mask=valid, other=0.0)
+    blue = tl.load(at + 2, mask=valid, other=0.0)
+    return red, green, blue, tl.load(at + 3, mask=valid, other=0.0)
+
+
+@triton.jit
+def checkpoints_of(checkpoints, begin, tile, BATCH: tl.constexpr, PIXELS: tl.constexpr):
+    """Where a tile's checkpoints lie [pixels]: its batches never reach the next tile's."""
+    first = (begin // BATCH + tile).to(tl.int64)
+    return checkpoints + first * PIXELS + tl.arange(0, PIXELS)

@@ -1,0 +1,203 @@
+"""Kernel: the sums of one Gauss-Newton step, whose equations are those of `alignment_numpy`."""
+
+import triton
+import triton.language as tl
+
+from toolkit.tracking.alignment_numpy import EDGE as _EDGE
+from toolkit.tracking.alignment_numpy import NEAR_M as _NEAR_M
+from toolkit.tracking.alignment_numpy import NU as _NU
+from toolkit.tracking.cuda.layout import (
+    BIAS,
+    GAIN,
+    PART,
+    PHASE,
+    RESIDUAL,
+    SIGMA_DEPTH,
+    SIGMA_INTENSITY,
+    T_AT,
+    TAIL,
+    WIDE,
+)
+
+NU = tl.constexpr(_NU)
+EDGE = tl.constexpr(_EDGE)
+NEAR_M = tl.constexpr(_NEAR_M)
+
+
+@triton.jit
+def _column(columns, place: tl.constexpr, values):
+    """Values [pixels] in one column of a matrix [pixels, 16]."""
+    return tl.where(columns == place, values[:, None], 0.0)
+
+
+@triton.jit
+def _pose_columns(columns, direction, point):
+    """Derivative of n . Y by a motion that multiplies from the left, in columns 0 to 5."""
+    nx, ny, nz = direction
+    x, y, z = point
+    return (
+        _column(columns, 0, nx)
+        + _column(columns, 1, ny)
+        + _column(columns, 2, nz)
+        + _column(columns, 3, y * nz - z * ny)
+        + _column(columns, 4, z * nx - x * nz)
+        + _column(columns, 5, x * ny - y * nx)
+    )
+
+
+@triton.jit
+def _tap(texture, at, usable):
+    """Intensity, its derivatives and depth of a texel."""
+    value = tl.load(texture + 4 * at, mask=usable, other=0.0)
+    along_x = tl.load(texture + 4 * at + 1, mask=usable, other=0.0)
+    along_y = tl.load(texture + 4 * at + 2, mask=usable, other=0.0)
+    depth = tl.load(texture + 4 * at + 3, mask=usable, other=0.0)
+    return value, along_x, along_y, depth
+
+
+@triton.jit
+def _row(state, row: tl.constexpr):
+    """A row [R | t] of the pose, in float32."""
+    at = state + T_AT + 4 * row
+    r0, r1 = tl.load(at).to(tl.float32), tl.load(at + 1).to(tl.float32)
+    return r0, r1, tl.load(at + 2).to(tl.float32), tl.load(at + 3).to(tl.float32)
+
+
+@triton.jit
+def _coordinate(row, depth, rx, ry):
+    """One coordinate of points with these depths on the rays (rx, ry, 1), moved by the pose."""
+    return depth * (row[0] * rx + row[1] * ry + row[2]) + row[3]
+
+
+@triton.jit
+def _weights(residual, inverse_scale, counted):
+    """Student's t: roots of the residuals' weights, and their weighted squares."""
+    square = residual * inverse_scale * residual * inverse_scale
+    robust = tl.where(counted, 1.0 / (square + NU) * (NU + 1.0), 0.0)
+    return tl.sqrt(robust) * inverse_scale, robust * square
+
+
+@triton.jit
+def _counted(place, kind: tl.constexpr, counted, squares):
+    """Number and weighted squares of one kind of residual, in their places of the tail [16]."""
+    number = tl.where(place == kind, tl.sum(counted.to(tl.float32), axis=0), 0.0)
+    return number + tl.where(place == 2 + kind, tl.sum(squares, axis=0), 0.0)
+
+
+@triton.jit
+def _point_to_plane(columns, surface, at, close, point, inverse_scale):
+    """Rows of the Jacobian with their residuals [pixels, 16], which of them count, and squares."""
+    nx = tl.load(surface + 4 * at, mask=close, other=0.0)
+    ny = tl.load(surface + 4 * at + 1, mask=close, other=0.0)
+    nz = tl.load(surface + 4 * at + 2, mask=close, other=0.0)
+    offset = tl.load(surface + 4 * at + 3, mask=close, other=0.0)
+    flat = close & ((nx != 0.0) | (ny != 0.0) | (nz != 0.0))
+    x, y, z = point
+    residual = tl.where(flat, nx * x + ny * y + nz * z - offset, 0.0)
+    root, squares = _weights(residual, inverse_scale, flat)
+    J = _pose_columns(columns, (nx, ny, nz), point) + _column(columns, RESIDUAL, residual)
+    return tl.where(flat[:, None], J * root[:, None], 0.0), flat, squares
+
+
+@triton.jit
+def _interpolated(texture, width, u, v, close):
+    """Intensity and its derivatives [pixels] between texels, and where they lie on one surface."""
+    left, top = u.to(tl.int32), v.to(tl.int32)
+    a, b = u - left.to(tl.float32), v - top.to(tl.float32)
+    at = top * width + left
+    i00, x00, y00, d00 = _tap(texture, at, close)
+    i01, x01, y01, d01 = _tap(texture, at + 1, close)
+    i10, x10, y10, d10 = _tap(texture, at + width, close)
+    i11, x11, y11, d11 = _tap(texture, at + width + 1, close)
+    nearest = tl.minimum(tl.minimum(d00, d01), tl.minimum(d10, d11))
+    farthest = tl.maximum(tl.maximum(d00, d01), tl.maximum(d10, d11))
+    bright = close & (nearest > 0.0) & (farthest - nearest <= nearest * EDGE)
+    w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
+    value = w00 * i00 + w01 * i01 + w10 * i10 + w11 * i11
+    along_x = w00 * x00 + w01 * x01 + w10 * x10 + w11 * x11
+    along_y = w00 * y00 + w01 * y01 + w10 * y10 + w11 * y11
+    return value, along_x, along_y, bright
+
+
+@triton.jit
+def _photometric(columns, sampled, own, exposure, point, focal, inverse_z):
+    """As `_point_to_plane`, of the sampled view against the frame's own intensities, exposed."""
+    value, along_x, along_y, bright = sampled
+    gain, bias, inverse_scale = exposure
+    x, y, _ = point
+    slope_x, slope_y = along_x * focal[0] * inverse_z, along_y * focal[1] * inverse_z
+    slope_z = -(slope_x * x + slope_y * y) * inverse_z
+    residual = tl.where(bright, value - (gain * own + bias), 0.0)
+    root, squares = _weights(residual, inverse_scale, bright)
+    J = _pose_columns(columns, (slope_x, slope_y, slope_z), point)
+    J += _column(columns, 6, -own) + _column(columns, RESIDUAL, residual)
+    J += tl.where(columns == 7, -1.0, 0.0)
+    return tl.where(bright[:, None], J * root[:, None], 0.0), bright, squares
+
+
+@triton.jit
+def accumulate(
+    texture,
+    surface,
+    intensity,
+    depth,
+    camera,
+    state,
+    parts,
+    width,
+    height,
+    gate,
+    chunks,
+    BLOCK: tl.constexpr,
+):
+    """One partial result [16, 16] a program, of every so many chunks of the frame's pixels."""
+    if tl.load(state + PHASE) > 0.5:
+        return
+    fx, fy = tl.load(camera), tl.load(camera + 1)
+    cx, cy = tl.load(camera + 2), tl.load(camera + 3)
+    row_x, row_y, row_z = _row(state, 0), _row(state, 1), _row(state, 2)
+    gain, bias = tl.load(state + GAIN).to(tl.float32), tl.load(state + BIAS).to(tl.float32)
+    inverse_intensity = (1.0 / tl.load(state + SIGMA_INTENSITY)).to(tl.float32)
+    inverse_depth = (1.0 / tl.load(state + SIGMA_DEPTH)).to(tl.float32)
+    columns = tl.arange(0, WIDE)[None, :]
+    place = tl.arange(0, WIDE)
+    total = tl.zeros([WIDE, WIDE], dtype=tl.float32)
+    tail = tl.zeros([WIDE], dtype=tl.float32)
+    for chunk in range(tl.program_id(0), chunks, tl.num_programs(0)):
+        i = chunk * BLOCK + tl.arange(0, BLOCK)
+        measured = tl.load(depth + i, mask=i < width * height, other=0.0)
+        valid = measured > 0.0
+        own = tl.load(intensity + i, mask=valid, other=0.0)
+        rx = ((i % width).to(tl.float32) - cx) / fx
+        ry = ((i // width).to(tl.float32) - cy) / fy
+        x = _coordinate(row_x, measured, rx, ry)
+        y = _coordinate(row_y, measured, rx, ry)
+        z = _coordinate(row_z, measured, rx, ry)
+        valid = valid & (z > NEAR_M)
+        inverse_z = 1.0 / tl.where(valid, z, 1.0)
+        u, v = fx * x * inverse_z + cx, fy * y * inverse_z + cy
+        valid = valid & (u >= 0.0) & (v >= 0.0) & (u < width - 1.0) & (v < height - 1.0)
+        u, v = tl.where(valid, u, 0.0), tl.where(valid, v, 0.0)
+        tail += tl.where(place == 4, tl.sum(valid.to(tl.float32), axis=0), 0.0)
+
+        # Geometry: the plane of the nearest model pixel. Noise grows with the square of the depth.
+        at = (v + 0.5).to(tl.int32) * width + (u + 0.5).to(tl.int32)
+        seen = tl.load(texture + 4 * at + 3, mask=valid, other=0.0)
+        close = valid & (seen > 0.0) & (tl.abs(seen - z) < gate * z)
+        scale = inverse_depth / tl.maximum(measured * measured, 0.25)
+        J, flat, squares = _point_to_plane(columns, surface, at, close, (x, y, z), scale)
+        # The tensor cores' three products a float32 product: the normal equations are stiff.
+        total = tl.dot(tl.trans(J), J, total, input_precision="tf32x3")
+        tail += _counted(place, 1, flat, squares)
+
+        # Intensity, where all taps lie on one surface.
+        sampled = _interpolated(texture, width, u, v, close)
+        exposure = (gain, bias, inverse_intensity)
+        J, bright, squares = _photometric(
+            columns, sampled, own, exposure, (x, y, z), (fx, fy), inverse_z
+        )
+        total = tl.dot(tl.trans(J), J, total, input_precision="tf32x3")
+        tail += _counted(place, 0, bright, squares)
+    rows = tl.arange(0, WIDE)[:, None]
+    total = tl.where(rows == TAIL, tail[None, :], total)
+    tl.store(parts + tl.program_id(0) * PART + rows * WIDE + columns, total)
