@@ -102,11 +102,13 @@ def told_exposure(
         if finest is None:
             return 1.0, 0.0
         told = finest[1].mean / max(finest[0].mean, _DARKEST), 0.0
-    for level in reversed(range(len(levels))):
-        coarse = _tones_at(levels, level, T_view_camera, scales, fitted, max_distance)
-        if coarse is not None:
-            break
-    frame, view = (Tones(f.mean, c.spread) for f, c in zip(finest, coarse or finest, strict=True))
+    coarse = None
+    for level in reversed(range(1, len(levels))):
+        coarse = coarse or _tones_at(levels, level, T_view_camera, scales, fitted, max_distance)
+    spreads = coarse or finest
+    assert finest is not None and spreads is not None
+    frame = Tones(finest[0].mean, spreads[0].spread)
+    view = Tones(finest[1].mean, spreads[1].spread)
     gain, bias = exposure_between(frame, view)
     unchanged = bias == 0.0 and abs(gain - 1.0) < _EQUAL_BRIGHTNESS
     return (1.0, 0.0) if unchanged else (gain, bias)
