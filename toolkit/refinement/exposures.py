@@ -71,7 +71,6 @@ def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:
 def _link(a: int, b: int, first: Array, second: Array) -> _Link:
     """The exposure between two submaps, robust against what is not the same thing."""
     gain, bias = float(np.median(first) / max(np.median(second), 1e-3)), 0.0
-    weight = np.ones_like(first)
     for _ in range(_ROUNDS):
         residual = first - (gain * second + bias)
         weight = 1.0 / (1.0 + (residual / _SCALE) ** 2)

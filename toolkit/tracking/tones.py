@@ -102,10 +102,11 @@ def told_exposure(
         if finest is None:
             return 1.0, 0.0
         told = finest[1].mean / max(finest[0].mean, _DARKEST), 0.0
-    coarse = None
-    for level in reversed(range(1, len(levels))):
-        coarse = coarse or _tones_at(levels, level, T_view_camera, scales, fitted, max_distance)
-    spreads = coarse or finest
+    coarse = (
+        _tones_at(levels, level, T_view_camera, scales, fitted, max_distance)
+        for level in reversed(range(1, len(levels)))
+    )
+    spreads = next((found for found in coarse if found is not None), finest)
     assert finest is not None and spreads is not None
     frame = Tones(finest[0].mean, spreads[0].spread)
     view = Tones(finest[1].mean, spreads[1].spread)
