@@ -280,6 +280,50 @@ def test_halving_never_mixes_two_surfaces(use):
     assert set(half.depth_m.unique().tolist()) == {1.0, 2.0}
 
 
+def corridor(camera: Camera) -> FrameLevel:
+    """A wall 0.8 m to the left, running ahead: depth grows 5 % a pixel and more."""
+    x = np.arange(camera.width) - camera.width - 20.0
+    depth = np.broadcast_to(0.8 * camera.fx / -x, (camera.height, camera.width))
+    intensity = 0.5 + 0.4 * np.sin(depth)
+    arrays = (np.ascontiguousarray(a, dtype=np.float32) for a in (intensity, depth))
+    return FrameLevel(camera, *(torch.from_numpy(a) for a in arrays))
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_walls_along_the_view_count_on_every_level(use, module, native):
+    """In a corridor all surfaces are steep: depth changes more than over many an edge."""
+    use(module if native else None)
+    levels = pyramid(corridor(Camera(60.0, 60.0, 95.0, 63.0, 128, 96)), 3)
+    for number, level in enumerate(levels):
+        gate = 0.05 * 2**number
+        linear = linearise(model_level(level), level, np.eye(4), SCALES, (1.0, 0.0), gate)
+        inner = (level.camera.width - 2) * (level.camera.height - 2)
+        assert linear.depth_pixels > 0.9 * inner
+        assert linear.intensity_pixels > 0.8 * inner
+        assert linear.depth_variance < 1e-3
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_steps_between_surfaces_belong_to_none(use, module, native):
+    use(module if native else None)
+    step = wall(CAMERA)
+    step.depth_m[:, 32:] *= 1.2
+    surface = model_level(step).surface[1:-1, :, 3]
+    assert (surface[:, 31:33] == 0).all()
+    assert (surface[:, 1:31] != 0).all() and (surface[:, 33:-1] != 0).all()
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_holes_do_not_darken_coarser_levels(use, module, native):
+    use(module if native else None)
+    level = FrameLevel(CAMERA, torch.full((48, 64), 0.6), torch.full((48, 64), 2.0))
+    for image in (level.intensity, level.depth_m):
+        image[::3, ::2] = 0.0
+    for coarse in pyramid(level, 3)[1:]:
+        assert torch.allclose(coarse.intensity, torch.tensor(0.6))
+        assert torch.allclose(coarse.depth_m, torch.tensor(2.0))
+
+
 def test_views_show_the_colour_as_composited(use):
     """As mapping fits it: divided by the silhouette, it would come back as exposure."""
     use(None)

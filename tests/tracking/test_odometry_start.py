@@ -38,10 +38,10 @@ from toolkit.tracking.alignment import (
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.odometry import frame_to_model
 
-# A step of 15 cm and 15 degrees in this direction (of `small_motion`) is far too large for the
-# tracker's own levels, and not for odometry, on every instruction set: of 110 directions the one
-# that is not near the edge of either's reach.
-TOO_FAR = [21]
+# A step of 15 cm and 15 degrees in these directions (of `small_motion`) is far too large for the
+# tracker's own levels, and not for odometry, on every instruction set: of 300 directions those
+# that are not near the edge of either's reach.
+TOO_FAR = [81, 89, 230, 265]
 
 
 def level_of(frame: Frame) -> FrameLevel:

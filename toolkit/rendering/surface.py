@@ -22,7 +22,7 @@ from toolkit.rendering.backend import Backend, ForwardPass
 from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
 
-_EDGE = 0.05  # depth differences beyond this share are an edge
+_EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
 _MOST_CORRECTION = 0.02  # share of the depth
 # A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
 # mean centre hardly moves from pixel to pixel, span no plane.
@@ -112,6 +112,16 @@ def surface_depth(
     return depth_m
 
 
+def _same_surface(a: Tensor, centre: Tensor, b: Tensor) -> Tensor:
+    """Whether points [H, W, 3] on both sides lie near the middle one, or on one plane with it.
+
+    However steep: inverse depth is linear on a plane's image.
+    """
+    a_m, z_m, b_m = a[..., 2], centre[..., 2], b[..., 2]
+    bend = (z_m / a_m + z_m / b_m - 2.0).abs()
+    return ((b_m - a_m).abs() <= _EDGE * z_m) | (bend <= 0.5 * _EDGE)
+
+
 def _surface_depth_torch(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], least_silhouette: float
 ) -> Tensor:
@@ -129,7 +139,7 @@ def _surface_depth_torch(
     above, below = points[:-2, 1:-1], points[2:, 1:-1]
     around = torch.stack([p[..., 2] for p in (left, right, above, below)])
     smooth = (centre[..., 2] > 0) & (around.amin(0) > 0)
-    smooth &= around.amax(0) - around.amin(0) <= _EDGE * centre[..., 2]
+    smooth &= _same_surface(left, centre, right) & _same_surface(above, centre, below)
     normal = torch.linalg.cross(right - left, below - above)
     # Neighbours lie two pixels apart in both directions.
     footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)

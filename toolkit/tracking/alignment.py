@@ -107,14 +107,21 @@ def intensity_of(rgb: NDArray[np.float32]) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(rgb @ weights))
 
 
-def halved(level: FrameLevel) -> FrameLevel:
-    """The next level: averaged intensity; depth of the nearest surface in each 2x2 cell."""
-    camera = level.camera.halved()
+def halved(level: FrameLevel, halvings: int = 0) -> FrameLevel:
+    """The next level: intensity and depth of the nearest surface in each 2x2 cell.
+
+    Args:
+        halvings: of the level itself; so many times farther apart are the rays of its pixels,
+            and so much more depth may differ on a surface.
+    """
+    camera, edge = level.camera.halved(), alignment_numpy.EDGE * 2**halvings
     if level.depth_m.device.type != "cpu":
-        return FrameLevel(camera, *alignment_torch.halve(level.intensity, level.depth_m))
+        return FrameLevel(camera, *alignment_torch.halve(level.intensity, level.depth_m, edge))
     module = kernels_for(level.depth_m)
     if module is None:
-        intensity, depth = alignment_numpy.halve(level.intensity.numpy(), level.depth_m.numpy())
+        intensity, depth = alignment_numpy.halve(
+            level.intensity.numpy(), level.depth_m.numpy(), edge
+        )
         return FrameLevel(camera, torch.from_numpy(intensity), torch.from_numpy(depth))
     half = FrameLevel(
         camera,
@@ -125,6 +132,7 @@ def halved(level: FrameLevel) -> FrameLevel:
         level.camera.size,
         address(level.intensity),
         address(level.depth_m),
+        edge,
         address(half.intensity),
         address(half.depth_m),
     )
@@ -135,7 +143,7 @@ def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
     """Levels from fine to coarse."""
     out = [level]
     while len(out) < levels:
-        out.append(halved(out[-1]))
+        out.append(halved(out[-1], halvings=len(out) - 1))
     return out
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from toolkit.geometry.camera import Camera
 
 NU = 5.0  # degrees of freedom of Student's t
-EDGE = 0.05  # depth differences beyond this share of the depth are an edge
+EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
 NEAR_M = 0.01
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
@@ -20,18 +20,25 @@ def intensity_of(images: Image, least_silhouette: float) -> Image:
     return np.tensordot(LUMA, images[:3], 1) * (images[4] >= least_silhouette)
 
 
-def halve(intensity: Image, depth: Image) -> tuple[Image, Image]:
-    """2x2 averages of the intensity; of the depth, those near the nearest surface."""
+def halve(intensity: Image, depth: Image, edge: float) -> tuple[Image, Image]:
+    """Mean intensity and depth of the nearest surface in each 2x2 cell.
+
+    Args:
+        edge: depth differences beyond this share of the depth are another surface.
+    """
     height, width = intensity.shape
     rows = np.minimum(2 * np.arange(max(1, height // 2))[:, None] + [0, 1], height - 1)
     columns = np.minimum(2 * np.arange(max(1, width // 2))[:, None] + [0, 1], width - 1)
     taps = np.stack([depth[np.ix_(rows[:, a], columns[:, b])] for a in (0, 1) for b in (0, 1)])
     grey = np.stack([intensity[np.ix_(rows[:, a], columns[:, b])] for a in (0, 1) for b in (0, 1)])
     nearest = np.where(taps > 0, taps, 1e30).min(axis=0)
-    same = (taps > 0) & (taps - nearest <= EDGE * nearest)
+    same = (taps > 0) & (taps - nearest <= edge * nearest)
     count = same.sum(axis=0)
-    mean = np.where(count > 0, (taps * same).sum(axis=0) / np.maximum(count, 1), 0.0)
-    return grey.mean(axis=0).astype(np.float32), mean.astype(np.float32)
+    inverse = (same / np.where(same, taps, 1.0)).sum(axis=0)
+    depth = np.where(count > 0, count / np.maximum(inverse, 1e-9), 0.0)
+    of_surface = (grey * same).sum(axis=0) / np.maximum(count, 1)
+    intensity = np.where(count > 0, of_surface, grey.mean(axis=0))
+    return intensity.astype(np.float32), depth.astype(np.float32)
 
 
 def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]:
@@ -52,7 +59,7 @@ def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]
         z,
     )
     texture[inner] = np.stack(parts, axis=-1) * usable[..., None]
-    smooth = usable & (abs(right - left) <= EDGE * z) & (abs(below - above) <= EDGE * z)
+    smooth = usable & _same_surface(left, z, right) & _same_surface(above, z, below)
     rays = camera.rays()[inner].astype(np.float32)
     unit = np.eye(3, dtype=np.float32)
     along_x = rays * (0.5 * (right - left))[..., None] + z[..., None] / camera.fx * unit[0]
@@ -63,6 +70,16 @@ def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]
     offset = (normal * rays).sum(axis=-1, keepdims=True) * z[..., None]
     surface[inner] = np.concatenate([normal, offset], axis=-1) * smooth[..., None]
     return texture, surface
+
+
+def _same_surface(a: Image, z: Image, b: Image) -> NDArray[np.bool_]:
+    """Whether neighbours on both sides lie on the surface of a pixel with depth z.
+
+    Near it, or on one plane with it, however steep: there inverse depth is linear.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bend = abs(z / a + z / b - 2.0)
+    return (abs(b - a) <= EDGE * z) | (bend <= 0.5 * EDGE)
 
 
 def accumulate(
@@ -97,7 +114,7 @@ def accumulate(
     scale = 1.0 / (sigma_depth * np.maximum(z[flat] ** 2, 0.25))
     _add(H, g, tail, 1, (_jacobian(n, Y[flat]), (n * Y[flat]).sum(axis=1) - plane[flat, 3], scale))
 
-    value, usable = _bilinear(texture, uv[close])
+    value, usable = _bilinear(texture, surface[..., 3] != 0, uv[close])
     Y, own, value = Y[close][usable], own[close][usable], value[usable]
     a = value[:, 1] * camera.fx / Y[:, 2]
     b = value[:, 2] * camera.fy / Y[:, 2]
@@ -127,13 +144,20 @@ def _add(H: NDArray, g: NDArray, tail: NDArray, kind: int, residuals: tuple[NDAr
     tail[2 + kind] += (robust * q2).sum()
 
 
-def _bilinear(texture: Image, uv: NDArray) -> tuple[NDArray, NDArray]:
-    """Interpolated texture [n, 4], and whether all taps lie on one surface [n]."""
+def _bilinear(
+    texture: Image, smooth: NDArray[np.bool_], uv: NDArray
+) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Interpolated texture [n, 4], and whether all taps lie on one surface [n].
+
+    Args:
+        smooth: [H, W] pixels that lie on planes with their neighbours: opposite ones join four.
+    """
     x, y = uv[:, 0].astype(int), uv[:, 1].astype(int)
     a, b = (uv[:, 0] - x)[:, None], (uv[:, 1] - y)[:, None]
     taps = [texture[y, x], texture[y, x + 1], texture[y + 1, x], texture[y + 1, x + 1]]
     depths = np.stack([t[:, 3] for t in taps])
     nearest, farthest = depths.min(axis=0), depths.max(axis=0)
-    usable = (nearest > 0) & (farthest - nearest <= EDGE * nearest)
+    joined = smooth[y, x] & smooth[y + 1, x + 1]
+    usable = (nearest > 0) & (joined | (farthest - nearest <= EDGE * nearest))
     weights = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
     return sum(w * t for w, t in zip(weights, taps, strict=True)), usable

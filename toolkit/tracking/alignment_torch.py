@@ -19,13 +19,22 @@ def intensity_of(images: Tensor, least_silhouette: float) -> Tensor:
     return torch.where(images[4] >= least_silhouette, luma, torch.zeros_like(luma))
 
 
-def halve(intensity: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """2x2 averages of the intensity; of the depth, those near the nearest surface."""
+def halve(intensity: Tensor, depth: Tensor, edge: float) -> tuple[Tensor, Tensor]:
+    """Mean intensity and depth of the nearest surface in each 2x2 cell."""
     taps, grey = _taps(depth), _taps(intensity)
     nearest = torch.where(taps > 0, taps, torch.full_like(taps, 1e30)).amin(0)
-    same = (taps > 0) & (taps - nearest <= EDGE * nearest)
-    mean = (taps * same).sum(0) / same.sum(0).clamp(min=1)
-    return grey.mean(0), mean
+    same = (taps > 0) & (taps - nearest <= edge * nearest)
+    count = same.sum(0)
+    inverse = torch.where(same, 1.0 / taps, torch.zeros_like(taps)).sum(0)
+    mean = torch.where(count > 0, count / inverse.clamp(min=1e-9), torch.zeros_like(inverse))
+    of_surface = (grey * same).sum(0) / count.clamp(min=1)
+    return torch.where(count > 0, of_surface, grey.mean(0)), mean
+
+
+def _same_surface(a: Tensor, z: Tensor, b: Tensor) -> Tensor:
+    """Whether neighbours on both sides lie near a pixel with depth z, or on one plane with it."""
+    bend = (z / a + z / b - 2.0).abs()
+    return ((b - a).abs() <= EDGE * z) | (bend <= 0.5 * EDGE)
 
 
 def _taps(image: Tensor) -> Tensor:
@@ -52,7 +61,7 @@ def model(camera: Camera, intensity: Tensor, depth: Tensor) -> tuple[Tensor, Ten
     along_y = 0.5 * (intensity[2:, 1:-1] - intensity[:-2, 1:-1])
     parts = torch.stack([intensity[inner], along_x, along_y, z], dim=-1)
     texture[inner] = torch.where(usable[..., None], parts, torch.zeros_like(parts))
-    smooth = usable & ((right - left).abs() <= EDGE * z) & ((below - above).abs() <= EDGE * z)
+    smooth = usable & _same_surface(left, z, right) & _same_surface(above, z, below)
     ray_x = (torch.arange(camera.width, device=z.device)[None, 1:-1] - camera.cx) / camera.fx
     ray_y = (torch.arange(camera.height, device=z.device)[1:-1, None] - camera.cy) / camera.fy
     rays = torch.stack([ray_x.expand_as(z), ray_y.expand_as(z), torch.ones_like(z)], dim=-1)

@@ -16,7 +16,7 @@ namespace {
 
 enum { ROWS = 4 };  // rows summed in single precision before doubles take over
 constexpr float NU = 5.0f;
-// Depth differences beyond this share of the depth are an edge, not a surface.
+// Depth differences beyond this share of the depth are an edge, unless one plane explains them.
 constexpr float EDGE = 0.05f;
 // The surface depth may differ from the mean depth by this share of it.
 constexpr float MOST_CORRECTION = 0.02f;
@@ -40,6 +40,12 @@ inline void add_outer(Sums& s, const float* J, float weight, float residual) {
     }
 }
 
+// Whether neighbours a and b of a pixel with depth z lie on its surface: near it, or on one plane
+// with it, however steep, since inverse depth is linear on a plane's image.
+inline bool same_surface(float a, float z, float b) {
+    return std::fabs(b - a) <= EDGE * z || std::fabs(z / a + z / b - 2.0f) <= 0.5f * EDGE;
+}
+
 // Bilinear intensity, derivatives and depth; false where a tap is unusable or an edge is crossed.
 inline bool look_up(const ModelLevel& model, float u, float v, float* value) {
     const int x = (int)u, y = (int)v, W = model.camera.width;
@@ -50,7 +56,12 @@ inline bool look_up(const ModelLevel& model, float u, float v, float* value) {
     const float* p11 = p10 + 4;
     const float nearest = std::min(std::min(p00[3], p01[3]), std::min(p10[3], p11[3]));
     const float farthest = std::max(std::max(p00[3], p01[3]), std::max(p10[3], p11[3]));
-    if (!(nearest > 0) || farthest - nearest > EDGE * nearest) return false;
+    if (!(nearest > 0)) return false;
+    if (farthest - nearest > EDGE * nearest) {
+        // Two opposite taps that lie on planes with all their neighbours join the four.
+        const float* plane = model.surface + 4 * ((size_t)y * W + x);
+        if (plane[3] == 0 || plane[4 * (W + 1) + 3] == 0) return false;
+    }
     const float w00 = (1 - a) * (1 - b), w01 = a * (1 - b), w10 = (1 - a) * b, w11 = a * b;
     for (int k = 0; k < 4; ++k) value[k] = w00 * p00[k] + w01 * p01[k] + w10 * p10[k] + w11 * p11[k];
     return true;
@@ -225,9 +236,8 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
                 depth[i] = p[2];
                 if (!(p[2] > 0) || x == 0 || y == 0 || x == W - 1 || y == H - 1) continue;
                 const float *l = p - 3, *r = p + 3, *o = p - 3 * W, *u = p + 3 * W;
-                const float nearest = std::min(std::min(l[2], r[2]), std::min(o[2], u[2]));
-                const float farthest = std::max(std::max(l[2], r[2]), std::max(o[2], u[2]));
-                if (!(nearest > 0) || farthest - nearest > EDGE * p[2]) continue;
+                if (!(std::min(std::min(l[2], r[2]), std::min(o[2], u[2])) > 0)) continue;
+                if (!same_surface(l[2], p[2], r[2]) || !same_surface(o[2], p[2], u[2])) continue;
                 const float ax = r[0] - l[0], ay = r[1] - l[1], az = r[2] - l[2];
                 const float bx = u[0] - o[0], by = u[1] - o[1], bz = u[2] - o[2];
                 const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
@@ -260,7 +270,7 @@ void build_model_level(const Pinhole& camera, const float* intensity, const floa
             out[1] = 0.5f * (intensity[i + 1] - intensity[i - 1]);
             out[2] = 0.5f * (intensity[i + W] - intensity[i - W]);
             out[3] = z;
-            if (std::fabs(r - l) > EDGE * z || std::fabs(u - o) > EDGE * z) continue;
+            if (!same_surface(l, z, r) || !same_surface(o, z, u)) continue;
             // Tangents along x and y: d/dx of ((x - cx) / fx z, (y - cy) / fy z, z).
             const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
             const float zx = 0.5f * (r - l), zy = 0.5f * (u - o);
@@ -279,7 +289,7 @@ void build_model_level(const Pinhole& camera, const float* intensity, const floa
     }
 }
 
-void halve(int width, int height, const float* intensity, const float* depth, float* half_intensity,
+void halve(int width, int height, const float* intensity, const float* depth, float edge, float* half_intensity,
            float* half_depth) {
     const int W = std::max(1, width / 2), H = std::max(1, height / 2);
 #pragma omp parallel for schedule(static)
@@ -288,21 +298,22 @@ void halve(int width, int height, const float* intensity, const float* depth, fl
             const int x1 = std::min(2 * x + 1, width - 1), y1 = std::min(2 * y + 1, height - 1);
             const size_t taps[4] = {(size_t)(2 * y) * width + 2 * x, (size_t)(2 * y) * width + x1,
                                     (size_t)y1 * width + 2 * x, (size_t)y1 * width + x1};
-            float sum = 0, nearest = 1e30f, depth_sum = 0;
+            float sum = 0, of_surface = 0, nearest = 1e30f, inverse = 0;
             int count = 0;
             for (size_t tap : taps) {
                 sum += intensity[tap];
                 if (depth[tap] > 0) nearest = std::min(nearest, depth[tap]);
             }
-            // Average the nearest surface alone: never mix across an edge.
+            // Average the nearest surface alone: never mix across an edge, nor with a hole.
             for (size_t tap : taps) {
-                if (depth[tap] > 0 && depth[tap] - nearest <= EDGE * nearest) {
-                    depth_sum += depth[tap];
+                if (depth[tap] > 0 && depth[tap] - nearest <= edge * nearest) {
+                    of_surface += intensity[tap];
+                    inverse += 1.0f / depth[tap];
                     ++count;
                 }
             }
-            half_intensity[(size_t)y * W + x] = 0.25f * sum;
-            half_depth[(size_t)y * W + x] = count ? depth_sum / count : 0.0f;
+            half_intensity[(size_t)y * W + x] = count ? of_surface / count : 0.25f * sum;
+            half_depth[(size_t)y * W + x] = count ? count / inverse : 0.0f;
         }
     }
 }

@@ -48,7 +48,8 @@ void surface_depth(const Pinhole& camera, const double* T_camera_map, const floa
 void intensity_of(const Pinhole& camera, const float* images, float least_silhouette, float* intensity);
 void build_model_level(const Pinhole& camera, const float* intensity, const float* depth, float* texture,
                        float* surface);
-void halve(int width, int height, const float* intensity, const float* depth, float* half_intensity,
+// edge: depth differences beyond this share of the depth are another surface.
+void halve(int width, int height, const float* intensity, const float* depth, float edge, float* half_intensity,
            float* half_depth);
 void accumulate(const ModelLevel& model, const FrameLevel& frame, const AlignmentSettings& settings,
                 NormalEquations& out);

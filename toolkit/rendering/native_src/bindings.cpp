@@ -102,10 +102,11 @@ void align_level(const Intrinsics& intrinsics, const Size& size, Address intensi
                       at<float>(texture), at<float>(surface));
 }
 
-void align_halve(const Size& size, Address intensity, Address depth, Address half_intensity, Address half_depth) {
+void align_halve(const Size& size, Address intensity, Address depth, double edge, Address half_intensity,
+                 Address half_depth) {
     const py::gil_scoped_release release;
-    halve(size[0], size[1], at<const float>(intensity), at<const float>(depth), at<float>(half_intensity),
-          at<float>(half_depth));
+    halve(size[0], size[1], at<const float>(intensity), at<const float>(depth), (float)edge,
+          at<float>(half_intensity), at<float>(half_depth));
 }
 
 // scalars: gain, bias, sigma_intensity, sigma_depth, max_distance. out: 49 doubles.

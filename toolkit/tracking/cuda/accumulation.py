@@ -100,7 +100,7 @@ def _point_to_plane(columns, surface, at, close, point, inverse_scale):
 
 
 @triton.jit
-def _interpolated(texture, width, u, v, close):
+def _interpolated(texture, surface, width, u, v, close):
     """Intensity and its derivatives [pixels] between texels, and where they lie on one surface."""
     left, top = u.to(tl.int32), v.to(tl.int32)
     a, b = u - left.to(tl.float32), v - top.to(tl.float32)
@@ -111,7 +111,11 @@ def _interpolated(texture, width, u, v, close):
     i11, x11, y11, d11 = _tap(texture, at + width + 1, close)
     nearest = tl.minimum(tl.minimum(d00, d01), tl.minimum(d10, d11))
     farthest = tl.maximum(tl.maximum(d00, d01), tl.maximum(d10, d11))
-    bright = close & (nearest > 0.0) & (farthest - nearest <= nearest * EDGE)
+    # Opposite taps that lie on planes with all their neighbours join the four.
+    plane00 = tl.load(surface + 4 * at + 3, mask=close, other=0.0)
+    plane11 = tl.load(surface + 4 * (at + width + 1) + 3, mask=close, other=0.0)
+    joined = (plane00 != 0.0) & (plane11 != 0.0)
+    bright = close & (nearest > 0.0) & (joined | (farthest - nearest <= nearest * EDGE))
     w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
     value = w00 * i00 + w01 * i01 + w10 * i10 + w11 * i11
     along_x = w00 * x00 + w01 * x01 + w10 * x10 + w11 * x11
@@ -191,7 +195,7 @@ def accumulate(
         tail += _counted(place, 1, flat, squares)
 
         # Intensity, where all taps lie on one surface.
-        sampled = _interpolated(texture, width, u, v, close)
+        sampled = _interpolated(texture, surface, width, u, v, close)
         exposure = (gain, bias, inverse_intensity)
         J, bright, squares = _photometric(
             columns, sampled, own, exposure, (x, y, z), (fx, fy), inverse_z
