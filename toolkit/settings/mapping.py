@@ -74,7 +74,7 @@ class MappingSettings(Settings):
     newest_share: float = Field(0.4, gt=0, le=1, description="of the steps, for the newest")
     tile_share: float = Field(1.0, gt=0, le=1, description="of a keyframe, for its further steps")
     least_overlap: float = Field(0.15, ge=0, le=1, description="that joins the window")
-    least_silhouette: float = Field(0.5, gt=0, lt=1, description="seed below it (tau_sil)")
+    least_silhouette: float = Field(0.85, gt=0, lt=1, description="seed below it (tau_sil)")
     depth_floor: float = Field(0.03, ge=0, description="depth error that seeds, of depth")
     depth_factor: float = Field(20.0, ge=0, description="the same in medians of the error")
     denoise: bool = Field(True, description="smooth noisy depth before it is mapped")

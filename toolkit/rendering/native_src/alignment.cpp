@@ -18,8 +18,9 @@ enum { ROWS = 4 };  // rows summed in single precision before doubles take over
 constexpr float NU = 5.0f;
 // Depth differences beyond this share of the depth are an edge, unless one plane explains them.
 constexpr float EDGE = 0.05f;
-// The surface depth may differ from the mean depth by this share of it.
-constexpr float MOST_CORRECTION = 0.02f;
+// The surface depth may differ from the mean depth by this share of it: on steep walls, whose
+// Gaussians reach pixels far from theirs, it does by more than 2 %.
+constexpr float MOST_CORRECTION = 0.1f;
 // A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
 // mean centre hardly moves from pixel to pixel, span no plane.
 constexpr float LEAST_NORMAL = 0.01f;
