@@ -17,6 +17,7 @@ class HealthSettings(Settings):
     most_intensity: float = Field(0.15, gt=0, description="largest photometric scale, [0, 1]")
     most_depth_m: float = Field(0.04, gt=0, description="largest geometric scale at 1 m, m")
     least_information: float = Field(1e4, ge=0, description="smallest eigenvalue, 1 / m^2")
+    most_misfit: float = Field(4.0, gt=0, description="residuals against the last frame's")
 
 
 class DenseSettings(Settings):

@@ -33,10 +33,16 @@ from toolkit.tracking.alignment import (
     rescaled,
     view_of,
 )
-from toolkit.tracking.health import HealthLimits, may_start_map, verdict
+from toolkit.tracking.health import (
+    HealthLimits,
+    forgetting,
+    gone_astray,
+    may_start_map,
+    verdict,
+)
 from toolkit.tracking.motion import ConstantVelocity
 from toolkit.tracking.odometry import frame_to_model
-from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tones import told_exposure
 
 _log = logging.getLogger(__name__)
@@ -175,11 +181,16 @@ class DenseTracker:
         if last is not None:
             starts.append(last)
         result = self.locate(frame, gaussians, *starts)
+        found = Scales(result.intensity_residual, result.depth_residual_m)
+        astray = "" if result.lost else gone_astray(self.limits, found, self._scales)
+        if astray:
+            result = replace(result, health=Health.LOST, reason=astray)
         if result.lost:
             self.motion.forget_velocity()
+            self._scales = forgetting(self._scales)
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
-            self._scales = Scales(result.intensity_residual, result.depth_residual_m)
+            self._scales = found
             self._exposure = (result.gain, result.bias)
         return result
 
