@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
+from toolkit.geometry.camera import Camera
+from toolkit.tracking.alignment import FrameLevel, Scales, model_level, pyramid
 from toolkit.tracking.exposure import BIAS, GAIN
-from toolkit.tracking.tones import Tones, exposure_between, tones
+from toolkit.tracking.tones import Tones, exposure_between, told_exposure, tones
 
 
 @pytest.fixture
@@ -58,3 +61,38 @@ def test_a_flat_view_tells_a_factor_and_a_black_one_nothing(image):
     assert told(0.01 * image, image) == (1.0, 0.0)
     nothing = tones(np.zeros((8, 8)), np.zeros(8), 0.0, (1.0, 0.0))
     assert exposure_between(*nothing) == (1.0, 0.0)
+
+
+class TestOfAFrame:
+    """A slanted wall against a view of it at another exposure."""
+
+    CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)
+
+    def levels(self, gain, bias, holes=None):
+        picture = np.random.default_rng(3).uniform(0.2, 0.7, (12, 16))
+        intensity = torch.from_numpy(np.kron(picture, np.ones((8, 8))).astype(np.float32))
+        depth = torch.full_like(intensity, 2.0)
+        frame = FrameLevel(self.CAMERA, intensity, depth)
+        shown, seen = gain * intensity + bias, depth.clone()
+        if holes is not None:
+            shown[holes], seen[holes] = 0.0, 0.0
+        view = pyramid(FrameLevel(self.CAMERA, shown, seen), 3)
+        return list(zip([model_level(v) for v in view], pyramid(frame, 3), strict=True))
+
+    def told(self, levels, fitted=(1.0, 0.0)):
+        return told_exposure(levels, np.eye(4), Scales(0.05, 0.01), fitted, 0.05)
+
+    @pytest.mark.parametrize("exposure", [(1.2, 0.0), (0.85, 0.0), (0.7, 0.15), (1.3, -0.05)])
+    def test_it_is_told(self, exposure):
+        assert self.told(self.levels(*exposure)) == pytest.approx(exposure, abs=0.01)
+
+    def test_small_changes_are_none(self):
+        assert self.told(self.levels(1.01, 0.0)) == (1.0, 0.0)
+
+    def test_holes_of_the_view_do_not_matter(self):
+        holes = torch.from_numpy(np.random.default_rng(4).random((96, 128)) < 0.15)
+        assert self.told(self.levels(1.2, 0.0, holes)) == pytest.approx((1.2, 0.0), abs=0.02)
+
+    def test_nothing_in_common_tells_nothing(self):
+        everywhere = torch.ones(96, 128, dtype=torch.bool)
+        assert self.told(self.levels(1.2, 0.0, everywhere), (0.9, 0.1)) == (1.0, 0.0)

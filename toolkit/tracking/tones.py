@@ -28,8 +28,6 @@ _EQUAL_BRIGHTNESS = 0.02
 _DARKEST, _FLATTEST = 0.02, 0.01
 # Fewer pixels of a level tell nothing.
 _FEWEST_PIXELS = 50
-# Rounds of weights from exposure and exposure from weights.
-_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -86,33 +84,25 @@ def told_exposure(
     fitted: tuple[float, float],
     max_distance: float,
 ) -> tuple[float, float]:
-    """Gain and bias of an aligned frame.
+    """Gain and bias of an aligned frame, by the coarsest level that has pixels enough.
 
-    Brightness is told by the finest level; contrast by the coarsest one that has pixels enough,
-    where neither noise nor smoothness says much. The coarse levels' brightness is not to be
-    trusted: what the map does not show is black in them.
+    There neither noise nor smoothness says much. Weights follow from the exposure, so it is told
+    twice.
 
     Args:
         levels: view and frame, from fine to coarse. fitted: exposure to begin with.
         max_distance: gate on depth differences at the finest level, as a share of depth.
     """
-    told = fitted
-    for _ in range(_ROUNDS):
-        finest = _tones_at(levels, 0, T_view_camera, scales, told, max_distance)
-        if finest is None:
-            return 1.0, 0.0
-        told = finest[1].mean / max(finest[0].mean, _DARKEST), 0.0
-    coarse = (
-        _tones_at(levels, level, T_view_camera, scales, fitted, max_distance)
-        for level in reversed(range(1, len(levels)))
-    )
-    spreads = next((found for found in coarse if found is not None), finest)
-    assert finest is not None and spreads is not None
-    frame = Tones(finest[0].mean, spreads[0].spread)
-    view = Tones(finest[1].mean, spreads[1].spread)
-    gain, bias = exposure_between(frame, view)
-    unchanged = bias == 0.0 and abs(gain - 1.0) < _EQUAL_BRIGHTNESS
-    return (1.0, 0.0) if unchanged else (gain, bias)
+    for level in reversed(range(len(levels))):
+        found = _tones_at(levels, level, T_view_camera, scales, fitted, max_distance)
+        if found is None:
+            continue
+        told = exposure_between(*found)
+        again = _tones_at(levels, level, T_view_camera, scales, told, max_distance)
+        gain, bias = exposure_between(*(again or found))
+        unchanged = bias == 0.0 and abs(gain - 1.0) < _EQUAL_BRIGHTNESS
+        return (1.0, 0.0) if unchanged else (gain, bias)
+    return 1.0, 0.0
 
 
 def _tones_at(
