@@ -22,7 +22,7 @@ from toolkit.rendering.backend import Backend, ForwardPass
 from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
 
-_EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
+EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
 _MOST_CORRECTION = 0.1  # share of the depth; steep walls ask for more than 0.02
 # A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
 # mean centre hardly moves from pixel to pixel, span no plane.
@@ -112,14 +112,16 @@ def surface_depth(
     return depth_m
 
 
-def _same_surface(a: Tensor, centre: Tensor, b: Tensor) -> Tensor:
-    """Whether points [H, W, 3] on both sides lie near the middle one, or on one plane with it.
+def same_surface(before_m: Tensor, depth_m: Tensor, after_m: Tensor) -> Tensor:
+    """Whether neighbours on both sides of pixels lie near them, or on one plane with them.
 
     However steep: inverse depth is linear on a plane's image.
+
+    Args:
+        before_m, depth_m, after_m: depths in metres, of one shape.
     """
-    a_m, z_m, b_m = a[..., 2], centre[..., 2], b[..., 2]
-    bend = (z_m / a_m + z_m / b_m - 2.0).abs()
-    return ((b_m - a_m).abs() <= _EDGE * z_m) | (bend <= 0.5 * _EDGE)
+    bend = (depth_m / before_m + depth_m / after_m - 2.0).abs()
+    return ((after_m - before_m).abs() <= EDGE * depth_m) | (bend <= 0.5 * EDGE)
 
 
 def _surface_depth_torch(
@@ -139,7 +141,8 @@ def _surface_depth_torch(
     above, below = points[:-2, 1:-1], points[2:, 1:-1]
     around = torch.stack([p[..., 2] for p in (left, right, above, below)])
     smooth = (centre[..., 2] > 0) & (around.amin(0) > 0)
-    smooth &= _same_surface(left, centre, right) & _same_surface(above, centre, below)
+    smooth &= same_surface(left[..., 2], centre[..., 2], right[..., 2])
+    smooth &= same_surface(above[..., 2], centre[..., 2], below[..., 2])
     normal = torch.linalg.cross(right - left, below - above)
     # Neighbours lie two pixels apart in both directions.
     footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)

@@ -16,7 +16,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.native import address, kernels_for
-from toolkit.rendering.surface import SurfaceView
+from toolkit.rendering.surface import EDGE, SurfaceView
 from toolkit.tracking import alignment_numpy, alignment_torch
 
 LUMA = (0.299, 0.587, 0.114)
@@ -114,7 +114,7 @@ def halved(level: FrameLevel, halvings: int = 0) -> FrameLevel:
         halvings: of the level itself; so many times farther apart are the rays of its pixels,
             and so much more depth may differ on a surface.
     """
-    camera, edge = level.camera.halved(), alignment_numpy.EDGE * 2**halvings
+    camera, edge = level.camera.halved(), EDGE * 2**halvings
     if level.depth_m.device.type != "cpu":
         return FrameLevel(camera, *alignment_torch.halve(level.intensity, level.depth_m, edge))
     module = kernels_for(level.depth_m)

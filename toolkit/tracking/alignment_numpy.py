@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry.camera import Camera
+from toolkit.rendering.surface import EDGE
 
 NU = 5.0  # degrees of freedom of Student's t
-EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
 NEAR_M = 0.01
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 

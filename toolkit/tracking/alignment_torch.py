@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from toolkit.geometry.camera import Camera
-from toolkit.tracking.alignment_numpy import EDGE, LUMA
+from toolkit.rendering.surface import same_surface
+from toolkit.tracking.alignment_numpy import LUMA
 
 
 def intensity_of(images: Tensor, least_silhouette: float) -> Tensor:
@@ -29,12 +30,6 @@ def halve(intensity: Tensor, depth: Tensor, edge: float) -> tuple[Tensor, Tensor
     mean = torch.where(count > 0, count / inverse.clamp(min=1e-9), torch.zeros_like(inverse))
     of_surface = (grey * same).sum(0) / count.clamp(min=1)
     return torch.where(count > 0, of_surface, grey.mean(0)), mean
-
-
-def _same_surface(a: Tensor, z: Tensor, b: Tensor) -> Tensor:
-    """Whether neighbours on both sides lie near a pixel with depth z, or on one plane with it."""
-    bend = (z / a + z / b - 2.0).abs()
-    return ((b - a).abs() <= EDGE * z) | (bend <= 0.5 * EDGE)
 
 
 def _taps(image: Tensor) -> Tensor:
@@ -61,7 +56,7 @@ def model(camera: Camera, intensity: Tensor, depth: Tensor) -> tuple[Tensor, Ten
     along_y = 0.5 * (intensity[2:, 1:-1] - intensity[:-2, 1:-1])
     parts = torch.stack([intensity[inner], along_x, along_y, z], dim=-1)
     texture[inner] = torch.where(usable[..., None], parts, torch.zeros_like(parts))
-    smooth = usable & _same_surface(left, z, right) & _same_surface(above, z, below)
+    smooth = usable & same_surface(left, z, right) & same_surface(above, z, below)
     ray_x = (torch.arange(camera.width, device=z.device)[None, 1:-1] - camera.cx) / camera.fx
     ray_y = (torch.arange(camera.height, device=z.device)[1:-1, None] - camera.cy) / camera.fy
     rays = torch.stack([ray_x.expand_as(z), ray_y.expand_as(z), torch.ones_like(z)], dim=-1)

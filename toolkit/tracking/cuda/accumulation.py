@@ -3,7 +3,7 @@
 import triton
 import triton.language as tl
 
-from toolkit.tracking.alignment_numpy import EDGE as _EDGE
+from toolkit.rendering.surface import EDGE as _EDGE
 from toolkit.tracking.alignment_numpy import NEAR_M as _NEAR_M
 from toolkit.tracking.alignment_numpy import NU as _NU
 from toolkit.tracking.cuda.layout import (
