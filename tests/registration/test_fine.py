@@ -10,8 +10,10 @@ import torch
 from registered_room import Scene, error, motion, moved
 
 from toolkit.geometry import se3
+from toolkit.registration import fine
 from toolkit.registration.fine import FineOptions, FineRegistration, classes_clash
 from toolkit.registration.fine_first_order import FirstOrderFineOptions, _Objective
+from toolkit.registration.joint_alignment import align
 from toolkit.registration.views import ViewDrawer
 from toolkit.rendering import render
 
@@ -30,6 +32,27 @@ def test_dense_finds_the_motion_from_nearby(room: Scene, drawer, metres, degrees
     assert np.linalg.eigvalsh(result.information)[0] > 0
     x = se3.log(se3.inverse(result.T_target_source) @ room.T_target_source)
     assert 0.01 < x @ result.information @ x < 12.6  # chi-square of six: 95 % lie below
+
+
+@pytest.mark.parametrize(("swing_m", "rests"), [(2e-4, True), (0.02, False)])
+def test_steps_that_swing_about_an_answer_have_come_to_rest(
+    room: Scene, monkeypatch: pytest.MonkeyPatch, swing_m, rests
+):
+    """They never get small, and are less than anyone asks."""
+    start = room.T_target_source
+
+    def swinging(pairs, estimate, options, finest_only=False):
+        found = align(pairs, replace(estimate, T_target_source=start), options, finest_only)
+        away = np.array([swing_m * (-1.0) ** swinging.calls, 0.0, 0.0, 0.0, 0.0, 0.0])
+        swinging.calls += 1
+        T = found.T_target_source @ se3.exp(away)
+        return replace(found, T_target_source=T, converged=False)
+
+    swinging.calls = 0
+    monkeypatch.setattr(fine, "align", swinging)
+    result = FineRegistration().register(room.target, room.source, start)
+    assert result.converged == rests
+    assert rests or "come to rest" in result.reason
 
 
 def test_both_maps_stay_as_they_are(room: Scene):

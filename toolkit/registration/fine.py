@@ -78,6 +78,11 @@ class _TargetView:
     model: list[ModelLevel]
 
 
+# An answer that moved by less than this share of the distance that asks for a new drawing, since
+# the last one, has come to rest: 1 mm at 1 m.
+_AT_REST = 0.1
+_FEWEST_PIXELS = 50
+
 # Views that moved farther than this (median depths plus radians) are aligned from the coarsest
 # level again once they are drawn anew; others need the finest alone.
 _FAR = 0.05
@@ -174,8 +179,11 @@ class FineRegistration:
             estimate = align(pairs, estimate, self.options.dense, finest_only=not far)
             moved = _farthest(sources, drawn_at, estimate.T_target_source)
             near = moved <= self.options.rerender_distance
+            # Steps may swing about an answer, by less than anyone asks of it, and never be small.
+            swings = moved <= _AT_REST * self.options.rerender_distance
+            at_rest = estimate.converged or (swings and estimate.pixels.sum() >= _FEWEST_PIXELS)
             # Far from the last drawing, an answer was never seen to be right.
-            estimate = replace(estimate, converged=estimate.converged and near)
+            estimate = replace(estimate, converged=bool(at_rest and near))
             if estimate.converged or round_ + 1 == self.options.renders:
                 break
             far = moved > _FAR
