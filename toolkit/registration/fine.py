@@ -21,7 +21,13 @@ from toolkit.registration.fine_first_order import (
     FirstOrderFineOptions,
     descend,
 )
-from toolkit.registration.joint_alignment import Estimate, JointOptions, Pair, align
+from toolkit.registration.joint_alignment import (
+    FEWEST_PIXELS,
+    Estimate,
+    JointOptions,
+    Pair,
+    align,
+)
 from toolkit.registration.quality import AlignmentCheck, compare
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
@@ -81,7 +87,6 @@ class _TargetView:
 # An answer that moved by less than this share of the distance that asks for a new drawing, since
 # the last one, has come to rest: 1 mm at 1 m.
 _AT_REST = 0.1
-_FEWEST_PIXELS = 50
 
 # Views that moved farther than this (median depths plus radians) are aligned from the coarsest
 # level again once they are drawn anew; others need the finest alone.
@@ -181,7 +186,7 @@ class FineRegistration:
             near = moved <= self.options.rerender_distance
             # Steps may swing about an answer, by less than anyone asks of it, and never be small.
             swings = moved <= _AT_REST * self.options.rerender_distance
-            at_rest = estimate.converged or (swings and estimate.pixels.sum() >= _FEWEST_PIXELS)
+            at_rest = estimate.converged or (swings and estimate.pixels.sum() >= FEWEST_PIXELS)
             # Far from the last drawing, an answer was never seen to be right.
             estimate = replace(estimate, converged=bool(at_rest and near))
             if estimate.converged or round_ + 1 == self.options.renders:

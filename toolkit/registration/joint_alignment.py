@@ -27,7 +27,7 @@ from toolkit.tracking.alignment import (
 Array = NDArray[np.float64]
 
 # Fewer residuals than this fix no pose.
-_FEWEST_PIXELS = 50
+FEWEST_PIXELS = 50
 # Steps of gain and bias that end the finest level.
 _SMALL_EXPOSURE = 0.004
 
@@ -132,7 +132,7 @@ def _stepped(
     pixels = np.array([linear.depth_pixels for linear in linears])
     estimate = replace(estimate, information=H, pixels=pixels, iterations=estimate.iterations + 1)
     step = _solved(H, g)
-    if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < _FEWEST_PIXELS:
+    if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < FEWEST_PIXELS:
         return replace(estimate, converged=False), False
     step = _limited(step, options)
     # Levels differ in what a pixel is, and so in what is a small step.
