@@ -98,6 +98,13 @@ class Slam:
         self.atlas.begin_in(submaps)
         self._closer.begin_in(self.atlas)
 
+    def prepare(self, frame: Frame) -> None:
+        """Do ahead of a frame's turn what needs no map; results are the same without.
+
+        Another thread may call this while earlier frames are processed (`prefetched`).
+        """
+        self.tracker.prepare(frame, self.mapper.device)
+
     def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
         """Track one frame and, where it adds something, map it.
 

@@ -60,3 +60,20 @@ def test_an_error_arrives_in_the_place_of_its_frame():
 
 def test_nothing_asked_nothing_given():
     assert list(prefetched(CountingDataset(), [])) == []
+
+
+def test_frames_are_prepared_in_order_before_they_are_handed_over():
+    prepared = []
+    frames = prefetched(CountingDataset(), [3, 1, 4], prepare=prepared.append)
+    for frame in frames:
+        assert any(frame is seen for seen in prepared)
+    assert [frame.index for frame in prepared] == [3, 1, 4]
+
+
+def test_an_error_of_preparing_arrives_too():
+    def fail(frame: Frame) -> None:
+        raise ValueError(f"frame {frame.index} is too small")
+
+    with pytest.raises(ValueError, match="frame 7 is too small"):
+        next(prefetched(CountingDataset(), [7], prepare=fail))
+    assert readers() == 0

@@ -95,6 +95,7 @@ def tracked(kind: str, frames, gaussians: GaussianCloud):
         else FirstOrderTracker(FirstOrderOptions(iterations=3))
     )
     tracker.first_pose(frames[0])
+    tracker.prepare(frames[1], gaussians.means.device)
     return tracker.track(frames[1], gaussians).T_map_camera
 
 

@@ -22,7 +22,7 @@ from toolkit.tracking.alignment import (
     model_level,
     pyramid,
 )
-from toolkit.tracking.dense import DenseOptions, DenseTracker, _Estimate, _Task, _View
+from toolkit.tracking.gauss_newton import Alignment, Rules, align
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -77,23 +77,17 @@ def test_sums(room, aligner):
 @pytest.mark.parametrize(("levels", "exposure"), [(2, True), (1, False)])
 def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     """Level by level, with exposure and scales, as often, to a hundredth of a millimetre."""
-    options = DenseOptions(levels=levels, iterations=5, exposure=exposure)
+    tones = (1.0, 0.0) if exposure else None
+    rules = Rules(5, 0.05, 1.0, tones, fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
     view = [model_level(level) for level in pyramid(level_of(room, 0, 48, 36), levels)]
     frames = pyramid(level_of(room, 1, 48, 36), levels)
-    start = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004]))
-    found = []
-    for on_gpu in (False, True):
-        tracker = DenseTracker(options)
-        estimate = _Estimate(start.copy(), START_SCALES)
-        place = (there, model_there) if on_gpu else (lambda x: x, lambda x: x)
-        task = _Task(room.frames[1], None, [place[0](level) for level in frames])
-        drawn = _View(np.eye(4), [place[1](level) for level in view])
-        align = tracker._align_on_gpu if on_gpu else tracker._align
-        align(task, drawn, estimate, coarse=True)
-        found.append(estimate)
-    expected, actual = found
-    assert distance_mm(actual.T_map_camera, expected.T_map_camera) < 0.01
-    assert angle_deg(actual.T_map_camera, expected.T_map_camera) < 0.001
+    offset = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004]))
+    start = Alignment(offset, START_SCALES, 1.0, 0.0)
+    expected = align(view, frames, start, rules)
+    views_there, frames_there = [model_there(v) for v in view], [there(f) for f in frames]
+    actual = aligner.align(views_there, frames_there, start, rules)
+    assert distance_mm(actual.T_view_camera, expected.T_view_camera) < 0.01
+    assert angle_deg(actual.T_view_camera, expected.T_view_camera) < 0.001
     assert actual.gain == pytest.approx(expected.gain, abs=1e-4)
     assert actual.bias == pytest.approx(expected.bias, abs=1e-4)
     assert actual.scales.intensity == pytest.approx(expected.scales.intensity, rel=1e-3)
@@ -107,8 +101,8 @@ def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
 def test_too_few_pixels_change_nothing(room, aligner):
     frame, view = level_of(room, 1, 20, 16), level_of(room, 0, 20, 16)
     frame.depth_m[:] = 0.0
-    start = aligner.Alignment(np.eye(4), START_SCALES, 1.0, 0.0)
-    rules = aligner.Rules(3, 0.05, 1.0, (1.0, 0.0), 50, 1e-5, 1e-5)
+    start = Alignment(np.eye(4), START_SCALES, 1.0, 0.0)
+    rules = Rules(3, 0.05, 1.0, (1.0, 0.0), 50, 1e-5, 1e-5)
     found = aligner.align([model_there(model_level(view))], [there(frame)], start, rules)
     assert np.array_equal(found.T_view_camera, np.eye(4))
     assert (found.iterations, found.converged, found.gain) == (1, False, 1.0)

@@ -164,9 +164,8 @@ def _process(
         start = checkpoint.next_frame
         _log.info("resumed %s at frame %d of %d", folder.path, start, len(dataset))
     saved_at, saved_keyframes = time.monotonic(), slam.keyframe_count
-    for frame in _with_progress(
-        prefetched(dataset, range(start, len(dataset))), start, len(dataset)
-    ):
+    frames = prefetched(dataset, range(start, len(dataset)), prepare=slam.prepare)
+    for frame in _with_progress(frames, start, len(dataset)):
         with watch.timed("frame"):
             result = slam.process_frame(frame, may_map=not held_out(frame.index, settings))
         if result.lost:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from toolkit.datasets.base import Dataset
 from toolkit.frame import Frame
@@ -14,16 +14,22 @@ _END = object()
 _POLL_S = 0.05
 
 
-def prefetched(dataset: Dataset, indices: Iterable[int], ahead: int = 4) -> Iterator[Frame]:
+def prefetched(
+    dataset: Dataset,
+    indices: Iterable[int],
+    ahead: int = 4,
+    prepare: Callable[[Frame], None] | None = None,
+) -> Iterator[Frame]:
     """The frames of these indices in order, up to `ahead` of them read in advance.
 
-    Errors of reading are raised here, in place of the frame. The thread ends when the
+    Errors of reading and preparing are raised here, in place of the frame. The thread ends when the
     iterator is exhausted or closed.
 
     Args:
         dataset: where the frames come from; used by the thread alone meanwhile.
         indices: the frames wanted.
         ahead: frames held in memory beside the one in use, >= 1.
+        prepare: called with each frame by the thread, before it is handed over.
     """
     waiting: queue.Queue = queue.Queue(maxsize=ahead)
     closed = threading.Event()
@@ -40,7 +46,10 @@ def prefetched(dataset: Dataset, indices: Iterable[int], ahead: int = 4) -> Iter
     def read() -> None:
         try:
             for index in indices:
-                if not put(dataset[index]):
+                frame = dataset[index]
+                if prepare is not None:
+                    prepare(frame)
+                if not put(frame):
                     return
         except Exception as error:  # noqa: BLE001 - the consumer raises it again
             put(error)

@@ -98,7 +98,14 @@ class Linearisation:
 def finest_level(frame: Frame, device: torch.device) -> FrameLevel:
     """A frame's own size, on a device."""
     intensity, depth_m = intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)
-    return FrameLevel(frame.camera, intensity.to(device), depth_m.to(device))
+    return FrameLevel(frame.camera, _brought(intensity, device), _brought(depth_m, device))
+
+
+def _brought(image: Tensor, device: torch.device) -> Tensor:
+    """An image of the CPU's on a device; from pinned memory the copy waits for nobody."""
+    if device.type != "cuda":
+        return image.to(device)
+    return image.pin_memory().to(device, non_blocking=True)
 
 
 def intensity_of(rgb: NDArray[np.float32]) -> Tensor:

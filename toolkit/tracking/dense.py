@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError
@@ -19,29 +20,21 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
-from toolkit.tracking import exposure
 from toolkit.tracking.alignment import (
     START_SCALES,
     FrameLevel,
-    Linearisation,
     ModelLevel,
     Scales,
-    finest_level,
     linearise,
     model_level,
     pyramid,
-    rescaled,
     view_of,
 )
-from toolkit.tracking.health import (
-    HealthLimits,
-    forgetting,
-    gone_astray,
-    may_start_map,
-    verdict,
-)
-from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.gauss_newton import Alignment, Rules, align
+from toolkit.tracking.health import HealthLimits, forgetting, gone_astray, verdict
+from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
+from toolkit.tracking.prepared import FramesAhead, PreparedFrame
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tones import told_exposure
 
@@ -106,27 +99,23 @@ class _View:
 
 @dataclass(frozen=True)
 class _Task:
-    """One frame to be placed: the map, and the frame's own levels from fine to coarse."""
+    """One frame to be placed in a map."""
 
-    frame: Frame
+    ready: PreparedFrame
     gaussians: GaussianCloud
-    levels: list[FrameLevel]
+
+    @property
+    def frame(self) -> Frame:
+        """As it came."""
+        return self.ready.frame
+
+    @property
+    def levels(self) -> list[FrameLevel]:
+        """The frame's own, from fine to coarse."""
+        return self.ready.levels
 
 
-@dataclass
-class _Estimate:
-    """The state of one frame's alignment."""
-
-    T_map_camera: NDArray[np.float64]
-    scales: Scales
-    gain: float = 1.0
-    bias: float = 0.0
-    iterations: int = 0
-    converged: bool = False
-    last: Linearisation | None = None
-
-
-class DenseTracker:
+class DenseTracker(MovingTracker):
     """Tracks frames against a map of Gaussians by second-order optimisation."""
 
     def __init__(
@@ -136,40 +125,30 @@ class DenseTracker:
         backend_name: str = "auto",
         recorder: Recorder | None = None,
     ) -> None:
+        super().__init__(limits)
         self.options = options or DenseOptions()
-        self.limits = limits or HealthLimits()
-        self.motion = ConstantVelocity()
+        self._ahead = FramesAhead(self.options.levels)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = START_SCALES
         self._exposure = (1.0, 0.0)
 
-    wants_labels = False
+    def prepare(self, frame: Frame, device: torch.device) -> None:
+        """Bring a frame's pyramid to a GPU while earlier frames are tracked there.
 
-    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
-        """The map's frame is the first camera's; None where there is nothing to map."""
-        if not may_start_map(self.limits, frame):
-            return None
-        self.motion.update(frame.timestamp_s, np.eye(4))
-        return np.eye(4)
-
-    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Take a place as the newest one, without a motion."""
-        self.motion = ConstantVelocity()
-        self.motion.update(timestamp_s, T_map_camera)
-
-    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
-        """Go on in another frame of the map."""
-        self.motion.change_frame(T_new_old)
+        On a CPU tracking wants all cores for itself: a whole run took 3 % longer.
+        """
+        if device.type != "cpu":
+            self._ahead.prepare(frame, device)
 
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         scales = np.array([self._scales.intensity, self._scales.depth_m])
-        return {**self.motion.state(), "scales": scales, "exposure": np.array(self._exposure)}
+        return {**super().state(), "scales": scales, "exposure": np.array(self._exposure)}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
-        self.motion = ConstantVelocity.from_state(state)
+        super().restore(state)
         self._scales = Scales(*(float(s) for s in state["scales"]))
         gain, bias = state["exposure"]
         self._exposure = (float(gain), float(bias))
@@ -206,8 +185,7 @@ class DenseTracker:
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
         """
-        finest = finest_level(frame, gaussians.means.device)
-        task = _Task(frame, gaussians, pyramid(finest, self.options.levels))
+        task = _Task(self._ahead.of(frame, gaussians.means.device), gaussians)
         view = self._draw(task, starts[0])
         start = self._best_start(task, view, starts)
         result = self._aligned(task, view, start)
@@ -273,60 +251,24 @@ class DenseTracker:
 
     def _aligned(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
         """Alignment from a start, first against a view of the map near it."""
-        estimate = _Estimate(start.copy(), self._scales, *self._exposure)
-        renders = 1
+        T_view_camera = se3.inverse(view.T_map_view) @ start
+        found = Alignment(T_view_camera, self._scales, *self._exposure)
+        renders, levels, rules = 1, len(view.levels), self._rules
         while True:
             with self._recorder.timed("tracking align"):
-                self._align(task, view, estimate, coarse=renders == 1)
-            near = not self._moved_far(view.T_map_view, estimate.T_map_camera, task.frame)
-            if (near and estimate.converged) or renders == self.options.renders:
-                told = self._told(task, view, estimate)
-                return self._result(estimate, renders, task.levels[0], told)
-            view = self._draw(task, estimate.T_map_camera)
-            renders += 1
+                found = align(view.levels[:levels], task.levels[:levels], found, rules)
+            near = not self._far(found.T_view_camera, task.ready.reach_m)
+            if (near and found.converged) or renders == self.options.renders:
+                return self._result(task, view, found, renders)
+            view = self._draw(task, view.T_map_view @ found.T_view_camera)
+            found = replace(found, T_view_camera=np.eye(4))
+            # A second view of the same frame needs the finest level only.
+            renders, levels = renders + 1, 1
 
-    def _align(self, task: _Task, view: _View, estimate: _Estimate, coarse: bool) -> None:
-        """Coarse to fine; a second view of the same frame needs the finest level only."""
-        if task.levels[0].depth_m.is_cuda:
-            self._align_on_gpu(task, view, estimate, coarse)
-            return
-        T_view_map = se3.inverse(view.T_map_view)
-        for level in range(len(view.levels) - 1 if coarse else 0, -1, -1):
-            gate = self.options.max_distance * 2**level
-            estimate.converged = False
-            for _ in range(self.options.iterations):
-                linear = linearise(
-                    view.levels[level],
-                    task.levels[level],
-                    T_view_map @ estimate.T_map_camera,
-                    self._weighted(estimate.scales),
-                    (estimate.gain, estimate.bias),
-                    gate,
-                )
-                estimate.last = linear
-                estimate.iterations += 1
-                # A coarse view may be far off: it fits the pose at the last exposure.
-                step = self._step(linear, estimate, self.options.exposure and level == 0)
-                if step is None:
-                    return
-                T_view_camera = se3.exp(step[:6]) @ (T_view_map @ estimate.T_map_camera)
-                estimate.T_map_camera = view.T_map_view @ se3.orthonormalise(T_view_camera)
-                estimate.gain += step[6]
-                estimate.bias += step[7]
-                estimate.scales = rescaled(estimate.scales, linear, self.options.photometric_weight)
-                small = np.linalg.norm(step[:3]) < _SMALL_TRANSLATION_M * 4**level
-                small &= np.linalg.norm(step[3:6]) < _SMALL_ROTATION_RAD * 4**level
-                if small:
-                    estimate.converged = True
-                    break
-
-    def _align_on_gpu(self, task: _Task, view: _View, estimate: _Estimate, coarse: bool) -> None:
-        """The same steps, none of which asks the host."""
-        from toolkit.tracking.cuda.aligner import Alignment, Rules, align
-
-        options, count = self.options, len(view.levels) if coarse else 1
-        T_view_camera = se3.inverse(view.T_map_view) @ estimate.T_map_camera
-        rules = Rules(
+    @property
+    def _rules(self) -> Rules:
+        options = self.options
+        return Rules(
             iterations=options.iterations,
             max_distance=options.max_distance,
             photometric_weight=options.photometric_weight,
@@ -335,80 +277,40 @@ class DenseTracker:
             small_m=_SMALL_TRANSLATION_M,
             small_rad=_SMALL_ROTATION_RAD,
         )
-        start = Alignment(T_view_camera, estimate.scales, estimate.gain, estimate.bias)
-        found = align(view.levels[:count], task.levels[:count], start, rules)
-        estimate.T_map_camera = view.T_map_view @ found.T_view_camera
-        estimate.scales, estimate.last = found.scales, found.last or estimate.last
-        estimate.gain, estimate.bias = found.gain, found.bias
-        estimate.iterations += found.iterations
-        estimate.converged = found.converged
 
-    def _weighted(self, scales: Scales) -> Scales:
-        return Scales(scales.intensity / np.sqrt(self.options.photometric_weight), scales.depth_m)
+    def _far(self, T_view_camera: NDArray[np.float64], reach_m: float) -> bool:
+        """Whether a camera lies too far from where the map was drawn."""
+        moved = np.linalg.norm(T_view_camera[:3, 3]) / reach_m
+        turned = se3.rotation_angle_rad(T_view_camera[:3, :3])
+        return bool(moved + turned > self.options.rerender_distance)
 
-    def _step(
-        self, linear: Linearisation, estimate: _Estimate, with_exposure: bool
-    ) -> NDArray[np.float64] | None:
-        """Gauss-Newton step [8], or None where the equations cannot be solved."""
-        if linear.depth_pixels + linear.intensity_pixels < _FEWEST_PIXELS:
-            return None
-        H, g = linear.H.copy(), linear.g.copy()
-        if with_exposure:
-            pixels = linear.intensity_pixels / estimate.scales.intensity**2
-            change = np.array([estimate.gain, estimate.bias]) - self._exposure
-            exposure.hold(H, g, pixels, change)
-        else:
-            exposure.fix(H, g)
-        H[np.diag_indices(8)] *= 1.0 + 1e-6
-        try:
-            step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return None
-        return step if np.isfinite(step).all() else None
-
-    def _told(self, task: _Task, view: _View, estimate: _Estimate) -> tuple[float, float]:
+    def _told(self, task: _Task, view: _View, found: Alignment) -> tuple[float, float]:
         """Gain and bias of the frame for the map."""
-        fitted = (estimate.gain, estimate.bias)
-        if not self.options.exposure or estimate.last is None:
+        fitted = (found.gain, found.bias)
+        if not self.options.exposure or found.last is None:
             return fitted
         levels = list(zip(view.levels, task.levels, strict=True))
-        T_view_camera = se3.inverse(view.T_map_view) @ estimate.T_map_camera
-        scales, gate = self._weighted(estimate.scales), self.options.max_distance
-        return told_exposure(levels, T_view_camera, scales, fitted, gate)
+        scales, gate = self._rules.weighted(found.scales), self.options.max_distance
+        return told_exposure(levels, found.T_view_camera, scales, fitted, gate)
 
-    def _moved_far(
-        self, T_map_view: NDArray[np.float64], T_map_camera: NDArray[np.float64], frame: Frame
-    ) -> bool:
-        motion = se3.inverse(T_map_view) @ T_map_camera
-        valid = frame.depth_m[frame.depth_m > 0]
-        reach = float(np.median(valid)) if valid.size else 1.0
-        distance = np.linalg.norm(motion[:3, 3]) / reach + se3.rotation_angle_rad(motion[:3, :3])
-        return bool(distance > self.options.rerender_distance)
-
-    def _result(
-        self,
-        estimate: _Estimate,
-        renders: int,
-        finest: FrameLevel,
-        told: tuple[float, float],
-    ) -> TrackingResult:
-        measured = float((finest.depth_m > 0).sum())
-        linear = estimate.last
+    def _result(self, task: _Task, view: _View, found: Alignment, renders: int) -> TrackingResult:
+        measured, linear = float(task.ready.measured), found.last
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
         # Perturbations were on the view's side; the view stands at the pose itself now.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
-        health, reason = verdict(self.limits, estimate.scales, visible, information, measured)
+        health, reason = verdict(self.limits, found.scales, visible, information, measured)
+        gain, bias = self._told(task, view, found)
         return TrackingResult(
-            T_map_camera=estimate.T_map_camera,
-            converged=estimate.converged,
-            iterations=estimate.iterations,
+            T_map_camera=view.T_map_view @ found.T_view_camera,
+            converged=found.converged,
+            iterations=found.iterations,
             renders=renders,
-            intensity_residual=estimate.scales.intensity,
-            depth_residual_m=estimate.scales.depth_m,
+            intensity_residual=found.scales.intensity,
+            depth_residual_m=found.scales.depth_m,
             visible_fraction=visible,
             information=information,
             health=health,
             reason=reason,
-            gain=told[0],
-            bias=told[1],
+            gain=gain,
+            bias=bias,
         )

@@ -33,8 +33,8 @@ from toolkit.tracking.alignment import (
     model_level,
     rescaled,
 )
-from toolkit.tracking.health import HealthLimits, may_start_map, verdict
-from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 from toolkit.tracking.result import TrackingResult
 
@@ -76,7 +76,7 @@ class _Candidate:
     step: int
 
 
-class FirstOrderTracker:
+class FirstOrderTracker(MovingTracker):
     """Tracks frames against a map of Gaussians by gradient descent.
 
     Args:
@@ -94,14 +94,13 @@ class FirstOrderTracker:
         recorder: Recorder | None = None,
         code: SemanticCode | None = None,
     ) -> None:
+        super().__init__(limits)
         self.options = options or FirstOrderOptions()
         if self.options.preset not in PRESETS:
             raise SettingsError(
                 f"unknown tracking preset '{self.options.preset}'; choose one of "
                 f"{', '.join(PRESETS)}"
             )
-        self.limits = limits or HealthLimits()
-        self.motion = ConstantVelocity()
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._semantic = None
@@ -112,35 +111,7 @@ class FirstOrderTracker:
                 moves_geometry=True,
             )
             self._semantic = SemanticLoss(code, weights)
-
-    @property
-    def wants_labels(self) -> bool:
-        """See Tracker."""
-        return self._semantic is not None
-
-    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
-        """The map's frame is the first camera's; None where there is nothing to map."""
-        if not may_start_map(self.limits, frame):
-            return None
-        self.motion.update(frame.timestamp_s, np.eye(4))
-        return np.eye(4)
-
-    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Take a place as the newest one, without a motion."""
-        self.motion = ConstantVelocity()
-        self.motion.update(timestamp_s, T_map_camera)
-
-    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
-        """Go on in another frame of the map."""
-        self.motion.change_frame(T_new_old)
-
-    def state(self) -> dict[str, NDArray]:
-        """Arrays from which `restore` continues identically."""
-        return dict(self.motion.state())
-
-    def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
-        self.motion = ConstantVelocity.from_state(state)
+            self.wants_labels = True
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """Pose of a frame against the map; the motion model follows unless it is lost."""

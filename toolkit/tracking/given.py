@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
@@ -29,6 +30,9 @@ class GivenPoses:
         if not may_start_map(HealthLimits(), frame):
             return None
         return self._trajectory.at(frame.timestamp_s)
+
+    def prepare(self, frame: Frame, device: torch.device) -> None:
+        """Nothing is done ahead of a frame's turn."""
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """The table's pose."""

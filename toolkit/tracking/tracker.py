@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
@@ -22,6 +23,10 @@ class Tracker(Protocol):
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the frame that starts the map; None refuses the frame."""
+        ...
+
+    def prepare(self, frame: Frame, device: torch.device) -> None:
+        """Do ahead of a frame's turn what needs no map; from any thread, in any order."""
         ...
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 import triton
@@ -23,6 +21,7 @@ from toolkit.tracking.alignment import (
     Scales,
 )
 from toolkit.tracking.cuda import accumulation, layout, stepping
+from toolkit.tracking.gauss_newton import Alignment, Rules
 
 _BLOCK, _WARPS = 64, 2  # pixels at once, by so many warps: more would not fit the registers
 _PARTS = 512  # partial sums at most, so that their order does not depend on the GPU
@@ -31,49 +30,6 @@ _WIDE = int(layout.WIDE.value)
 _PART = int(layout.PART.value)
 _PHASE = int(layout.PHASE.value)
 _SOLVABLE, _CONVERGED = 1.5, 1.0
-
-
-@dataclass(frozen=True)
-class Rules:
-    """How an alignment goes on.
-
-    Attributes:
-        iterations: most steps a level.
-        max_distance: gate on depth differences at the finest level; doubled at each coarser one.
-        photometric_weight: of the photometric term against the geometric one.
-        exposure: gain and bias of the last frame, or None to leave exposure alone. Only the
-            finest level adjusts it.
-        fewest_pixels: residuals that fix a pose.
-        small_m, small_rad: steps below these end the finest level; four times as much does at
-            each coarser one.
-    """
-
-    iterations: int
-    max_distance: float
-    photometric_weight: float
-    exposure: tuple[float, float] | None
-    fewest_pixels: int
-    small_m: float
-    small_rad: float
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """The state of one frame's alignment against one view.
-
-    Attributes:
-        T_view_camera: [4, 4]. scales: of the residuals. gain, bias: of the frame.
-        iterations: taken. converged: at the finest level.
-        last: the normal equations of the last step, or None before the first.
-    """
-
-    T_view_camera: NDArray[np.float64]
-    scales: Scales
-    gain: float
-    bias: float
-    iterations: int = 0
-    converged: bool = False
-    last: Linearisation | None = None
 
 
 def align(

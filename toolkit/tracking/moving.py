@@ -1,0 +1,48 @@
+"""What trackers have in common that expect the camera to move on as it did."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.frame import Frame
+from toolkit.tracking.health import HealthLimits, may_start_map
+from toolkit.tracking.motion import ConstantVelocity
+
+
+class MovingTracker:
+    """The part of a tracker that is about the camera's motion, and about the first frame."""
+
+    wants_labels = False
+
+    def __init__(self, limits: HealthLimits | None) -> None:
+        self.limits = limits or HealthLimits()
+        self.motion = ConstantVelocity()
+
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """The map's frame is the first camera's; None where there is nothing to map."""
+        if not may_start_map(self.limits, frame):
+            return None
+        self.motion.update(frame.timestamp_s, np.eye(4))
+        return np.eye(4)
+
+    def prepare(self, frame: Frame, device: torch.device) -> None:
+        """Nothing is done ahead of a frame's turn."""
+
+    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
+        """Take a place as the newest one, without a motion."""
+        self.motion = ConstantVelocity()
+        self.motion.update(timestamp_s, T_map_camera)
+
+    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
+        """Go on in another frame of the map."""
+        self.motion.change_frame(T_new_old)
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        return dict(self.motion.state())
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over an earlier `state`."""
+        self.motion = ConstantVelocity.from_state(state)
