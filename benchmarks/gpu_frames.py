@@ -269,7 +269,7 @@ def check_alignment(plan: Plan) -> bool:
     frames = walk(backend("cuda"), camera, 2, plan.device, 2)
     view, frame = (finest_level(frame, torch.device("cpu")) for frame in frames)
     model, pose, exposure, gate = model_level(view), pose_of(1), (1.02, -0.01), 0.1
-    scalars = (*exposure, START_SCALES.intensity, START_SCALES.depth_m, gate)
+    scalars = (*exposure, START_SCALES.intensity, START_SCALES.depth_m, gate, 1.0)
     sums = alignment_numpy.accumulate(
         (model.texture.numpy(), model.surface.numpy()),
         (frame.intensity.numpy(), frame.depth_m.numpy()),

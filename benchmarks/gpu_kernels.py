@@ -35,6 +35,7 @@ _TYPES = {
     **dict.fromkeys(("rectangles", "pair_tiles"), "*i16"),
     **dict.fromkeys(("pose", "state", "last"), "*fp64"),
     **dict.fromkeys(("gate", "last_gain", "last_bias", "photometric_weight", "prior"), "fp32"),
+    "root_weight": "fp32",
     **dict.fromkeys(("small_m", "small_rad", "least_intensity", "most_intensity"), "fp32"),
     **dict.fromkeys(("least_depth", "most_depth"), "fp32"),
     "region": "*u8",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
@@ -28,6 +29,7 @@ from toolkit.tracking.alignment import (
 )
 
 SCALES = Scales(intensity=0.03, depth_m=0.005)
+LIGHT = replace(SCALES, photometric_weight=0.3)
 WIDE = Scales(intensity=1e3, depth_m=1e3)  # so wide that every residual has the same weight
 
 
@@ -92,10 +94,10 @@ class TestAgainstNumpy:
         pose = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ pose
         use(None)
         model = model_level(view)
-        expected = linearise(model, frame, pose, SCALES, (1.1, -0.02), 0.05)
+        expected = linearise(model, frame, pose, LIGHT, (1.1, -0.02), 0.05)
         assert expected.depth_pixels > 1000 and expected.intensity_pixels > 1000
         use(module)
-        actual = linearise(model, frame, pose, SCALES, (1.1, -0.02), 0.05)
+        actual = linearise(model, frame, pose, LIGHT, (1.1, -0.02), 0.05)
         assert_same_sums(actual, expected, 2e-3)
 
     def test_halving(self, room, module, use):
@@ -245,6 +247,32 @@ def test_outliers_weigh_little(use):
     assert clean.cost < 0.01
     # 4 % of the pixels are off by some 15 scales: squared, they would cost 9 on average.
     assert dirty.cost < 0.5
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_noise_of_the_frames_depth_moves_nothing(use, module, native):
+    """Surfaces measured too near must not count for more than those measured too far."""
+    use(module if native else None)
+    level = wall(CAMERA)
+    model, change = model_level(level), 0.02 * level.depth_m
+    sums = []
+    for depth_m in (level.depth_m + change, level.depth_m - change):
+        frame = FrameLevel(CAMERA, level.intensity, depth_m)
+        sums.append(linearise(model, frame, np.eye(4), WIDE, (1.0, 0.0), 0.2).g[:6])
+    assert np.linalg.norm(sums[0] + sums[1]) < 2e-3 * np.linalg.norm(sums[0])
+
+
+def test_the_photometric_term_can_weigh_less(use):
+    """Its share of the equations is the weight; how large residuals are stays as it is."""
+    use(None)
+    model, frame = model_level(wall(CAMERA)), wall(CAMERA, offset_m=0.01)
+    full, none, part = (
+        linearise(model, frame, np.eye(4), replace(SCALES, photometric_weight=w), (1.0, 0.0), 0.05)
+        for w in (1.0, 0.0, 0.25)
+    )
+    assert np.allclose(part.H, 0.25 * full.H + 0.75 * none.H)
+    assert np.allclose(part.g, 0.25 * full.g + 0.75 * none.g)
+    assert part.intensity_variance == full.intensity_variance > 0
 
 
 def test_surfaces_behind_the_gate_take_no_part(use, room):

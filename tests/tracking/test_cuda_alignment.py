@@ -78,7 +78,7 @@ def test_sums(room, aligner):
 def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     """Level by level, with exposure and scales, as often, to a hundredth of a millimetre."""
     tones = (1.0, 0.0) if exposure else None
-    rules = Rules(5, 0.05, 1.0, tones, fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
+    rules = Rules(5, 0.05, 0.4, tones, fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
     view = [model_level(level) for level in pyramid(level_of(room, 0, 48, 36), levels)]
     frames = pyramid(level_of(room, 1, 48, 36), levels)
     offset = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004]))

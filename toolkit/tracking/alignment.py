@@ -6,7 +6,7 @@ compiled; on a GPU by torch and Triton. They agree and are tested against each o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import torch
@@ -53,10 +53,12 @@ class Scales:
     Attributes:
         intensity: photometric, intensities in [0, 1].
         depth_m: point to plane at 1 m; the sensor's noise grows with the squared depth.
+        photometric_weight: of photometric residuals against geometric ones, once scaled.
     """
 
     intensity: float
     depth_m: float
+    photometric_weight: float = 1.0
 
 
 # Start and bounds of the scales, which every step re-estimates.
@@ -212,6 +214,7 @@ def linearise(
         exposure: (gain, bias), frame intensity to model intensity.
         max_distance: gate on depth differences, as a share of the depth.
     """
+    scalars = (*exposure, *astuple(scales)[:2], max_distance, scales.photometric_weight)
     camera = frame.camera
     if frame.depth_m.is_cuda:
         from toolkit.tracking.cuda.aligner import linearised
@@ -224,7 +227,7 @@ def linearise(
             (frame.intensity.numpy(), frame.depth_m.numpy()),
             camera,
             T_model_frame,
-            (*exposure, scales.intensity, scales.depth_m, max_distance),
+            scalars,
         )
     else:
         sums = np.empty(_SUMS)
@@ -233,24 +236,23 @@ def linearise(
             camera.size,
             [address(t) for t in (model.texture, model.surface, frame.intensity, frame.depth_m)],
             np.asarray(T_model_frame[:3]).reshape(-1).tolist(),
-            (*exposure, scales.intensity, scales.depth_m, max_distance),
+            scalars,
             sums.ctypes.data,
         )
     return _unpack(sums)
 
 
-def rescaled(scales: Scales, linear: Linearisation, photometric_weight: float = 1.0) -> Scales:
+def rescaled(scales: Scales, linear: Linearisation) -> Scales:
     """Scales of Student's t from the last residuals: one step of its fixed point."""
-    intensity = scales.intensity * np.sqrt(linear.intensity_variance / photometric_weight)
+    intensity = scales.intensity * np.sqrt(linear.intensity_variance)
     depth_m = scales.depth_m * np.sqrt(linear.depth_variance)
-    return Scales(
-        float(np.clip(intensity, LEAST_SCALES.intensity, MOST_SCALES.intensity))
-        if linear.intensity_pixels
-        else scales.intensity,
-        float(np.clip(depth_m, LEAST_SCALES.depth_m, MOST_SCALES.depth_m))
-        if linear.depth_pixels
-        else scales.depth_m,
-    )
+    if linear.intensity_pixels:
+        held = np.clip(intensity, LEAST_SCALES.intensity, MOST_SCALES.intensity)
+        scales = replace(scales, intensity=float(held))
+    if linear.depth_pixels:
+        held = np.clip(depth_m, LEAST_SCALES.depth_m, MOST_SCALES.depth_m)
+        scales = replace(scales, depth_m=float(held))
+    return scales
 
 
 def _unpack(sums: NDArray[np.float64]) -> Linearisation:

@@ -87,12 +87,12 @@ def accumulate(
     frame_images: tuple[Image, Image],
     camera: Camera,
     T_model_frame: NDArray[np.float64],
-    scalars: tuple[float, float, float, float, float],
+    scalars: tuple[float, float, float, float, float, float],
 ) -> NDArray[np.float64]:
-    """The kernel's 49 sums; scalars are gain, bias, both scales and the gate."""
+    """The kernel's 49 sums; scalars are gain, bias, both scales, gate and weight."""
     texture, surface = model_images
     intensity, depth = frame_images
-    gain, bias, sigma_intensity, sigma_depth, gate = scalars
+    gain, bias, sigma_intensity, sigma_depth, gate, weight = scalars
     rows, columns = np.nonzero(depth > 0)
     z = depth[rows, columns].astype(np.float64)
     own = intensity[rows, columns].astype(np.float64)
@@ -101,18 +101,21 @@ def accumulate(
     uv = camera.project(np.where(ahead[:, None], Y, [0.0, 0.0, 1.0]))
     inside = ahead & (uv >= 0).all(axis=1)
     inside &= (uv[:, 0] < camera.width - 1) & (uv[:, 1] < camera.height - 1)
-    Y, uv, z, own = Y[inside], uv[inside], z[inside], own[inside]
+    Y, uv, own = Y[inside], uv[inside], own[inside]
     nearest = (uv + 0.5).astype(int)
     plane = surface[nearest[:, 1], nearest[:, 0]].astype(np.float64)
     seen = texture[nearest[:, 1], nearest[:, 0], 3]
-    close = (seen > 0) & (abs(seen - Y[:, 2]) < gate * Y[:, 2])
+    close = (seen > 0) & (abs(seen - Y[:, 2]) < gate * seen)
 
     H, g, tail = np.zeros((8, 8)), np.zeros(8), np.zeros(5)
     tail[4] = len(Y)
     flat = close & plane[:, :3].any(axis=1)
     n = plane[flat, :3]
-    scale = 1.0 / (sigma_depth * np.maximum(z[flat] ** 2, 0.25))
-    _add(H, g, tail, 1, (_jacobian(n, Y[flat]), (n * Y[flat]).sum(axis=1) - plane[flat, 3], scale))
+    # Weight and lever from the view: with the frame's own depth they would go with its noise.
+    scale = 1.0 / (sigma_depth * np.maximum(seen[flat] ** 2, 0.25))
+    X = Y[flat] * (seen[flat] / Y[flat, 2])[:, None]
+    residual = (n * Y[flat]).sum(axis=1) - plane[flat, 3]
+    _add(H, g, tail, 1, (_jacobian(n, X), residual, scale), 1.0)
 
     value, usable = _bilinear(texture, surface[..., 3] != 0, uv[close])
     Y, own, value = Y[close][usable], own[close][usable], value[usable]
@@ -123,7 +126,7 @@ def accumulate(
         [_jacobian(slope, Y)[:, :6], -own[:, None], -np.ones_like(own)[:, None]], axis=1
     )
     residual = value[:, 0] - (gain * own + bias)
-    _add(H, g, tail, 0, (J, residual, np.full(len(own), 1.0 / sigma_intensity)))
+    _add(H, g, tail, 0, (J, residual, np.full(len(own), 1.0 / sigma_intensity)), weight)
     return np.concatenate([H[np.triu_indices(8)], g, tail])
 
 
@@ -132,12 +135,19 @@ def _jacobian(direction: NDArray, Y: NDArray) -> NDArray:
     return np.concatenate([direction, np.cross(Y, direction), np.zeros((len(Y), 2))], axis=1)
 
 
-def _add(H: NDArray, g: NDArray, tail: NDArray, kind: int, residuals: tuple[NDArray, ...]) -> None:
+def _add(
+    H: NDArray,
+    g: NDArray,
+    tail: NDArray,
+    kind: int,
+    residuals: tuple[NDArray, ...],
+    share: float,
+) -> None:
     """Add weighted residuals (J, r, 1 / scale) to the sums in place."""
     J, r, inverse = residuals
     q2 = (r * inverse) ** 2
     robust = (NU + 1.0) / (NU + q2)
-    weight = robust * inverse**2
+    weight = share * robust * inverse**2
     H += (J * weight[:, None]).T @ J
     g += J.T @ (weight * r)
     tail[kind] += len(r)

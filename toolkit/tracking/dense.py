@@ -290,8 +290,8 @@ class DenseTracker(MovingTracker):
         if not self.options.exposure or found.last is None:
             return fitted
         levels = list(zip(view.levels, task.levels, strict=True))
-        scales, gate = self._rules.weighted(found.scales), self.options.max_distance
-        return told_exposure(levels, found.T_view_camera, scales, fitted, gate)
+        gate = self.options.max_distance
+        return told_exposure(levels, found.T_view_camera, found.scales, fitted, gate)
 
     def _result(self, task: _Task, view: _View, found: Alignment, renders: int) -> TrackingResult:
         measured, linear = float(task.ready.measured), found.last

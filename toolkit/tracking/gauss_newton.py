@@ -47,10 +47,6 @@ class Rules:
     small_m: float
     small_rad: float
 
-    def weighted(self, scales: Scales) -> Scales:
-        """Scales with which residuals enter the sums."""
-        return Scales(scales.intensity / np.sqrt(self.photometric_weight), scales.depth_m)
-
 
 @dataclass(frozen=True)
 class Alignment:
@@ -105,11 +101,11 @@ def _stepped(
 ) -> tuple[Alignment, bool | None]:
     """One step, and whether it was small; None where the equations cannot be solved."""
     gate = rules.max_distance * 2**level
+    scales = replace(state.scales, photometric_weight=rules.photometric_weight)
     tones = (state.gain, state.bias)
-    weighted = rules.weighted(state.scales)
-    linear = linearise(model, frame, state.T_view_camera, weighted, tones, gate)
+    linear = linearise(model, frame, state.T_view_camera, scales, tones, gate)
     state = replace(state, last=linear)
-    step = _solved(linear, state, rules.exposure if level == 0 else None, rules.fewest_pixels)
+    step = _solved(linear, state, rules, adjusts_exposure=level == 0)
     if step is None:
         return state, None
     moved = replace(
@@ -117,27 +113,25 @@ def _stepped(
         T_view_camera=se3.orthonormalise(se3.exp(step[:6]) @ state.T_view_camera),
         gain=state.gain + float(step[6]),
         bias=state.bias + float(step[7]),
-        scales=rescaled(state.scales, linear, rules.photometric_weight),
+        scales=rescaled(state.scales, linear),
     )
     small = np.linalg.norm(step[:3]) < rules.small_m * 4**level
     return moved, bool(small and np.linalg.norm(step[3:6]) < rules.small_rad * 4**level)
 
 
 def _solved(
-    linear: Linearisation,
-    state: Alignment,
-    last_exposure: tuple[float, float] | None,
-    fewest_pixels: int,
+    linear: Linearisation, state: Alignment, rules: Rules, adjusts_exposure: bool
 ) -> NDArray[np.float64] | None:
-    """The step [8], or None; exposure stays where there is no last one to hold it to."""
-    if linear.depth_pixels + linear.intensity_pixels < fewest_pixels:
+    """The step [8], or None."""
+    if linear.depth_pixels + linear.intensity_pixels < rules.fewest_pixels:
         return None
     H, g = linear.H.copy(), linear.g.copy()
-    if last_exposure is None:
+    if rules.exposure is None or not adjusts_exposure:
         exposure.fix(H, g)
     else:
         pixels = linear.intensity_pixels / state.scales.intensity**2
-        exposure.hold(H, g, pixels, np.array([state.gain, state.bias]) - last_exposure)
+        change = np.array([state.gain, state.bias]) - rules.exposure
+        exposure.hold(H, g, rules.photometric_weight * pixels, change)
     H[np.diag_indices(8)] *= 1.0 + 1e-6
     try:
         step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)

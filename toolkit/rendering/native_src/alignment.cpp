@@ -73,6 +73,7 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
     const Pinhole& fc = frame.camera;
     const Pinhole& mc = model.camera;
     const float gain = (float)s.gain, bias = (float)s.bias, gate = (float)s.max_distance;
+    const float photometric_weight = (float)s.photometric_weight;
     const float inverse_si = (float)(1.0 / s.sigma_intensity), inverse_sd = (float)(1.0 / s.sigma_depth);
     for (int py = row_begin; py < row_end; ++py) {
         const float ray_y = (py - fc.cy) / fc.fy;
@@ -93,23 +94,27 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
             // Geometry: the plane of the nearest model pixel.
             const float* plane = model.surface + 4 * ((size_t)(v + 0.5f) * mc.width + (size_t)(u + 0.5f));
             const float* texel = model.texture + 4 * ((size_t)(v + 0.5f) * mc.width + (size_t)(u + 0.5f));
-            if (!(texel[3] > 0)) continue;
-            if (!(std::fabs(texel[3] - Y[2]) < gate * Y[2])) continue;
+            const float seen = texel[3];
+            if (!(seen > 0 && std::fabs(seen - Y[2]) < gate * seen)) continue;
             float J[6];
             if (plane[0] != 0 || plane[1] != 0 || plane[2] != 0) {
                 const float* n = plane;
                 const float r = n[0] * Y[0] + n[1] * Y[1] + n[2] * Y[2] - plane[3];
-                // The sensor's noise grows with the square of the depth.
-                const float scale = inverse_sd / std::max(z * z, 0.25f);
+                // The sensor's noise grows with the square of the depth. Weight and lever are taken
+                // from the view: with the frame's own depth they would go with its noise, nearer
+                // points would count for more, and the camera would be moved by their difference.
+                const float scale = inverse_sd / std::max(seen * seen, 0.25f);
+                const float to_view = seen * inverse_z;
+                const float X[3] = {Y[0] * to_view, Y[1] * to_view, seen};
                 const float q = r * scale;
                 const float robust = (NU + 1) / (NU + q * q);
                 const float weight = robust * scale * scale;
                 J[0] = n[0];
                 J[1] = n[1];
                 J[2] = n[2];
-                J[3] = Y[1] * n[2] - Y[2] * n[1];
-                J[4] = Y[2] * n[0] - Y[0] * n[2];
-                J[5] = Y[0] * n[1] - Y[1] * n[0];
+                J[3] = X[1] * n[2] - X[2] * n[1];
+                J[4] = X[2] * n[0] - X[0] * n[2];
+                J[5] = X[0] * n[1] - X[1] * n[0];
                 add_outer(sums, J, weight, r);
                 sums.depth_pixels += 1;
                 sums.depth_squares += robust * q * q;
@@ -121,7 +126,7 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
             const float r = value[0] - (gain * own + bias);
             const float q = r * inverse_si;
             const float robust = (NU + 1) / (NU + q * q);
-            const float weight = robust * inverse_si * inverse_si;
+            const float weight = photometric_weight * robust * inverse_si * inverse_si;
             const float a = value[1] * mc.fx * inverse_z, b = value[2] * mc.fy * inverse_z;
             const float c = -(a * Y[0] + b * Y[1]) * inverse_z;
             J[0] = a;

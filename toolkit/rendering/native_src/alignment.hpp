@@ -29,6 +29,7 @@ struct AlignmentSettings {
     double sigma_intensity;          // scale of the photometric residual
     double sigma_depth;              // scale of the point-to-plane residual at 1 m, in m
     double max_distance;             // gate on model depth differences, as a share of depth
+    double photometric_weight;       // of the photometric term against the geometric one
 };
 
 enum { PARAMETERS = 8, NORMAL_SIZE = 36 };  // translation, rotation, gain, bias

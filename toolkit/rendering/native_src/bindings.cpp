@@ -109,9 +109,9 @@ void align_halve(const Size& size, Address intensity, Address depth, double edge
           at<float>(half_intensity), at<float>(half_depth));
 }
 
-// scalars: gain, bias, sigma_intensity, sigma_depth, max_distance. out: 49 doubles.
+// scalars: gain, bias, sigma_intensity, sigma_depth, max_distance, photometric_weight. out: 49 doubles.
 void align_accumulate(const Intrinsics& intrinsics, const Size& size, const std::array<Address, 4>& arrays,
-                      const std::array<double, 12>& T_model_frame, const std::array<double, 5>& scalars,
+                      const std::array<double, 12>& T_model_frame, const std::array<double, 6>& scalars,
                       Address out) {
     const Pinhole camera = pinhole(intrinsics, size);
     const ModelLevel model = {camera, at<const float>(arrays[0]), at<const float>(arrays[1])};
@@ -123,6 +123,7 @@ void align_accumulate(const Intrinsics& intrinsics, const Size& size, const std:
     settings.sigma_intensity = scalars[2];
     settings.sigma_depth = scalars[3];
     settings.max_distance = scalars[4];
+    settings.photometric_weight = scalars[5];
     const py::gil_scoped_release release;
     accumulate(model, frame, settings, *at<NormalEquations>(out));
 }

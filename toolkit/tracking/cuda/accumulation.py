@@ -85,8 +85,12 @@ def _counted(place, kind: tl.constexpr, counted, squares):
 
 
 @triton.jit
-def _point_to_plane(columns, surface, at, close, point, inverse_scale):
-    """Rows of the Jacobian with their residuals [pixels, 16], which of them count, and squares."""
+def _point_to_plane(columns, surface, at, close, point, seen, inverse_z, inverse_sigma):
+    """Rows of the Jacobian with their residuals [pixels, 16], which of them count, and squares.
+
+    Weight and lever are taken from the depth that was seen: with the frame's own they would go
+    with its noise.
+    """
     nx = tl.load(surface + 4 * at, mask=close, other=0.0)
     ny = tl.load(surface + 4 * at + 1, mask=close, other=0.0)
     nz = tl.load(surface + 4 * at + 2, mask=close, other=0.0)
@@ -94,8 +98,10 @@ def _point_to_plane(columns, surface, at, close, point, inverse_scale):
     flat = close & ((nx != 0.0) | (ny != 0.0) | (nz != 0.0))
     x, y, z = point
     residual = tl.where(flat, nx * x + ny * y + nz * z - offset, 0.0)
-    root, squares = _weights(residual, inverse_scale, flat)
-    J = _pose_columns(columns, (nx, ny, nz), point) + _column(columns, RESIDUAL, residual)
+    # Noise grows with the square of the depth.
+    root, squares = _weights(residual, inverse_sigma / tl.maximum(seen * seen, 0.25), flat)
+    lever = (x * seen * inverse_z, y * seen * inverse_z, seen)
+    J = _pose_columns(columns, (nx, ny, nz), lever) + _column(columns, RESIDUAL, residual)
     return tl.where(flat[:, None], J * root[:, None], 0.0), flat, squares
 
 
@@ -124,7 +130,7 @@ def _interpolated(texture, surface, width, u, v, close):
 
 
 @triton.jit
-def _photometric(columns, sampled, own, exposure, point, focal, inverse_z):
+def _photometric(columns, sampled, own, exposure, point, focal, inverse_z, root_weight):
     """As `_point_to_plane`, of the sampled view against the frame's own intensities, exposed."""
     value, along_x, along_y, bright = sampled
     gain, bias, inverse_scale = exposure
@@ -136,7 +142,7 @@ def _photometric(columns, sampled, own, exposure, point, focal, inverse_z):
     J = _pose_columns(columns, (slope_x, slope_y, slope_z), point)
     J += _column(columns, 6, -own) + _column(columns, RESIDUAL, residual)
     J += tl.where(columns == 7, -1.0, 0.0)
-    return tl.where(bright[:, None], J * root[:, None], 0.0), bright, squares
+    return tl.where(bright[:, None], J * (root * root_weight)[:, None], 0.0), bright, squares
 
 
 @triton.jit
@@ -151,10 +157,14 @@ def accumulate(
     width,
     height,
     gate,
+    root_weight,
     chunks,
     BLOCK: tl.constexpr,
 ):
-    """One partial result [16, 16] a program, of every so many chunks of the frame's pixels."""
+    """One partial result [16, 16] a program, of every so many chunks of the frame's pixels.
+
+    `root_weight` is the root of the photometric term's weight.
+    """
     if tl.load(state + PHASE) > 0.5:
         return
     fx, fy = tl.load(camera), tl.load(camera + 1)
@@ -184,12 +194,13 @@ def accumulate(
         u, v = tl.where(valid, u, 0.0), tl.where(valid, v, 0.0)
         tail += tl.where(place == 4, tl.sum(valid.to(tl.float32), axis=0), 0.0)
 
-        # Geometry: the plane of the nearest model pixel. Noise grows with the square of the depth.
+        # Geometry: the plane of the nearest model pixel.
         at = (v + 0.5).to(tl.int32) * width + (u + 0.5).to(tl.int32)
         seen = tl.load(texture + 4 * at + 3, mask=valid, other=0.0)
-        close = valid & (seen > 0.0) & (tl.abs(seen - z) < gate * z)
-        scale = inverse_depth / tl.maximum(measured * measured, 0.25)
-        J, flat, squares = _point_to_plane(columns, surface, at, close, (x, y, z), scale)
+        close = valid & (seen > 0.0) & (tl.abs(seen - z) < gate * seen)
+        J, flat, squares = _point_to_plane(
+            columns, surface, at, close, (x, y, z), seen, inverse_z, inverse_depth
+        )
         # The tensor cores' three products a float32 product: the normal equations are stiff.
         total = tl.dot(tl.trans(J), J, total, input_precision="tf32x3")
         tail += _counted(place, 1, flat, squares)
@@ -198,7 +209,7 @@ def accumulate(
         sampled = _interpolated(texture, surface, width, u, v, close)
         exposure = (gain, bias, inverse_intensity)
         J, bright, squares = _photometric(
-            columns, sampled, own, exposure, (x, y, z), (fx, fy), inverse_z
+            columns, sampled, own, exposure, (x, y, z), (fx, fy), inverse_z, root_weight
         )
         total = tl.dot(tl.trans(J), J, total, input_precision="tf32x3")
         tail += _counted(place, 0, bright, squares)

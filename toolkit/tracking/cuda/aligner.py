@@ -41,8 +41,8 @@ def align(
         models, frames: levels from fine to coarse, on one device.
     """
     device = frames[0].depth_m.device
-    weight = float(np.sqrt(rules.photometric_weight))
-    state = _state_of(start, weight, device)
+    weight = rules.photometric_weight
+    state = _state_of(start, device)
     parts = torch.empty(_PARTS, _PART, device=device)
     last = torch.zeros(_WIDE, _WIDE, dtype=torch.float64, device=device)
     with on(device):
@@ -51,9 +51,10 @@ def align(
             camera = _intrinsics(frames[level].camera, device)
             gate = rules.max_distance * 2**level
             for _ in range(rules.iterations):
-                count = _accumulate(models[level], frames[level], camera, (state, parts), gate)
+                images = models[level], frames[level]
+                count = _accumulate(*images, camera, (state, parts), gate, weight)
                 _advance((parts, state, last), count, rules, level)
-    return _read(state, last, weight)
+    return _read(state, last)
 
 
 def linearised(
@@ -66,18 +67,19 @@ def linearised(
 ) -> Linearisation:
     """See alignment.linearise."""
     device = frame.depth_m.device
-    state = _state_of(Alignment(T_model_frame, scales, *gain_and_bias), 1.0, device)
+    state = _state_of(Alignment(T_model_frame, scales, *gain_and_bias), device)
     parts = torch.empty(_PARTS, _PART, device=device)
     camera = _intrinsics(frame.camera, device)
     with on(device):
-        count = _accumulate(model, frame, camera, (state, parts), max_distance)
+        weight = scales.photometric_weight
+        count = _accumulate(model, frame, camera, (state, parts), max_distance, weight)
     return _unpack(parts[:count].double().sum(0).view(_WIDE, _WIDE).cpu().numpy())
 
 
-def _state_of(start: Alignment, weight: float, device: torch.device) -> Tensor:
+def _state_of(start: Alignment, device: torch.device) -> Tensor:
     numbers = np.zeros(layout.STATE)
     numbers[:12] = start.T_view_camera[:3].reshape(-1)
-    numbers[12:16] = start.gain, start.bias, start.scales.intensity / weight, start.scales.depth_m
+    numbers[12:16] = start.gain, start.bias, start.scales.intensity, start.scales.depth_m
     return torch.from_numpy(numbers).to(device)
 
 
@@ -92,6 +94,7 @@ def _accumulate(
     camera: Tensor,
     state_and_parts: tuple[Tensor, Tensor],
     gate: float,
+    photometric_weight: float,
 ) -> int:
     """Launch the sums of one step; the number of partial results."""
     state, parts = state_and_parts
@@ -109,6 +112,7 @@ def _accumulate(
         width,
         height,
         gate,
+        float(np.sqrt(photometric_weight)),
         chunks,
         BLOCK=_BLOCK,
         num_warps=_WARPS,
@@ -140,7 +144,7 @@ def _advance(tensors: tuple[Tensor, Tensor, Tensor], count: int, rules: Rules, l
     )
 
 
-def _read(state: Tensor, last: Tensor, weight: float) -> Alignment:
+def _read(state: Tensor, last: Tensor) -> Alignment:
     """The one copy to the host."""
     numbers = torch.cat([state, last.view(-1)]).cpu().numpy()
     T = np.eye(4)
@@ -148,7 +152,7 @@ def _read(state: Tensor, last: Tensor, weight: float) -> Alignment:
     gain, bias, intensity, depth_m, steps, phase = (float(x) for x in numbers[12:18])
     return Alignment(
         se3.orthonormalise(T),
-        Scales(intensity * weight, depth_m),
+        Scales(intensity, depth_m),
         gain,
         bias,
         int(steps),

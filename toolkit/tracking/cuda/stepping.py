@@ -99,10 +99,10 @@ def _move(state, shift, turn, squared, angle):
 
 
 @triton.jit
-def _rescaled(scale, count, squares, weight, least, most):
-    """A scale after one step of the fixed point of Student's t, without its weight, in bounds."""
+def _rescaled(scale, count, squares, least, most):
+    """A scale after one step of the fixed point of Student's t, in bounds."""
     found = scale * tl.sqrt(squares / tl.maximum(count, 1.0))
-    return tl.minimum(tl.maximum(found, least), most) / weight
+    return tl.minimum(tl.maximum(found, least), most)
 
 
 @triton.jit
@@ -140,8 +140,7 @@ def advance(
 
     A = tl.where((rows < PARAMETERS) & (columns <= RESIDUAL), A, 0.0)
     if EXPOSURE:
-        # The scale without the photometric weight, which the state carries.
-        held = prior * bright / (sigma_intensity * sigma_intensity * photometric_weight)
+        held = photometric_weight * prior * bright / (sigma_intensity * sigma_intensity)
         A = _with_prior(A, rows, columns, held, gain - last_gain, bias - last_bias)
     else:
         A = _without_exposure(A, rows, columns)
@@ -163,13 +162,10 @@ def advance(
     tl.store(state + GAIN, gain + s6)
     tl.store(state + BIAS, bias + s7)
     if bright > 0.0:
-        weight = tl.sqrt(photometric_weight + bright * 0.0)
-        found = _rescaled(
-            sigma_intensity, bright, bright_square, weight, least_intensity, most_intensity
-        )
+        found = _rescaled(sigma_intensity, bright, bright_square, least_intensity, most_intensity)
         tl.store(state + SIGMA_INTENSITY, found)
     if flat > 0.0:
-        found = _rescaled(sigma_depth, flat, flat_square, 1.0, least_depth, most_depth)
+        found = _rescaled(sigma_depth, flat, flat_square, least_depth, most_depth)
         tl.store(state + SIGMA_DEPTH, found)
     moved = tl.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
     if (moved < small_m) & (angle < small_rad):
