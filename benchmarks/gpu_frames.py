@@ -153,6 +153,7 @@ def system(
         if first_order is None
         else FirstOrderTracker(first_order, backend_name=backend_name)
     )
+    options = replace(options, centred=first_order is None)
     mapper = Mapper(options, None, backend_name, watch, semantics, device)
     return Slam(tracker, mapper, watch), watch
 

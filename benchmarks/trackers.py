@@ -114,7 +114,8 @@ def _tracked(sequence: Sequence, settings: TrackingSettings, seed: int) -> list[
     dataset = open_dataset(sequence.kind, path, sequence.image_size, sequence.until)
     missing = range(*sequence.without)
     indices = [i for i in range(0, len(dataset), sequence.every) if i not in missing]
-    mapper = build_mapper(MappingSettings(), np.random.default_rng(seed), "auto")
+    mapping = MappingSettings(centred=settings.kind == "dense")
+    mapper = build_mapper(mapping, np.random.default_rng(seed), "auto")
     slam = Slam(build_tracker(settings), mapper)
     renders = []
     for place, index in enumerate(tqdm(indices, file=sys.stderr, leave=False)):

@@ -247,9 +247,10 @@ class Slam:
         if self._closer is not None:
             self._closer.close_between(self.atlas, self.atlas.active)
         with self._recorder.timed("refinement"):
-            refine_submaps(self.atlas)
+            # Views of a refined map are no longer where frames and other submaps see them.
             if self._closer is not None:
                 self._closer.settle(self.atlas)
+            refine_submaps(self.atlas)
             self.fused = fuse(self.atlas)
 
     @property

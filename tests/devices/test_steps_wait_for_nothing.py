@@ -7,6 +7,7 @@ with a tensor of the CPU. So what runs here runs on a GPU without waiting.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,12 +19,13 @@ from torch.utils._pytree import tree_leaves
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss_torch
-from toolkit.mapping.keyframes import Keyframe, Observed
+from toolkit.mapping.keyframes import Keyframe, Observed, inside
 from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
-from toolkit.rendering.surface import surface_depth
+from toolkit.rendering.surface import SurfaceView, surface_depth
+from toolkit.rendering.texture import at_centres
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.tracking.alignment import FrameLevel, model_level, pyramid
+from toolkit.tracking.alignment import FrameLevel, model_level, pyramid, view_of
 
 META = torch.device("meta")
 CAMERA = Camera(50.0, 52.0, 23.5, 17.5, 48, 36)
@@ -72,6 +74,12 @@ def test_the_mapping_loss_and_its_derivative() -> None:
     assert gradient.shape == (5, 36, 48)
 
 
+def test_where_the_colours_of_a_view_belong() -> None:
+    view = SurfaceView(SimpleNamespace(images=image(8)), image(), CAMERA, np.eye(4))
+    assert at_centres(image(3), view).shape == (3, 36, 48)
+    assert view_of(view, 0.9).intensity.device == META
+
+
 @pytest.mark.parametrize("code", [flat_code, one_hot_code, binary_code])
 def test_the_semantic_loss_of_some_pixels(code) -> None:
     made = code(Taxonomy({"thing": {"a": ["x", "y", "u"], "b": ["z", "v"]}, "plant": ["w"]}))
@@ -86,7 +94,7 @@ def test_what_a_keyframe_observed_in_a_region() -> None:
         0, 0.0, np.eye(4), torch.empty(0), torch.empty(0), CAMERA, 1.1, 0.02, np.zeros((0, 3))
     )
     region = torch.empty(3, 3, dtype=torch.bool, device=META)
-    rgb, depth_m, labels = keyframe.observed(region, images)
+    rgb, depth_m, labels = inside(region, *keyframe.observed(images))
     assert labels is not None
     assert rgb.device == depth_m.device == labels.device == META
 

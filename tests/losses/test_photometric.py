@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
+from toolkit.geometry.camera import Camera
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss, ssim_torch
 from toolkit.rendering import SurfaceView
 
+PLACE = Camera(40.0, 41.0, 20.0, 17.0, 45, 37), np.eye(4)  # of a view; losses ask for neither
 SIZES = [(37, 45), (16, 16), (11, 64), (5, 3), (1, 1)]
 SSIM_ONLY = replace(RgbdLossWeights(), colour=1.0, depth=0.0, silhouette=0.0, structure=1.0)
 
@@ -33,7 +35,7 @@ def seen(images: Tensor) -> SurfaceView:
     generator = torch.Generator().manual_seed(5)
     surface = mean * (1 + 0.01 * torch.rand(mean.shape, generator=generator))
     surface[torch.rand(mean.shape, generator=generator) < 0.1] = 0.0
-    return SurfaceView(SimpleNamespace(images=images), surface)
+    return SurfaceView(SimpleNamespace(images=images), surface, *PLACE)
 
 
 def observed(height: int, width: int, seed: int = 1) -> tuple[Tensor, Tensor]:
@@ -136,7 +138,7 @@ class TestRgbdLoss:
         weights = replace(RgbdLossWeights(), structure=structure)
         images, (rgb, depth) = drawn(*size), observed(*size)
         leaf = images.double().requires_grad_()
-        exact = SurfaceView(SimpleNamespace(images=leaf), seen(images).depth_m.double())
+        exact = SurfaceView(SimpleNamespace(images=leaf), seen(images).depth_m.double(), *PLACE)
         expected = restated(exact, rgb.double(), depth.double(), weights)
         (gradient,) = torch.autograd.grad(expected, leaf)
         value, actual = rgbd_loss(seen(images), rgb, depth, weights)
@@ -157,7 +159,7 @@ class TestRgbdLoss:
         def value(moved: Tensor) -> float:
             # The surface goes with the mean depth.
             shifted = torch.where(surface > 0, surface + moved[3] / moved[4] - mean, surface)
-            view = SurfaceView(SimpleNamespace(images=moved), shifted)
+            view = SurfaceView(SimpleNamespace(images=moved), shifted, *PLACE)
             return rgbd_loss(view, rgb, depth, RgbdLossWeights())[0]
 
         ahead, behind = value(images + step * direction), value(images - step * direction)

@@ -16,6 +16,7 @@ from toolkit.mapping.factory import build_mapper
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import surface
+from toolkit.rendering.texture import at_centres
 from toolkit.settings.mapping import MappingSettings
 
 UNTOUCHED = MapperOptions(iterations=0, first_iterations=0, final_iterations=0)
@@ -25,10 +26,26 @@ FEW = MapperOptions(iterations=4, first_iterations=8, final_iterations=1)
 def test_optimisation_makes_the_picture_better(room):
     quality = []
     for steps in (0, 10, 40):
-        mapper = fed(Mapper(replace(FEW, first_iterations=steps)), room, [0])
+        options = replace(FEW, first_iterations=steps, centred=False)
+        mapper = fed(Mapper(options), room, [0])
         quality.append(psnr_db(mapper, room.frames[0], room.T_map_camera[0]))
     assert quality[0] < quality[1] < quality[2]
     assert quality[2] > quality[0] + 2.0
+
+
+def test_colours_fit_where_the_gaussians_are(room):
+    """To be tracked against: what is drawn is what was seen at the mean centres, not at pixels."""
+    options = replace(FEW, first_iterations=40)
+    errors = {}
+    for centred in (True, False):
+        mapper = fed(Mapper(replace(options, centred=centred)), room, [0])
+        view, seen = mapper.view(mapper.keyframes[0]), mapper.keyframes[0].target_rgb()
+        errors[centred] = [
+            float((view.images[:3] - image).abs().mean())
+            for image in (at_centres(seen, view), seen)
+        ]
+    assert errors[True][0] < 0.8 * errors[True][1]
+    assert errors[False][1] < 0.8 * errors[False][0]
 
 
 def test_refinement_makes_all_keyframes_better(room):

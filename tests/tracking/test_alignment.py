@@ -61,9 +61,9 @@ def level_of(room: Room, number: int, width: int = 95, height: int = 71) -> Fram
     return FrameLevel(camera, intensity_of(rgb), torch.from_numpy(depth))
 
 
-def surface_view(images: torch.Tensor) -> SurfaceView:
-    """A drawn view whose surface is the mean depth."""
-    return SurfaceView(SimpleNamespace(images=images), images[3] / images[4])
+def surface_view(images: torch.Tensor, camera: Camera) -> SurfaceView:
+    """A drawn view whose surface is the mean depth, with colours where they are drawn."""
+    return SurfaceView(SimpleNamespace(images=images), images[3] / images[4], camera, np.eye(4))
 
 
 def assert_close(actual: torch.Tensor, expected: torch.Tensor, few: int = 0) -> None:
@@ -111,12 +111,12 @@ class TestAgainstNumpy:
         assert_close(actual.depth_m[..., None], expected.depth_m[..., None], few=2)
 
     def test_views(self, module, use):
-        drawn = surface_view(torch.rand(5, 33, 45, generator=torch.Generator().manual_seed(0)))
-        camera = Camera(40.0, 41.0, 20.0, 17.0, 45, 33)
+        images = torch.rand(5, 33, 45, generator=torch.Generator().manual_seed(0))
+        drawn = surface_view(images, Camera(40.0, 41.0, 20.0, 17.0, 45, 33))
         use(None)
-        expected = view_of(drawn, camera, 0.6)
+        expected = view_of(drawn, 0.6, centred=False)
         use(module)
-        actual = view_of(drawn, camera, 0.6)
+        actual = view_of(drawn, 0.6, centred=False)
         assert_close(actual.intensity[..., None], expected.intensity[..., None])
         assert_close(actual.depth_m[..., None], expected.depth_m[..., None])
 
@@ -358,7 +358,7 @@ def test_views_show_the_colour_as_composited(use):
     images = 0.6 * torch.ones(5, 4, 4)
     images[4, :, :2] = 0.95
     images[:3, :, :2] = 0.57
-    view = view_of(surface_view(images), Camera(4, 4, 2, 2, 4, 4), 0.9)
+    view = view_of(surface_view(images, Camera(4, 4, 2, 2, 4, 4)), 0.9, centred=False)
     assert torch.allclose(view.intensity[:, :2], torch.tensor(0.57))
     assert (view.intensity[:, 2:] == 0).all()
 

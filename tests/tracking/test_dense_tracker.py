@@ -20,7 +20,7 @@ from tracked_room import (
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.rendering import native, surface
+from toolkit.rendering import native, surface, texture
 from toolkit.tracking import alignment
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.result import Health
@@ -52,7 +52,9 @@ def test_known_motion_is_recovered(room, gaussians):
 def test_a_view_of_the_map_itself_is_found_almost_exactly(room, gaussians):
     pose = small_motion(0, metres=0.03, degrees=2.0)
     frame = ideal_frame(gaussians, room.frames[1], pose)
-    result = started(room).track(frame, gaussians)
+    tracker = DenseTracker(centred=False)
+    tracker.first_pose(room.frames[0])
+    result = tracker.track(frame, gaussians)
     assert_same_place(result.T_map_camera, pose, mm=0.5, deg=0.02)
 
 
@@ -161,7 +163,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
             rgb=rgb.clip(0, 1).astype(np.float32),
             depth_m=np.where(clean.depth_m > 0, depth, 0).astype(np.float32),
         )
-        result = started(room).locate(noisy, gaussians, pose)
+        result = DenseTracker(centred=False).locate(noisy, gaussians, pose)
         error = se3.log(se3.inverse(pose) @ result.T_map_camera)
         squares.append(error @ result.information @ error)
     # Six degrees of freedom: the mean is 6 where pixels are independent.
@@ -169,7 +171,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
 
 
 def test_it_works_without_compiled_kernels(room, gaussians, monkeypatch):
-    for module in (native, surface, alignment):
+    for module in (native, surface, texture, alignment):
         monkeypatch.setattr(module, "kernels_for", lambda tensor: None)
     tracker = DenseTracker(backend_name="reference")
     tracker.first_pose(room.frames[0])

@@ -51,9 +51,7 @@ def level_of(frame: Frame) -> FrameLevel:
 def drawn(gaussians: GaussianCloud, camera: Camera) -> ModelLevel:
     """The map as the first camera sees it."""
     return model_level(
-        view_of(
-            draw_surface(backend(), gaussians, camera, np.eye(4), DrawOptions(0.9)), camera, 0.9
-        )
+        view_of(draw_surface(backend(), gaussians, camera, np.eye(4), DrawOptions(0.9)), 0.9)
     )
 
 

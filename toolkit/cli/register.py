@@ -146,7 +146,7 @@ def _registered(
     submaps: tuple[SavedSubmaps, SavedSubmaps],
 ) -> list[MapRegistration]:
     backend = a.settings.backend
-    drawer = build_drawer(options.registration, shared_reading(a, b), backend)
+    drawer = build_drawer(options.registration, shared_reading(a, b), backend, centred=False)
     registrar = build_registrar(options.registration, a.settings.seed, drawer)
     verification = VerificationOptions(**options.verification.model_dump())
     pairs = alike_submaps(*submaps, options.pairs)

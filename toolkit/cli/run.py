@@ -98,8 +98,11 @@ def build_slam(
     """
     labeller = labeller_of(settings, dataset)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
+    # The papers' tracker compares pixels as they are drawn; with given poses none compares any.
+    centred = settings.mapping.centred
+    centred &= settings.poses == "slam" and settings.tracking.kind == "dense"
     mapper = build_mapper(
-        settings.mapping,
+        settings.mapping.model_copy(update={"centred": centred}),
         np.random.default_rng(settings.seed),
         settings.backend,
         watch,
@@ -108,11 +111,13 @@ def build_slam(
     )
     atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if settings.poses == "slam":
-        tracker = build_tracker(settings.tracking, settings.backend, watch, code)
+        tracker = build_tracker(settings.tracking, settings.backend, watch, code, centred)
         closer = None
         if settings.loops.use:
             taxonomy = labeller.taxonomy if labeller else None
-            context = ClosingContext(settings.seed, settings.backend, mapper.semantics, taxonomy)
+            context = ClosingContext(
+                settings.seed, settings.backend, mapper.semantics, taxonomy, centred
+            )
             log = LoopLog(folder.loops) if folder else None
             closer = build_loop_closer(settings.loops, context, log, watch)
         return Slam(tracker, mapper, watch, labeller, atlas, closer)

@@ -45,12 +45,14 @@ class ClosingContext:
     Attributes:
         seed: of random choices. backend_name: the renderer.
         semantics: reads the features of submaps. taxonomy: of labels, None without.
+        centred: how colours are fitted, see `MapperOptions`.
     """
 
     seed: int
     backend_name: str
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
+    centred: bool = True
 
 
 def build_loop_closer(
@@ -76,7 +78,9 @@ def build_loop_closer(
             return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
 
     detector = LoopDetector(describer, finder, len(taxonomy) if taxonomy else 0, painter)
-    drawer = build_drawer(settings.registration, context.semantics, context.backend_name)
+    drawer = build_drawer(
+        settings.registration, context.semantics, context.backend_name, context.centred
+    )
     matching = matching_options(settings.registration.coarse.matching)
     relocalisation = RelocalisationOptions(**settings.relocalisation.model_dump())
     parts = ClosingParts(

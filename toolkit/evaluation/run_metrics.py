@@ -136,7 +136,7 @@ def measure_run(
     ]
     unseen_quality, refined_quality = [], []
     T_map_world = _map_from_world(estimate, truth, options.alignment)
-    tracker = DenseTracker(backend_name=options.backend_name)
+    tracker = DenseTracker(backend_name=options.backend_name, centred=False)
     for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
         unseen_quality.append(_quality(scene, view, options.backend_name, scores[1]))
         refined = _refined(view, scene, tracker)

@@ -135,23 +135,16 @@ class Keyframe:
         rgb = self.rgb if images is None else images.rgb
         return (rgb.to(torch.float32) * (self.gain / 255.0) + self.bias).clamp(0.0, 1.0)
 
-    def observed(
-        self, region: Tensor | None, images: Observed | None = None
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Colour, depth and labels as the losses take them, nothing outside a region of tiles.
-
-        Where a renderer draws nothing, nothing was observed: both sides agree.
+    def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Colour, depth and labels as the losses take them.
 
         Args:
-            images: the keyframe's own on another device, where the region and the losses are.
+            images: the keyframe's own on another device, where the losses are.
         """
         images = images or self.images
-        rgb, depth_m, ids = self.target_rgb(images), images.depth_m, images.class_ids
+        ids = images.class_ids
         labels = None if ids is None else ids.to(torch.int32)
-        if region is None:
-            return rgb, depth_m, labels
-        inside = pixels_of_region(region, *depth_m.shape)
-        return rgb * inside, depth_m * inside, None if labels is None else labels * inside
+        return self.target_rgb(images), images.depth_m, labels
 
     @property
     def labels(self) -> Tensor | None:
@@ -189,6 +182,19 @@ class Keyframe:
         T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
         points = se3.transform_points(T_other_self, self.points)
         return float(self._projected(points)[0].mean())
+
+
+def inside(
+    region: Tensor | None, rgb: Tensor, depth_m: Tensor, labels: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """What was observed inside a region of tiles, nothing elsewhere; all of it without a region.
+
+    Where a renderer draws nothing, nothing was observed: both sides agree.
+    """
+    if region is None:
+        return rgb, depth_m, labels
+    drawn = pixels_of_region(region, *depth_m.shape)
+    return rgb * drawn, depth_m * drawn, None if labels is None else labels * drawn
 
 
 def _tensor(array: NDArray | None) -> Tensor | None:

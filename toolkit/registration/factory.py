@@ -66,9 +66,15 @@ def build_drawer(
     settings: RegistrationSettings,
     semantics: SemanticMapping | None = None,
     backend_name: str = "auto",
+    centred: bool = True,
 ) -> ViewDrawer:
-    """What draws submaps for registration and for its checks."""
-    return ViewDrawer(backend_name, semantics, **settings.drawing.model_dump())
+    """What draws submaps for registration and for its checks.
+
+    Args:
+        centred: how their colours were fitted, see `MapperOptions`; False once refined.
+    """
+    drawing = settings.drawing.model_dump()
+    return ViewDrawer(backend_name, semantics, centred=centred, **drawing)
 
 
 def matching_options(settings: MatchingSettings) -> MatchingOptions:

@@ -49,6 +49,7 @@ class ViewDrawer:
         semantics: reads the features of the submaps; None leaves classes out.
         least_silhouette: thinner pixels have no surface.
         largest_width: images are halved until they are no wider.
+        centred: as `view_of` takes it.
     """
 
     def __init__(
@@ -57,12 +58,14 @@ class ViewDrawer:
         semantics: SemanticMapping | None = None,
         least_silhouette: float = 0.9,
         largest_width: int = 400,
+        centred: bool = True,
     ) -> None:
         self.renders = 0
         self._backend = backend(backend_name)
         self._semantics = semantics if semantics is not None and semantics.channels else None
         self._least_silhouette = least_silhouette
         self._largest_width = largest_width
+        self._centred = centred
 
     @property
     def backend_name(self) -> str:
@@ -82,7 +85,7 @@ class ViewDrawer:
         options = DrawOptions(self._least_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
         surface = draw_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
-        level = view_of(surface, camera, self._least_silhouette)
+        level = view_of(surface, self._least_silhouette, self._centred)
         if self._semantics is None:
             return View(level)
         class_ids = self._semantics.decode_view(surface).class_ids

@@ -52,10 +52,13 @@ class SurfaceView:
         drawn: the forward pass with the centres drawn; the rest of its channels is as `render`
             draws them.
         depth_m: [H, W] where each ray meets the surface, 0 where nothing solid was drawn.
+        camera, T_camera_map: what it was drawn for.
     """
 
     drawn: ForwardPass
     depth_m: Tensor
+    camera: Camera
+    T_camera_map: NDArray[np.float64]
 
     @property
     def images(self) -> Tensor:
@@ -89,7 +92,7 @@ def draw_surface(
     channels = gaussians.features if options.features else None
     drawn = backend.forward(gaussians, camera, T_camera_map, channels, options.region, centres=True)
     depth_m = surface_depth(drawn.images, camera, T_camera_map, options.least_silhouette)
-    return SurfaceView(drawn, depth_m)
+    return SurfaceView(drawn, depth_m, camera, T_camera_map)
 
 
 def surface_depth(

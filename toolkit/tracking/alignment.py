@@ -17,6 +17,7 @@ from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.surface import EDGE, SurfaceView
+from toolkit.rendering.texture import centred_intensity, moved_to_centres
 from toolkit.tracking import alignment_numpy, alignment_torch
 
 LUMA = (0.299, 0.587, 0.114)
@@ -156,8 +157,25 @@ def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
     return out
 
 
-def view_of(surface: SurfaceView, camera: Camera, least_silhouette: float) -> FrameLevel:
-    """Intensity and surface depth of a drawn view, 0 where it is too thin."""
+def view_of(surface: SurfaceView, least_silhouette: float, centred: bool = True) -> FrameLevel:
+    """Intensity and surface depth of a drawn view, 0 where it is too thin.
+
+    Args:
+        centred: colours of the map belong to its Gaussians' centres, as mapping fits them; those
+            of a refined map belong to the pixels.
+    """
+    camera = surface.camera
+    if not centred:
+        return _as_drawn(surface, camera, least_silhouette)
+    intensity = centred_intensity(surface, least_silhouette)
+    if intensity is None:
+        drawn = _as_drawn(surface, camera, least_silhouette).intensity
+        intensity = moved_to_centres(drawn, surface, least_silhouette)
+    return FrameLevel(camera, intensity, surface.depth_m)
+
+
+def _as_drawn(surface: SurfaceView, camera: Camera, least_silhouette: float) -> FrameLevel:
+    """Intensity where it was drawn, and surface depth."""
     if surface.images.device.type != "cpu":
         seen_there = alignment_torch.intensity_of(surface.images, least_silhouette)
         return FrameLevel(camera, seen_there, surface.depth_m)

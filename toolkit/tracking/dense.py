@@ -116,7 +116,12 @@ class _Task:
 
 
 class DenseTracker(MovingTracker):
-    """Tracks frames against a map of Gaussians by second-order optimisation."""
+    """Tracks frames against a map of Gaussians by second-order optimisation.
+
+    Args:
+        centred: colours of the map belong to its Gaussians' centres, as mapping fits them; False
+            for a map that was refined (`rendering/texture.py`).
+    """
 
     def __init__(
         self,
@@ -124,10 +129,12 @@ class DenseTracker(MovingTracker):
         limits: HealthLimits | None = None,
         backend_name: str = "auto",
         recorder: Recorder | None = None,
+        centred: bool = True,
     ) -> None:
         super().__init__(limits)
         self.options = options or DenseOptions()
         self._ahead = FramesAhead(self.options.levels)
+        self._centred = centred
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = START_SCALES
@@ -201,7 +208,7 @@ class DenseTracker(MovingTracker):
         with self._recorder.timed("tracking render"):
             options = DrawOptions(thin)
             surface = draw_surface(self._backend, task.gaussians, camera, T_view_map, options)
-            levels = pyramid(view_of(surface, camera, thin), self.options.levels)
+            levels = pyramid(view_of(surface, thin, self._centred), self.options.levels)
             return _View(T_map_view.copy(), [model_level(level) for level in levels])
 
     def _best_start(

@@ -16,11 +16,16 @@ def build_tracker(
     backend_name: str = "auto",
     recorder: Recorder | None = None,
     code: SemanticCode | None = None,
+    centred: bool = True,
 ) -> Tracker:
-    """The tracker that the settings name, for a map whose features are of the given code."""
+    """The tracker that the settings name.
+
+    Args:
+        code: of the map's features. centred: how mapping fits colours, see `MapperOptions`.
+    """
     limits = HealthLimits(**settings.health.model_dump())
     if settings.kind == "first-order":
         slow = FirstOrderOptions(**settings.first_order.model_dump())
         return FirstOrderTracker(slow, limits, backend_name, recorder, code)
     options = DenseOptions(**settings.dense.model_dump())
-    return DenseTracker(options, limits, backend_name, recorder)
+    return DenseTracker(options, limits, backend_name, recorder, centred)

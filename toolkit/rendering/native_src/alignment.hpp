@@ -47,6 +47,12 @@ struct NormalEquations {
 void surface_depth(const Pinhole& camera, const double* T_camera_map, const float* images, const float* centres,
                    float least_silhouette, float* depth);
 void intensity_of(const Pinhole& camera, const float* images, float least_silhouette, float* intensity);
+// The same moved to where the colours belong: the projections of the mean centres.
+void centred_intensity(const Pinhole& camera, const double* T_camera_map, const float* images, const float* centres,
+                       float least_silhouette, float* intensity);
+// An observed image [3, H, W] sampled at those projections.
+void texture_at_centres(const Pinhole& camera, const double* T_camera_map, const float* images,
+                        const float* centres, float least_silhouette, const float* rgb, float* out);
 void build_model_level(const Pinhole& camera, const float* intensity, const float* depth, float* texture,
                        float* surface);
 // edge: depth differences beyond this share of the depth are another surface.

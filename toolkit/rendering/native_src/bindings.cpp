@@ -95,6 +95,22 @@ void align_intensity(const Size& size, Address images, double least_silhouette, 
                  at<float>(intensity));
 }
 
+// As depth_of_surface; intensity: [H, W].
+void intensity_at_centres(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
+                          Address images, Address centres, double least_silhouette, Address intensity) {
+    const py::gil_scoped_release release;
+    centred_intensity(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
+                      at<const float>(centres), (float)least_silhouette, at<float>(intensity));
+}
+
+// rgb, out: [3, H, W].
+void sampled_at_centres(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
+                        Address images, Address centres, double least_silhouette, Address rgb, Address out) {
+    const py::gil_scoped_release release;
+    texture_at_centres(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
+                       at<const float>(centres), (float)least_silhouette, at<const float>(rgb), at<float>(out));
+}
+
 void align_level(const Intrinsics& intrinsics, const Size& size, Address intensity, Address depth,
                  Address texture, Address surface) {
     const py::gil_scoped_release release;
@@ -202,6 +218,8 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("copy_visible", &copy_visible);
     m.def("surface_depth", &depth_of_surface);
     m.def("align_intensity", &align_intensity);
+    m.def("centred_intensity", &intensity_at_centres);
+    m.def("texture_at_centres", &sampled_at_centres);
     m.def("align_level", &align_level);
     m.def("align_halve", &align_halve);
     m.def("align_accumulate", &align_accumulate);
