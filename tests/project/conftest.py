@@ -29,7 +29,7 @@ def run_python() -> Callable[..., subprocess.CompletedProcess[str]]:
             env=os.environ | {"PYTHONPATH": str(CHECKOUT)} | environment,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,  # a guard; beside other programs one of them needs two minutes
             check=False,
         )
 
