@@ -35,10 +35,13 @@ def main() -> None:
         slam.process_frame(dataset[index])
     slam.finish()
     gaussians = slam.mapper.gaussians
+    # The finished map's colours fit pixels.
+    back = DenseTracker(centred=False)
+    back.restore(tracker.state())
     values, lost = [], 0
     for index in range(half, len(dataset)):
         frame = dataset[index]
-        result = tracker.track(frame, gaussians)
+        result = back.track(frame, gaussians)
         if result.lost:
             lost += 1
             continue

@@ -6,7 +6,7 @@ compiled; on a GPU by torch and Triton. They agree and are tested against each o
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -232,7 +232,8 @@ def linearise(
         exposure: (gain, bias), frame intensity to model intensity.
         max_distance: gate on depth differences, as a share of the depth.
     """
-    scalars = (*exposure, *astuple(scales)[:2], max_distance, scales.photometric_weight)
+    sigmas = scales.intensity, scales.depth_m
+    scalars = (*exposure, *sigmas, max_distance, scales.photometric_weight)
     camera = frame.camera
     if frame.depth_m.is_cuda:
         from toolkit.tracking.cuda.aligner import linearised
