@@ -23,6 +23,7 @@ from toolkit.tracking.alignment import (
     linearise,
     rescaled,
 )
+from toolkit.tracking.gauss_newton import damped_step
 
 Array = NDArray[np.float64]
 
@@ -131,7 +132,7 @@ def _stepped(
     g = np.sum([part.g for part in parts], axis=0)
     pixels = np.array([linear.depth_pixels for linear in linears])
     estimate = replace(estimate, information=H, pixels=pixels, iterations=estimate.iterations + 1)
-    step = _solved(H, g)
+    step = damped_step(H, g)
     if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < FEWEST_PIXELS:
         return replace(estimate, converged=False), False
     step = _limited(step, options)
@@ -206,16 +207,6 @@ class _Eliminated:
     def exposure_step(self, x: Array) -> Array:
         """Change [2] of gain and bias that goes with a step x."""
         return self.constant - self.by_exposure @ x
-
-
-def _solved(H: Array, g: Array) -> Array | None:
-    damped = H.copy()
-    damped[np.diag_indices(6)] *= 1.0 + 1e-6
-    try:
-        step = np.asarray(-np.linalg.solve(damped, g), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return None
-    return step if np.isfinite(step).all() else None
 
 
 def _limited(step: Array, options: JointOptions) -> Array:

@@ -104,15 +104,21 @@ def surface_depth(
         return _surface_depth_torch(images, camera, T_camera_map, least_silhouette)
     depth_m = torch.empty(camera.height, camera.width)
     module.surface_depth(
-        (camera.fx, camera.fy, camera.cx, camera.cy),
-        camera.size,
-        np.asarray(T_camera_map[:3]).reshape(-1).tolist(),
+        *kernel_geometry(camera, T_camera_map),
         address(images),
         address(images[-3:]),
         least_silhouette,
         address(depth_m),
     )
     return depth_m
+
+
+def kernel_geometry(
+    camera: Camera, T_camera_map: NDArray[np.float64]
+) -> tuple[tuple[float, ...], tuple[int, int], list[float]]:
+    """Intrinsics, size and pose as the native kernels take them."""
+    pose = np.asarray(T_camera_map[:3]).reshape(-1).tolist()
+    return (camera.fx, camera.fy, camera.cx, camera.cy), camera.size, pose
 
 
 def same_surface(before_m: Tensor, depth_m: Tensor, after_m: Tensor) -> Tensor:

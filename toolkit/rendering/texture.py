@@ -11,12 +11,11 @@ came out four times as exact (0.23 to 0.06 cm).
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from toolkit.rendering.native import address, kernels_for
-from toolkit.rendering.surface import SurfaceView
+from toolkit.rendering.surface import SurfaceView, kernel_geometry
 
 # Farther off the ray there is no slanted surface but an edge.
 _MOST_PIXELS = 1.0
@@ -48,13 +47,14 @@ def at_centres(rgb: Tensor, view: SurfaceView, least_silhouette: float = 0.5) ->
     module = kernels_for(images)
     if module is None:
         return _sampled(rgb, centre_offsets(view, least_silhouette))
+    rgb = rgb.contiguous()
     out = torch.empty_like(rgb)
     module.texture_at_centres(
-        *_geometry(view),
+        *kernel_geometry(view.camera, view.T_camera_map),
         address(images),
         address(images[-3:]),
         least_silhouette,
-        address(rgb.contiguous()),
+        address(rgb),
         address(out),
     )
     return out
@@ -71,7 +71,7 @@ def centred_intensity(view: SurfaceView, least_silhouette: float) -> Tensor | No
         return None
     intensity = torch.empty(images.shape[1:])
     module.centred_intensity(
-        *_geometry(view),
+        *kernel_geometry(view.camera, view.T_camera_map),
         address(images),
         address(images[-3:]),
         least_silhouette,
@@ -94,13 +94,6 @@ def moved_to_centres(intensity: Tensor, view: SurfaceView, least_silhouette: flo
     out = intensity.clone()
     out[1:-1, 1:-1] = torch.where(inner, moved, intensity[1:-1, 1:-1])
     return out
-
-
-def _geometry(view: SurfaceView) -> tuple[tuple[float, ...], tuple[int, int], list[float]]:
-    """Intrinsics, size and pose as the kernels take them."""
-    camera = view.camera
-    pose = np.asarray(view.T_camera_map[:3]).reshape(-1).tolist()
-    return (camera.fx, camera.fy, camera.cx, camera.cy), camera.size, pose
 
 
 def _sampled(rgb: Tensor, offsets: Tensor) -> Tensor:

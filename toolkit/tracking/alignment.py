@@ -164,30 +164,24 @@ def view_of(surface: SurfaceView, least_silhouette: float, centred: bool = True)
         centred: colours of the map belong to its Gaussians' centres, as mapping fits them; those
             of a refined map belong to the pixels.
     """
-    camera = surface.camera
-    if not centred:
-        return _as_drawn(surface, camera, least_silhouette)
-    intensity = centred_intensity(surface, least_silhouette)
+    intensity = centred_intensity(surface, least_silhouette) if centred else None
     if intensity is None:
-        drawn = _as_drawn(surface, camera, least_silhouette).intensity
-        intensity = moved_to_centres(drawn, surface, least_silhouette)
-    return FrameLevel(camera, intensity, surface.depth_m)
+        intensity = _intensity_as_drawn(surface, least_silhouette)
+        if centred:
+            intensity = moved_to_centres(intensity, surface, least_silhouette)
+    return FrameLevel(surface.camera, intensity, surface.depth_m)
 
 
-def _as_drawn(surface: SurfaceView, camera: Camera, least_silhouette: float) -> FrameLevel:
-    """Intensity where it was drawn, and surface depth."""
-    if surface.images.device.type != "cpu":
-        seen_there = alignment_torch.intensity_of(surface.images, least_silhouette)
-        return FrameLevel(camera, seen_there, surface.depth_m)
-    module = kernels_for(surface.images)
+def _intensity_as_drawn(surface: SurfaceView, least_silhouette: float) -> Tensor:
+    images, camera = surface.images, surface.camera
+    if images.device.type != "cpu":
+        return alignment_torch.intensity_of(images, least_silhouette)
+    module = kernels_for(images)
     if module is None:
-        seen = alignment_numpy.intensity_of(surface.images.numpy(), least_silhouette)
-        return FrameLevel(camera, torch.from_numpy(seen), surface.depth_m)
+        return torch.from_numpy(alignment_numpy.intensity_of(images.numpy(), least_silhouette))
     intensity = torch.empty(camera.height, camera.width)
-    module.align_intensity(
-        camera.size, address(surface.images), least_silhouette, address(intensity)
-    )
-    return FrameLevel(camera, intensity, surface.depth_m)
+    module.align_intensity(camera.size, address(images), least_silhouette, address(intensity))
+    return intensity
 
 
 def model_level(level: FrameLevel) -> ModelLevel:

@@ -132,9 +132,15 @@ def _solved(
         pixels = linear.intensity_pixels / state.scales.intensity**2
         change = np.array([state.gain, state.bias]) - rules.exposure
         exposure.hold(H, g, rules.photometric_weight * pixels, change)
-    H[np.diag_indices(8)] *= 1.0 + 1e-6
+    return damped_step(H, g)
+
+
+def damped_step(H: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The step [n] that solves H x = -g, or None where the equations are singular."""
+    damped = H.copy()
+    damped[np.diag_indices(len(g))] *= 1.0 + 1e-6
     try:
-        step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
+        step = np.asarray(-np.linalg.solve(damped, g), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     return step if np.isfinite(step).all() else None
