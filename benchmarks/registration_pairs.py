@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.semantics.factory import build_code, choose_taxonomy
 from toolkit.settings.run import RunSettings
 from toolkit.submaps.submap import Submap
+from toolkit.tracking.depth_filter import denoised
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,9 @@ def piece(
     mapper = build_mapper(settings.mapping, generator, semantics=recording.semantics)
     T_submap_world = anywhere(generator) @ se3.inverse(recording.T_world_camera[numbers[0]])
     for i in numbers:
-        mapper.add_keyframe(recording.frames[i], T_submap_world @ recording.T_world_camera[i])
+        frame = recording.frames[i]
+        frame = replace(frame, depth_m=denoised(frame.depth_m))
+        mapper.add_keyframe(frame, T_submap_world @ recording.T_world_camera[i])
     pictures = torch.stack([keyframe.rgb for keyframe in mapper.keyframes]) / 255.0
     words = describer.describe(pictures).numpy()
     submap = Submap(0, np.eye(4), mapper.gaussians, mapper.keyframes, descriptors=words)

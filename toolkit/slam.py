@@ -26,6 +26,7 @@ from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
+from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.result import Health, TrackingResult, not_tracked
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
@@ -60,7 +61,7 @@ class FrameResult:
 class Slam:
     """RGB-D Gaussian SLAM: feed it frames in order, then call `finish`."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - here all parts meet
         self,
         tracker: Tracker,
         mapper: Mapper,
@@ -68,14 +69,21 @@ class Slam:
         labeller: Labeller | None = None,
         atlas: Atlas | None = None,
         closer: LoopCloser | None = None,
+        denoise: bool = True,
     ) -> None:
-        """`closer` corrects drift, and finds the camera again when it is lost."""
+        """Put the parts together.
+
+        Args:
+            closer: corrects drift, and finds the camera again when it is lost.
+            denoise: smooth each frame's depth as much as its noise asks for.
+        """
         self.tracker = tracker
         self.mapper = mapper
         self.atlas = atlas or Atlas(mapper)
         self.fused: FusedMap | None = None
         self._labeller = labeller
         self._closer = closer
+        self._filter = DepthFilter() if denoise else None
         self._recorder = recorder or NullRecorder()
         self._path = CameraPath()
         self.lost_frames: list[int] = []
@@ -103,6 +111,10 @@ class Slam:
 
         Another thread may call this while earlier frames are processed (`prefetched`).
         """
+        if self.mapper.device.type == "cpu":
+            return  # tracking and mapping want all cores for themselves
+        if self._filter is not None:
+            frame = self._filter.prepare(frame)
         self.tracker.prepare(frame, self.mapper.device)
 
     def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
@@ -112,6 +124,9 @@ class Slam:
             may_map: False keeps the frame out of the map (a held-out view).
         """
         tracking = None
+        if self._filter is not None:
+            with self._recorder.timed("denoising"):
+                frame = self._filter.of(frame)
         if self._labels_first:
             frame = self._labelled(frame, None)
         if not self.atlas.begun:

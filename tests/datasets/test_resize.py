@@ -44,7 +44,48 @@ def test_scale_is_uniform_and_the_centre_stays():
     assert (resized.cx, resized.cy) == (24.5, 9.5)
 
 
-def test_depth_and_labels_are_never_mixed():
+@settings(max_examples=60, deadline=None)
+@given(source=SIZES, target=SIZES)
+def test_a_plane_stays_where_it_is(source, target):
+    camera = Camera(50.0, 45.0, source[0] / 2 + 3, source[1] / 2 - 2, *source)
+    x, y = coordinate_images(camera)
+    plane = 1.0 / (0.5 + 0.05 * x + 0.1 * y)
+    grid = ImageGrid(camera, target)
+    x, y = coordinate_images(grid.camera)
+    expected = 1.0 / (0.5 + 0.05 * x + 0.1 * y)
+    # A pixel that is covered in part counts with its middle, in colour too: off by an eighth.
+    smaller = max(target[0] / source[0], target[1] / source[1]) <= 1
+    tolerance = 1e-3 if smaller else 0.02
+    inner = np.s_[1:-1, 1:-1]
+    np.testing.assert_allclose(grid.depth(plane)[inner], expected[inner], rtol=tolerance)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4])
+def test_a_plane_made_smaller_by_a_whole_factor_is_exact(factor):
+    camera = Camera(100.0, 100.0, 59.5, 47.5, 120, 96)
+    grid = ImageGrid(camera, (120 // factor, 96 // factor))
+    (x, y), (new_x, new_y) = coordinate_images(camera), coordinate_images(grid.camera)
+    made = grid.depth(1.0 / (0.5 + 0.1 * x + 0.2 * y))
+    np.testing.assert_allclose(made, 1.0 / (0.5 + 0.1 * new_x + 0.2 * new_y), rtol=1e-6)
+
+
+def test_surfaces_are_not_mixed_and_what_is_missing_stays_missing():
+    rng = np.random.default_rng(0)
+    depth = rng.choice([0.0, 1.0, 2.0], size=(48, 64)).astype(np.float32)
+    grid = ImageGrid(Camera(50, 50, 32, 24, 64, 48), (21, 17))
+    resized = grid.depth(depth)
+    assert resized.dtype == np.float32
+    np.testing.assert_allclose(resized, grid.nearest(depth), rtol=1e-6)
+
+
+def test_noise_falls_with_the_pixels_that_are_averaged():
+    rng = np.random.default_rng(0)
+    depth = (1.0 / (0.5 + 0.002 * rng.standard_normal((96, 128)))).astype(np.float32)
+    half = ImageGrid(Camera(100, 100, 63.5, 47.5, 128, 96), (64, 48)).depth(depth)
+    assert np.std(1.0 / half) == pytest.approx(0.001, rel=0.1)
+
+
+def test_labels_are_never_mixed():
     rng = np.random.default_rng(0)
     image = rng.choice([0, 7, 100], size=(48, 64)).astype(np.int32)
     resized = ImageGrid(Camera(50, 50, 32, 24, 64, 48), (21, 17)).nearest(image)

@@ -17,7 +17,7 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.submaps.submap import Submap
 
-QUICK = MapperOptions(first_iterations=4, iterations=2, denoise=False)
+QUICK = MapperOptions(first_iterations=4, iterations=2)
 
 
 @dataclass(frozen=True)

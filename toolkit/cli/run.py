@@ -120,12 +120,13 @@ def build_slam(
             )
             log = LoopLog(folder.loops) if folder else None
             closer = build_loop_closer(settings.loops, context, log, watch)
-        return Slam(tracker, mapper, watch, labeller, atlas, closer)
+        return Slam(tracker, mapper, watch, labeller, atlas, closer, settings.denoise)
     if dataset.ground_truth is None:
         raise DatasetError(
             f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"
         )
-    return Slam(GivenPoses(dataset.ground_truth), mapper, watch, labeller, atlas)
+    poses = GivenPoses(dataset.ground_truth)
+    return Slam(poses, mapper, watch, labeller, atlas, denoise=settings.denoise)
 
 
 def _parse(argv: list[str]) -> RunProgram:

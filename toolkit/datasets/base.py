@@ -154,7 +154,7 @@ class RecordedDataset:
             labels = None if labels is None else self._undistortion.nearest(labels)
         if self._grid:
             rgb = self._grid.colour(rgb)
-            depth_m = self._grid.nearest(depth_m)
+            depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
         return Frame(index, files.timestamp_s, rgb, depth_m, self.camera, labels)
 

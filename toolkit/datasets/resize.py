@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 
+# Source pixels that differ by less (share of inverse depth) from the one in the middle show its
+# surface.
+_EDGE = 0.05
+
 
 def resize_colour(rgb: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
     """A colour image [H, W, 3] averaged over areas to (width, height), or enlarged linearly."""
@@ -21,8 +25,10 @@ def resize_colour(rgb: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np
 class ImageGrid:
     """The pixels that images of one camera are resampled to.
 
-    Colour is averaged over each pixel's area; depth and labels take the source pixel that
-    holds the new pixel's centre, so that all three share one grid, c' = (c + 0.5) s - 0.5.
+    All images share one grid, c' = (c + 0.5) s - 0.5. Colour is averaged over each pixel's
+    area; so is inverse depth, which is linear on a plane, over the surface in the middle of it
+    alone. Labels take the source pixel that holds the new pixel's centre: where images are made
+    half as large that is off by a quarter of a new pixel, always to one side.
 
     Args:
         source: the camera of the images as they are.
@@ -51,11 +57,43 @@ class ImageGrid:
         columns = ((np.arange(left, left + width) + 0.5) / scale_x).astype(np.int64)
         rows = ((np.arange(top, top + height) + 0.5) / scale_y).astype(np.int64)
         self._source_pixels = np.ix_(rows, columns)
+        self._rows = _covered(np.arange(top, top + height), scale_y, source.height)
+        self._columns = _covered(np.arange(left, left + width), scale_x, source.width)
 
     def colour(self, rgb: NDArray[np.float32]) -> NDArray[np.float32]:
         """A colour image [H, W, 3] on this grid."""
         return np.ascontiguousarray(resize_colour(rgb, self._scaled_size)[self._crop])
 
+    def depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """A depth image [H, W] (m, 0 missing) on this grid; surfaces are not mixed."""
+        inverse = np.where(depth_m > 0, 1.0 / np.where(depth_m > 0, depth_m, 1.0), 0.0)
+        middle = inverse[self._source_pixels]
+        total, area = np.zeros_like(middle), np.zeros_like(middle)
+        for rows, heights in self._rows:
+            for columns, widths in self._columns:
+                other = inverse[np.ix_(rows, columns)]
+                same = np.abs(other - middle) < _EDGE * middle
+                share = heights[:, None] * widths * same
+                total += share * other
+                area += share
+        known = total > 0
+        return np.where(known, area / np.where(known, total, 1.0), 0.0).astype(np.float32)
+
     def nearest(self, image: NDArray) -> NDArray:
-        """A depth or label image [H, W] on this grid, values unmixed."""
+        """A label image [H, W] on this grid, values unmixed."""
         return image[self._source_pixels]
+
+
+def _covered(
+    pixels: NDArray[np.int64], scale: float, count: int
+) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Source pixels that new ones cover along one axis, each with how much of it they do."""
+    first, last = pixels / scale, (pixels + 1) / scale
+    parts = []
+    for step in range(int(np.ceil(1.0 / scale)) + 1):
+        source = np.floor(first).astype(np.int64) + step
+        share = np.minimum(source + 1, last) - np.maximum(source, first)
+        share = np.where(source < count, np.maximum(share, 0.0), 0.0)
+        if share.max() > 1e-9:
+            parts.append((np.minimum(source, count - 1), share))
+    return parts

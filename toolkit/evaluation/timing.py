@@ -49,9 +49,9 @@ class StageRecorder:
         """Keep a number."""
         self.counts.setdefault(name, []).append(float(value))
 
-    def total_ms(self, stage: str) -> float | None:
-        """Milliseconds of all calls together, None for a stage that never ran."""
-        durations = self.durations_ms.get(stage)
+    def total_ms(self, *stages: str) -> float | None:
+        """Milliseconds of all calls together, None where none of the stages ever ran."""
+        durations = [d for stage in stages for d in self.durations_ms.get(stage, [])]
         return sum(durations) if durations else None
 
     def median_ms(self, stage: str) -> float | None:

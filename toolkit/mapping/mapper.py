@@ -18,7 +18,6 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
-from toolkit.mapping.depth_filter import denoised
 from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window, inside
 from toolkit.mapping.observations import Observations
@@ -46,7 +45,6 @@ class MapperOptions:
             no keyframe closes: 0.5 dB, and 10 % fewer Gaussians (a room and a ring).
         depth_floor: seed where rendered depth lies behind the measured one by more than
             this share of it, and by more than `depth_factor` medians of the error.
-        denoise: smooth a keyframe's depth as much as its noise asks for.
         centred: fit colours where the Gaussians are and not where they are drawn, for the dense
             tracker, until the final refinement (`rendering/texture.py`).
         bundle_adjustment: optimise the poses of keyframes together with the map (G-3); the
@@ -66,7 +64,6 @@ class MapperOptions:
     least_silhouette: float = 0.85
     depth_floor: float = 0.03
     depth_factor: float = 20.0
-    denoise: bool = True
     centred: bool = True
     bundle_adjustment: bool = False
     pose_translation_m: float = 1e-4
@@ -164,8 +161,6 @@ class Mapper:
 
         A map with semantics takes the frame's labels as class ids of its taxonomy.
         """
-        if self.options.denoise:
-            frame = replace(frame, depth_m=denoised(frame.depth_m))
         if self.semantics.channels == 0:
             frame = replace(frame, labels=None)
         keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)

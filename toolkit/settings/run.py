@@ -39,6 +39,7 @@ class RunSettings(Settings):
     seed: int = Field(0, ge=0, description="of all random choices")
     max_frames: int | None = Field(None, ge=1, description="stop after so many")
     hold_out: int | None = Field(None, ge=2, description="keep every n-th frame out of the map")
+    denoise: bool = Field(True, description="smooth depth as much as its noise asks for")
     poses: Literal["slam", "given"] = Field("slam", description="track, or take the truth's")
     map: Path | None = Field(None, description="folder of a finished run to begin in and extend")
     # Not "auto": nothing has been run on a GPU yet, and nobody shall be the first unasked.

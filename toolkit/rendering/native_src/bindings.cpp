@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "alignment.hpp"
+#include "depth_filter.hpp"
 #include "losses.hpp"
 #include "optimisation.hpp"
 #include "semantics.hpp"
@@ -159,6 +160,14 @@ void adam(Address ids, int64_t count, Address steps,
               {(float)settings[0], (float)settings[1], (float)settings[2], (float)settings[3]});
 }
 
+// inverse, out: [H, W]. limits: noise, slack, least share, edge.
+void smoothed(const Size& size, Address inverse, const std::vector<int>& radii, int reach,
+              const std::array<double, 4>& limits, Address out) {
+    const py::gil_scoped_release release;
+    const DepthFilter filter = {radii.data(), (int)radii.size(), limits[0], limits[1], limits[2], reach, limits[3]};
+    smooth_inverse_depth(at<const float>(inverse), size[0], size[1], filter, at<float>(out));
+}
+
 double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double weight, Address gradient) {
     const py::gil_scoped_release release;
     return ssim(at<const float>(x), at<const float>(y), shape[0], shape[1], shape[2], (float)weight,
@@ -224,6 +233,7 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("align_halve", &align_halve);
     m.def("align_accumulate", &align_accumulate);
     m.def("adam", &adam);
+    m.def("smooth_inverse_depth", &smoothed);
     m.def("mean_ssim", &mean_ssim);
     m.def("rgbd_loss", &loss_of_rgbd);
     m.def("semantic_loss", &loss_of_semantics);
