@@ -5,9 +5,10 @@
 RING is made by `semsplat make-room --out RING --layout ring --frames 900 --sensor-noise`; with
 several seeds, RING-0, RING-1 and so on, made with `--seed N`, where they exist. Tables:
 
-loops       each row adds one thing: loops between submaps, loops inside them, refinement
-ablation    each row leaves one thing out, or does it otherwise
-allocation  when the next submap begins
+loops         each row adds one thing: loops between submaps, loops inside them, refinement
+ablation      each row leaves one thing out, or does it otherwise
+allocation    when the next submap begins
+registration  how submaps are joined
 
 `--drift` moves each new submap by so many metres, and turns it by a quarter of a radian a metre,
 in a direction of its own: that is where odometry can go wrong without a word, since within a
@@ -67,6 +68,12 @@ NO_REFINEMENT: Row = {"mapping": {"final_iterations": 0}}
 NO_LOOPS: Row = {"loops": {"use": False}}
 PLACES_ALONE: Row = {"submaps": {"allocation": {"least_divergence": 0.0}}}
 MOTION: Row = {"submaps": {"allocation": {"rule": "motion"}}}
+
+
+def _registered_by(kind: str) -> Row:
+    return {"loops": {"registration": {"kind": kind}}}
+
+
 TABLES: dict[str, tuple[tuple[str, ...], dict[str, Row]]] = {
     "loops": (
         (*QUALITY, *WALLS, *LOOPS, *SIZE, *TIMES),
@@ -97,6 +104,16 @@ TABLES: dict[str, tuple[tuple[str, ...], dict[str, Row]]] = {
             "motion (0.5 m or 50 degrees)": MOTION,
         },
     ),
+    "registration": (
+        (*QUALITY, *LOOPS),
+        {
+            "SGR (default)": {},
+            "coarse alone": _registered_by("coarse"),
+            "fine alone": _registered_by("fine"),
+            "coarse, then two-way": _registered_by("two-way"),
+            "FPFH, RANSAC, ICP": _registered_by("clouds"),
+        },
+    ),
 }
 
 
@@ -106,7 +123,7 @@ class Options:
 
     room: tyro.conf.Positional[Path]
     """The rooms."""
-    table: Literal["loops", "ablation", "allocation"] = "loops"
+    table: Literal["loops", "ablation", "allocation", "registration"] = "loops"
     """Which rows."""
     image_size: tuple[int, int] | None = None
     """Width and height; native if unset."""
