@@ -48,6 +48,23 @@ def test_noise_is_estimated(seed):
     assert inverse_depth_noise(noisy(slanted_plane(), seed)) == pytest.approx(NOISE, rel=0.2)
 
 
+def test_noise_that_neighbours_share_is_seen():
+    coarse = np.random.default_rng(0).normal(scale=NOISE, size=(24, 32))
+    blotches = np.kron(coarse, np.ones((4, 4)))
+    depth = (1.0 / (1.0 / slanted_plane() + blotches)).astype(np.float32)
+    assert inverse_depth_noise(depth) == pytest.approx(NOISE, rel=0.2)
+
+
+def test_steps_of_a_sensor_are_noise_and_go():
+    # An eighth of a pixel of disparity at 580 px and 7.5 cm, as structured light has it.
+    step = 0.125 / (580.0 * 0.075)
+    truth = slanted_plane(240, 320)
+    depth = (1.0 / (np.round(1.0 / truth / step) * step)).astype(np.float32)
+    assert inverse_depth_noise(depth) > 2e-4
+    left = (1.0 / denoised(depth) - 1.0 / truth)[8:-8, 8:-8]
+    assert left.std() < 0.35 * (1.0 / depth - 1.0 / truth).std()
+
+
 def test_nothing_measured_has_no_noise():
     assert inverse_depth_noise(np.zeros((4, 6), np.float32)) == 0.0
     assert not denoised(np.zeros((4, 6), np.float32)).any()
