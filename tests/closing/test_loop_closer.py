@@ -228,16 +228,16 @@ class TestSettle:
         assert len(closer.loops) >= held
 
     @pytest.mark.parametrize(
-        ("inliers", "confidence", "joins"),
-        [(0.7, 0.99, True), (0.5, 0.99, False), (0.7, 1.0, False)],
+        ("overlap", "confidence", "joins"),
+        [(0.2, 0.99, True), (0.1, 0.99, False), (0.2, 1.0, False)],
     )
     def test_neighbours_that_were_refused_are_asked_again_for_less(
-        self, frames, inliers, confidence, joins
+        self, frames, overlap, confidence, joins
     ):
-        # Bent by drift inside, too few of their surfaces agree for submaps that lie anywhere.
+        # They share less of their views than is asked of submaps that lie anywhere.
         options = ClosingOptions(drift_confidence=confidence)
         atlas, closer, registrar = closed(
-            frames, options=options, nearby_changes={"inliers": inliers}
+            frames, options=options, nearby_changes={"overlap": overlap}
         )
         closer.close_between(atlas, atlas.active)
         atlas.rest()

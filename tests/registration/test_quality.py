@@ -7,10 +7,14 @@ import pytest
 import torch
 from registered_room import Scene, motion
 
+from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.quality import check_alignment, check_keyframe, compare
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
+from toolkit.submaps.submap import Submap
 from toolkit.tracking.alignment import FrameLevel
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
@@ -87,4 +91,24 @@ def test_views_are_those_that_overlap(room: Scene):
     views = views_of_overlap(room.target, room.source, room.T_target_source, 2)
     assert len(views) == 2
     turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0]))
-    assert len(views_of_overlap(room.target, room.source, turned, 5)) == 1
+    assert views_of_overlap(room.target, room.source, turned, 5) == []
+
+
+def looking_at_a_wall() -> Submap:
+    """One view of a wall two metres ahead."""
+    camera = Camera(80.0, 80.0, 39.5, 29.5, 80, 60)
+    rgb, depth_m = np.zeros((60, 80, 3), np.float32), np.full((60, 80), 2.0, np.float32)
+    keyframe = Keyframe.from_frame(Frame(0, 0.0, rgb, depth_m, camera), np.eye(4))
+    return Submap(0, np.eye(4), GaussianCloud.empty(), [keyframe])
+
+
+def test_a_wall_seen_from_behind_is_another_one():
+    here, there = looking_at_a_wall(), looking_at_a_wall()
+    aside = se3.exp(np.array([0.3, 0.0, 0.1, 0.0, 0.1, 0.0]))
+    assert views_of_overlap(here, there, aside, 5) == [0]
+    # Turned about, and standing in the next room: its wall is eight centimetres behind ours.
+    behind = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0]))
+    behind[2, 3] = 4.08
+    assert here.keyframes[0].share_seen_by(behind) > 0.9
+    assert here.keyframes[0].reaches(np.array([[0.0, 0.0, 2.08]])).all()
+    assert views_of_overlap(here, there, behind, 5) == []

@@ -22,8 +22,8 @@ from toolkit.pose_graph.graph import PoseEdge
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.atlas import Atlas
 
-# Two neighbours saw the same things from their boundary; bent by drift inside they agree less.
-_OF_NEIGHBOURS = VerificationOptions(least_overlap=0.15, least_inliers=0.6)
+# Two neighbours saw the same things from their boundary.
+_OF_NEIGHBOURS = VerificationOptions(least_overlap=0.15)
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,7 +143,7 @@ class FineRegistration:
         sources = [self._source_view(source, place) for place in views]
         sources = [seen for seen in sources if seen.reach_m > 0]
         if not sources:
-            return failed(self._method, "the source shows nothing from its keyframes", start)
+            return failed(self._method, "no view of the one shows what the other saw", start)
         if self.options.optimiser == "first-order":
             estimate, targets = self._descended(target, source, sources, start)
         else:

@@ -113,16 +113,32 @@ def observed_level(keyframe: Keyframe) -> FrameLevel:
 def views_of_overlap(
     target: Submap, source: Submap, T_target_source: NDArray[np.float64], count: int
 ) -> list[int]:
-    """The source's keyframes that some target keyframe sees most of, the best first.
+    """The source's keyframes whose surfaces some target keyframe saw most of, the best first.
 
-    Views that share next to nothing are left out, unless all do; then the best one stays. What
-    stands in between is not considered.
+    From the same side, and with nothing in between: a wall between two rooms has two faces, and
+    views of one laid over the other are drawn through it, a wall's thickness away. Views that
+    share next to nothing are left out; nothing is left where all do.
     """
-    if not target.keyframes or not source.keyframes:
-        return []
-    T_source_target = se3.inverse(T_target_source)
-    cameras = [T_source_target @ keyframe.T_map_camera for keyframe in target.keyframes]
-    shares = np.array([max(k.share_seen_by(T) for T in cameras) for k in source.keyframes])
+    shares = np.array(
+        [
+            max((_share_seen(k, other, T_target_source) for other in target.keyframes), default=0.0)
+            for k in source.keyframes
+        ]
+    )
     best = np.argsort(-shares, kind="stable")
-    useful = [int(i) for i in best if shares[i] >= _LEAST_SHARE]
-    return useful[:count] or [int(best[0])]
+    return [int(i) for i in best if shares[i] >= _LEAST_SHARE][:count]
+
+
+def _share_seen(view: Keyframe, other: Keyframe, T_other_view: NDArray[np.float64]) -> float:
+    """Share of a keyframe's points that another saw, from no more than 90 degrees away.
+
+    Args:
+        T_other_view: [4, 4] from the map of the one to the map of the other.
+    """
+    if len(view.points) == 0:
+        return 0.0
+    T = T_other_view @ view.T_map_camera
+    points = se3.transform_points(T, view.points.astype(np.float64))
+    along, along_other = points - T[:3, 3], points - other.T_map_camera[:3, 3]
+    same_side = np.einsum("ij,ij->i", along, along_other) > 0.0
+    return float((other.reaches(points) & same_side).mean())
