@@ -119,26 +119,22 @@ def views_of_overlap(
     views of one laid over the other are drawn through it, a wall's thickness away. Views that
     share next to nothing are left out; nothing is left where all do.
     """
-    shares = np.array(
-        [
-            max((_share_seen(k, other, T_target_source) for other in target.keyframes), default=0.0)
-            for k in source.keyframes
-        ]
+    views = source.keyframes
+    counts = np.array([len(k.points) for k in views])
+    if not counts.any():
+        return []
+    # All points of all views at once, in the target's frame, and from where each was seen.
+    poses = np.array([T_target_source @ k.T_map_camera for k in views])
+    parts = [k.points.astype(np.float64) for k in views]
+    points = np.concatenate(
+        [se3.transform_points(T, part) for T, part in zip(poses, parts, strict=True)]
     )
+    owner = np.repeat(np.arange(len(views)), counts)
+    rays = points - poses[owner, :3, 3]
+    shares = np.zeros(len(views))
+    for other in target.keyframes:
+        same_side = np.einsum("ij,ij->i", rays, points - other.T_map_camera[:3, 3]) > 0.0
+        seen = np.bincount(owner[same_side & other.reaches(points)], minlength=len(views))
+        shares = np.maximum(shares, seen / np.maximum(counts, 1))
     best = np.argsort(-shares, kind="stable")
     return [int(i) for i in best if shares[i] >= _LEAST_SHARE][:count]
-
-
-def _share_seen(view: Keyframe, other: Keyframe, T_other_view: NDArray[np.float64]) -> float:
-    """Share of a keyframe's points that another saw, from no more than 90 degrees away.
-
-    Args:
-        T_other_view: [4, 4] from the map of the one to the map of the other.
-    """
-    if len(view.points) == 0:
-        return 0.0
-    T = T_other_view @ view.T_map_camera
-    points = se3.transform_points(T, view.points.astype(np.float64))
-    along, along_other = points - T[:3, 3], points - other.T_map_camera[:3, 3]
-    same_side = np.einsum("ij,ij->i", along, along_other) > 0.0
-    return float((other.reaches(points) & same_side).mean())
