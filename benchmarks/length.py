@@ -14,22 +14,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import tyro
+import walks  # type: ignore[import-not-found]
 from machine import describe_machine  # type: ignore[import-not-found]
 
-from toolkit.cli.run import build_slam
-from toolkit.cli.run_results import write_results
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.run_folder import RunFolder
-from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 
 COLUMNS = ("ms a frame, quarters", "finish s", "submaps", "lost", "gaussians", "peak_memory_mb")
@@ -55,7 +49,7 @@ def main() -> None:
     """Print one row a place, and what the last costs beside the first."""
     options = tyro.cli(Options)
     if options.child:
-        print(json.dumps(walked(options)))
+        print(json.dumps(figures(options)))
         return
     print(describe_machine(), flush=True)
     print("\n| | " + " | ".join(COLUMNS) + " |")
@@ -71,7 +65,7 @@ def main() -> None:
     print(f"\nmemory: {peaks[-1] / peaks[0]:.2f} times the first one's", flush=True)
 
 
-def walked(options: Options) -> dict[str, object]:
+def figures(options: Options) -> dict[str, object]:
     """Figures of one walk."""
     (place,) = options.places
     settings = RunSettings.model_validate(
@@ -82,29 +76,14 @@ def walked(options: Options) -> dict[str, object]:
             "submaps": {"memory_mb": options.memory_mb},
         }
     )
-    dataset = open_dataset("synthetic", place)
-    watch, times_ms = StageRecorder(), []
-    with tempfile.TemporaryDirectory() as made:
-        folder = RunFolder.create(Path(made) / "run", dump(settings))
-        slam = build_slam(settings, dataset, watch, folder)
-        for index in range(len(dataset)):
-            frame = dataset[index]
-            began = time.perf_counter()
-            slam.process_frame(frame)
-            times_ms.append(1e3 * (time.perf_counter() - began))
-        began = time.perf_counter()
-        slam.finish()
-        finish_s = time.perf_counter() - began
-        folder.check_taxonomy(slam.taxonomy)
-        write_results(slam, dataset, folder, settings, watch)
-        metrics = json.loads(folder.metrics.read_text())
-    quarters = [float(np.mean(part)) for part in np.array_split(times_ms, 4)]
-    return metrics | {
-        "ms a frame, quarters": " / ".join(f"{ms:.0f}" for ms in quarters),
-        "finish s": round(finish_s, 1),
-        "submaps": len(slam.atlas),
-        "lost": len(slam.lost_frames),
-    }
+    with walks.walked(settings, open_dataset("synthetic", place)) as walk:
+        quarters = [float(np.mean(part)) for part in np.array_split(walk.frames_ms, 4)]
+        return walk.metrics | {
+            "ms a frame, quarters": " / ".join(f"{ms:.0f}" for ms in quarters),
+            "finish s": round(walk.finish_s, 1),
+            "submaps": len(walk.slam.atlas),
+            "lost": len(walk.slam.lost_frames),
+        }
 
 
 if __name__ == "__main__":

@@ -18,8 +18,6 @@ area under the curve (AUC: how often a true pair is nearer than a false one) nee
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -29,19 +27,15 @@ from typing import Any, Literal
 import numpy as np
 import torch
 import tyro
+import walks  # type: ignore[import-not-found]
 from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 from scipy.stats import rankdata
-from tqdm import tqdm
 
-from toolkit.cli.run import build_slam
-from toolkit.cli.run_results import tracked_frames
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
-from toolkit.evaluation.run_loops import run_loop_metrics, true_views
-from toolkit.evaluation.run_metrics import MeasureOptions, measure_run
-from toolkit.evaluation.timing import StageRecorder
+from toolkit.evaluation.run_loops import true_views
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.colour_histogram import ColourHistogramEncoder
 from toolkit.features.dinov2 import Dinov2Encoder
@@ -52,9 +46,6 @@ from toolkit.loops.candidates import (
     DescribedKeyframe,
     LoopCandidate,
 )
-from toolkit.loops.log import read_loop_log
-from toolkit.run_folder import RunFolder
-from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 
@@ -103,7 +94,6 @@ COLUMNS = (
 )
 
 _EVERY = 5  # frames from keyframe to keyframe, for encoders
-_VIEWS = 60  # of which PSNR is the mean
 
 
 @dataclass(frozen=True)
@@ -144,13 +134,13 @@ def print_rows(options: Options, room: Path, dataset: Dataset) -> None:
     print("|---" * (len(COLUMNS) + 1) + "|", flush=True)
     for name, loops in ROWS.items():
         if not options.only or name in options.only:
-            run = walked(options, room, dataset, loops)
+            run = figures(options, room, dataset, loops)
             cells = [_cell(run.get(column)) for column in COLUMNS]
             print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
     print(flush=True)
 
 
-def walked(options: Options, room: Path, dataset: Dataset, loops: Values) -> Values:
+def figures(options: Options, room: Path, dataset: Dataset, loops: Values) -> Values:
     """Figures of one walk with these settings of loop closure, without refinement."""
     settings = RunSettings.model_validate(
         {
@@ -161,24 +151,11 @@ def walked(options: Options, room: Path, dataset: Dataset, loops: Values) -> Val
             "seed": options.seed,
         }
     )
-    with tempfile.TemporaryDirectory() as place:
-        folder = RunFolder.create(Path(place) / "run", dump(settings))
-        slam = build_slam(settings, dataset, StageRecorder(), folder)
-        for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
-            slam.process_frame(dataset[index])
-        slam.finish()
-        records = read_loop_log(folder.loops) if settings.loops.use else []
-        measured = MeasureOptions(settings.backend, max_views=_VIEWS)
-        assert slam.fused is not None
-        frames = tracked_frames(slam, settings)
-        metrics = measure_run(slam.fused, frames, dataset, options=measured)
-    return {
-        **metrics,
-        **run_loop_metrics(records, dataset, truth_options(settings)),
-        "frames_lost": len(slam.lost_frames),
-        "edges": len(slam.loops),
-        "edges_false": false_edges(slam, dataset),
-    }
+    with walks.walked(settings, dataset) as walk:
+        return walk.metrics | {
+            "edges": len(walk.slam.loops),
+            "edges_false": false_edges(walk.slam, dataset),
+        }
 
 
 def false_edges(slam: Slam, dataset: Dataset) -> int:
@@ -195,14 +172,6 @@ def false_edges(slam: Slam, dataset: Dataset) -> int:
         error = loop.residual(T_world_first, T_world_second)
         count += bool(np.linalg.norm(error[:3]) > LoopTruthOptions().most_distance_m)
     return count
-
-
-def truth_options(settings: RunSettings) -> LoopTruthOptions:
-    """True loops are those beyond the detector's own gap."""
-    candidates = settings.loops.candidates
-    return LoopTruthOptions(
-        least_gap_frames=candidates.least_gap_frames, least_gap_m=candidates.least_gap_m
-    )
 
 
 def print_encoders(options: Options, dataset: Dataset) -> None:

@@ -21,6 +21,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import render
 from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.depth_filter import DepthFilter
 
 
 def main() -> None:
@@ -38,10 +39,11 @@ def main() -> None:
     # The finished map's colours fit pixels.
     back = DenseTracker(centred=False)
     back.restore(tracker.state())
+    depth_filter = DepthFilter()
     values, lost = [], 0
     for index in range(half, len(dataset)):
         frame = dataset[index]
-        result = back.track(frame, gaussians)
+        result = back.track(depth_filter.of(frame), gaussians)
         if result.lost:
             lost += 1
             continue

@@ -19,10 +19,7 @@ loops can tell.
 from __future__ import annotations
 
 import json
-import os
 import statistics
-import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -30,21 +27,16 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import tyro
+import walks  # type: ignore[import-not-found]
 from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from toolkit.cli.run import build_slam
-from toolkit.cli.run_results import tracked_frames, write_results
+from toolkit.cli.run_results import tracked_frames
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
-from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.geometry import se3
-from toolkit.loops.log import read_loop_log
-from toolkit.run_folder import RunFolder
-from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas
@@ -182,14 +174,14 @@ def remembered(options: Options, name: str, values: Row, seed: int) -> Row:
         if entry["walk"] == json.loads(json.dumps(key)):
             figures: Row = entry["figures"]
             return figures
-    figures = walked(options, values, seed)
+    figures = figures_of(options, values, seed)
     if options.store is not None:
         with options.store.open("a") as file:
             file.write(json.dumps({"walk": key, "figures": figures}) + "\n")
     return figures
 
 
-def walked(options: Options, values: Row, seed: int) -> Row:
+def figures_of(options: Options, values: Row, seed: int) -> Row:
     """metrics.json of one walk, and what its loops did."""
     own = options.room.with_name(f"{options.room.name}-{seed}")
     place = own if own.is_dir() else options.room
@@ -201,29 +193,21 @@ def walked(options: Options, values: Row, seed: int) -> Row:
     }
     settings = RunSettings.model_validate(values)
     dataset = open_dataset("synthetic", place, settings.image_size, settings.max_frames)
-    watch = StageRecorder()
-    with tempfile.TemporaryDirectory() as made:
-        folder = RunFolder.create(Path(made) / "run", dump(settings))
-        slam = build_slam(settings, dataset, watch, folder)
+
+    def prepare(slam: Slam) -> None:
         if options.drift:
             let_drift(slam.atlas, options.drift, seed)
-        for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
-            slam.process_frame(dataset[index])
-        slam.finish()
-        folder.check_taxonomy(slam.taxonomy)
-        write_results(slam, dataset, folder, settings, watch)
-        records = read_loop_log(folder.loops)
-        metrics: Row = json.loads(folder.metrics.read_text())
-    closed = [r for r in records if r["kind"] == "correction between"]
-    moved = [r for r in records if r["kind"] == "correction within" and r["applied"]]
-    metrics |= {
-        "submaps": len(slam.atlas),
+
+    with walks.walked(settings, dataset, prepare) as walk:
+        if options.table == "allocation":
+            walk.metrics.update(at_boundaries(walk.slam, dataset, settings))
+    closed = [r for r in walk.records if r["kind"] == "correction between"]
+    moved = [r for r in walk.records if r["kind"] == "correction within" and r["applied"]]
+    return walk.metrics | {
+        "submaps": len(walk.slam.atlas),
         "loops": closed[-1]["loops"] if closed else 0,
         "keyframes moved": len(moved),
     }
-    return metrics | (
-        at_boundaries(slam, dataset, settings) if options.table == "allocation" else {}
-    )
 
 
 def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Row:

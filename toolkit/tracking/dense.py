@@ -307,8 +307,10 @@ class DenseTracker(MovingTracker):
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
         health, reason = verdict(self.limits, found.scales, visible, information, measured)
         gain, bias = self._told(task, view, found)
+        # Alignment that gives up at once hands back a product of this tracker's own poses, and
+        # their rounding errors threefold: a few hundred such frames and no pose is rigid.
         return TrackingResult(
-            T_map_camera=view.T_map_view @ found.T_view_camera,
+            T_map_camera=se3.orthonormalise(view.T_map_view @ found.T_view_camera),
             converged=found.converged,
             iterations=found.iterations,
             renders=renders,

@@ -1,0 +1,72 @@
+"""One run of the system, from settings to results, in a folder that is gone afterwards."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from toolkit.cli.run import build_slam
+from toolkit.cli.run_results import write_results
+from toolkit.datasets.base import Dataset
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.loops.log import read_loop_log
+from toolkit.run_folder import RunFolder
+from toolkit.settings.files import dump
+from toolkit.settings.run import RunSettings
+from toolkit.slam import Slam
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What a run came to.
+
+    Attributes:
+        slam: the finished system.
+        metrics: metrics.json. records: loops.jsonl.
+        frames_ms: of each frame in turn. finish_s: refinement and fusion.
+    """
+
+    slam: Slam
+    metrics: dict[str, Any]
+    records: list[dict[str, Any]]
+    frames_ms: list[float]
+    finish_s: float
+
+
+@contextmanager
+def walked(
+    settings: RunSettings, dataset: Dataset, prepare: Callable[[Slam], None] | None = None
+) -> Iterator[Walk]:
+    """Run through a data set, fusion and export included; the folder lives as long as this.
+
+    Args:
+        prepare: is given the system before the first frame.
+    """
+    watch, frames_ms = StageRecorder(), []
+    with tempfile.TemporaryDirectory() as made:
+        folder = RunFolder.create(Path(made) / "run", dump(settings))
+        slam = build_slam(settings, dataset, watch, folder)
+        if prepare is not None:
+            prepare(slam)
+        for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
+            frame = dataset[index]
+            began = time.perf_counter()
+            slam.process_frame(frame)
+            frames_ms.append(1e3 * (time.perf_counter() - began))
+        began = time.perf_counter()
+        slam.finish()
+        finish_s = time.perf_counter() - began
+        folder.check_taxonomy(slam.taxonomy)
+        write_results(slam, dataset, folder, settings, watch)
+        metrics = json.loads(folder.metrics.read_text())
+        yield Walk(slam, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
