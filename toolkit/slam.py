@@ -18,10 +18,12 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below
 from toolkit.loops.relocalisation import Found
+from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
+from toolkit.registration.placement import KeyframePlacement
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
@@ -70,12 +72,14 @@ class Slam:
         atlas: Atlas | None = None,
         closer: LoopCloser | None = None,
         denoise: bool = True,
+        placement: KeyframePlacement | None = None,
     ) -> None:
         """Put the parts together.
 
         Args:
             closer: corrects drift, and finds the camera again when it is lost.
             denoise: smooth each frame's depth as much as its noise asks for.
+            placement: corrects the poses of keyframes by what earlier ones observed.
         """
         self.tracker = tracker
         self.mapper = mapper
@@ -83,6 +87,7 @@ class Slam:
         self.fused: FusedMap | None = None
         self._labeller = labeller
         self._closer = closer
+        self._placement = placement
         self._filter = DepthFilter() if denoise else None
         self._recorder = recorder or NullRecorder()
         self._path = CameraPath()
@@ -153,6 +158,7 @@ class Slam:
             exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
             if self._labeller is not None and not self._labels_first:
                 frame = self._labelled(frame, T_map_camera)
+            T_map_camera = self._placed(frame, T_map_camera, exposure)
             with self._recorder.timed("mapping"):
                 mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
             if self._closer is not None:
@@ -214,6 +220,18 @@ class Slam:
             if found
             else "joined to nothing until a loop is found",
         )
+
+    def _placed(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], exposure: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        """Where a tracked frame stands once it is a keyframe; the tracker goes on from there."""
+        if self._placement is None or not self.mapper.keyframes:
+            return T_map_camera
+        with self._recorder.timed("placing"):
+            keyframe = Keyframe.from_frame(frame, T_map_camera, *exposure)
+            T_placed = self._placement.place(self.mapper.keyframes, keyframe)
+        self.tracker.change_frame(T_placed @ se3.inverse(T_map_camera))
+        return T_placed
 
     def _allocate(self, frame: Frame, tracking: TrackingResult | None) -> NDArray[np.float64]:
         """Begin the next submap where it is time; the newest keyframe's pose in the active one."""

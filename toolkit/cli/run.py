@@ -25,6 +25,7 @@ from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
+from toolkit.registration.factory import build_placement
 from toolkit.rendering import map_device
 from toolkit.run_folder import RunFolder
 from toolkit.semantics.factory import build_code
@@ -120,7 +121,10 @@ def build_slam(
             )
             log = LoopLog(folder.loops) if folder else None
             closer = build_loop_closer(settings.loops, context, log, watch)
-        return Slam(tracker, mapper, watch, labeller, atlas, closer, settings.denoise)
+        # The papers' tracker is there to be compared with.
+        dense = settings.tracking.kind == "dense"
+        placement = build_placement(settings.placement) if dense else None
+        return Slam(tracker, mapper, watch, labeller, atlas, closer, settings.denoise, placement)
     if dataset.ground_truth is None:
         raise DatasetError(
             f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"

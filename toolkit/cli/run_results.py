@@ -171,7 +171,7 @@ def _costs(slam: Slam, scene: GaussianScene, dataset: Dataset, watch: StageRecor
         frames_lost=len(slam.lost_frames),
         keyframes=slam.keyframe_count,
         gaussians=count,
-        tracking_ms=watch.total_ms("denoising", "tracking"),
+        tracking_ms=watch.total_ms("denoising", "tracking", "placing"),
         labelling_ms=watch.total_ms("labelling"),
         mapping_ms=watch.total_ms("mapping"),
         refinement_ms=watch.total_ms("refinement"),

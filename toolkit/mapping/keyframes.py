@@ -22,6 +22,8 @@ _STRIDE = 16
 _NEAREST_M = 0.05
 # A point so much beyond the measured depth is still on the surface.
 _REACH = 1.05
+# And one that differs by less, as a share of the depth, is a point of it.
+_ON_SURFACE = 0.05
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,17 @@ class Keyframe:
         # Where nothing was measured the view may end anywhere.
         inside[inside] = (depth_m == 0) | (points[inside, 2] <= _REACH * depth_m)
         return inside
+
+    def share_observed(self, points_map: NDArray[np.float64]) -> float:
+        """Share of points [P, 3] of the map that lie on what this keyframe measured."""
+        if len(points_map) == 0:
+            return 0.0
+        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
+        inside, uv = self._projected(points)
+        column, row = np.rint(uv[inside]).astype(np.intp).T
+        depth_m = self.depth_m.numpy()[row, column]
+        near = np.abs(points[inside, 2] - depth_m) < _ON_SURFACE * depth_m
+        return float(near.sum() / len(points))
 
     def _projected(
         self, points: NDArray[np.float64]

@@ -12,6 +12,7 @@ from toolkit.registration.fine_first_order import Encoder, FirstOrderFineOptions
 from toolkit.registration.joint_alignment import JointOptions
 from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions
+from toolkit.registration.placement import KeyframePlacement, PlacementOptions
 from toolkit.registration.result import Registrar
 from toolkit.registration.second_opinion import SecondOpinion
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
@@ -21,6 +22,7 @@ from toolkit.settings.registration import (
     CoarseSettings,
     FineSettings,
     MatchingSettings,
+    PlacementSettings,
     RegistrationSettings,
 )
 from toolkit.tracking.health import HealthLimits
@@ -60,6 +62,15 @@ def _by_views(
         average = AverageOptions(**settings.coarse.average.model_dump())
         refiner = TwoWayRegistration(fine, drawer, average)
     return SemanticGuidedRegistration(options, drawer, encoder, refiner)
+
+
+def build_placement(settings: PlacementSettings) -> KeyframePlacement | None:
+    """What places keyframes, None where the tracker does it alone."""
+    if not settings.use:
+        return None
+    values: dict[str, Any] = settings.model_dump(exclude={"use"})
+    values["dense"] = JointOptions(**values["dense"])
+    return KeyframePlacement(PlacementOptions(**values))
 
 
 def build_drawer(

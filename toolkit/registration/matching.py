@@ -15,8 +15,8 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.joint_alignment import Estimate, JointOptions, Pair, align
-from toolkit.registration.views import observed_level
-from toolkit.tracking.alignment import FrameLevel, Scales, halved, model_level, pyramid
+from toolkit.registration.views import observed_level, shrunk
+from toolkit.tracking.alignment import Scales, model_level, pyramid
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.result import Health
 
@@ -113,15 +113,15 @@ def _refined(
     levels = options.dense.levels
     model = [
         model_level(level)
-        for level in pyramid(_shrunk(observed_level(first), options.largest_width), levels)
+        for level in pyramid(shrunk(observed_level(first), options.largest_width), levels)
     ]
-    frame = pyramid(_shrunk(observed_level(second), options.largest_width), levels)
+    frame = pyramid(shrunk(observed_level(second), options.largest_width), levels)
     pair = Pair(model, frame, np.eye(4), np.eye(4))
     estimate = align([pair], Estimate(start), options.dense)
     measured = float((frame[0].depth_m > 0).sum())
     visible = float(estimate.pixels.sum()) / max(measured, 1.0)
     health, _ = verdict(options.limits, estimate.scales, visible, estimate.information, measured)
-    if health is Health.LOST or _parted(start, estimate.T_target_source, first.camera, second):
+    if health is Health.LOST or parted(start, estimate.T_target_source, second):
         return None
     return Offset(
         estimate.T_target_source,
@@ -133,8 +133,13 @@ def _refined(
     )
 
 
-def _parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
-    """Whether dense alignment left the place where the features had put the camera."""
+def parted(start: Array, end: Array, second: Keyframe) -> bool:
+    """Whether dense alignment left the place where others had put a camera.
+
+    Args:
+        start, end: T_first_second [4, 4], the first being like the second.
+    """
+    camera = second.camera
     points = second.points.astype(np.float64)
     if len(points) == 0:
         return True
@@ -145,12 +150,6 @@ def _parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
     shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
     most = max(_MOST_CORRECTION * camera.width, _MOST_CORRECTION_PIXELS)
     return bool(np.median(shift) > most)
-
-
-def _shrunk(level: FrameLevel, largest_width: int) -> FrameLevel:
-    while level.camera.width > largest_width:
-        level = halved(level)
-    return level
 
 
 def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:

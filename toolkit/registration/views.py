@@ -110,6 +110,13 @@ def observed_level(keyframe: Keyframe) -> FrameLevel:
     return FrameLevel(keyframe.camera, intensity_of(rgb), keyframe.depth_m)
 
 
+def shrunk(level: FrameLevel, largest_width: int) -> FrameLevel:
+    """A level halved until it is no wider."""
+    while level.camera.width > largest_width:
+        level = halved(level)
+    return level
+
+
 def views_of_overlap(
     target: Submap, source: Submap, T_target_source: NDArray[np.float64], count: int
 ) -> list[int]:

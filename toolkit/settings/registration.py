@@ -38,6 +38,19 @@ class MatchingSettings(Settings):
     redundancy: float = Field(5.0, ge=1, description="residuals that count as one")
 
 
+class PlacementSettings(Settings):
+    """Keyframes placed by what earlier ones observed."""
+
+    use: bool = Field(True, description="or leave them where the tracker puts them")
+    recent: int = Field(2, ge=1, description="newest keyframes compared")
+    older: int = Field(4, ge=0, description="most older ones compared")
+    every: int = Field(4, ge=1, description="each n-th keyframe may be one of these")
+    least_recent: float = Field(0.2, ge=0, le=1, description="share of the view they must show")
+    least_older: float = Field(0.5, ge=0, le=1, description="the same for older ones")
+    largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
+    dense: JointAlignmentSettings = JointAlignmentSettings(levels=2)
+
+
 class MotionAverageSettings(Settings):
     """The robust mean of motions (G-5)."""
 

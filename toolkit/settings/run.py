@@ -10,6 +10,7 @@ from pydantic import Field
 from toolkit.settings.base import Settings
 from toolkit.settings.loop_closure import LoopClosureSettings
 from toolkit.settings.mapping import MappingSettings
+from toolkit.settings.registration import PlacementSettings
 from toolkit.settings.semantics import SemanticsSettings
 from toolkit.settings.submaps import SubmapSettings
 from toolkit.settings.tracking import TrackingSettings
@@ -50,6 +51,7 @@ class RunSettings(Settings):
         "auto", description="renderer"
     )
     tracking: TrackingSettings = TrackingSettings()
+    placement: PlacementSettings = PlacementSettings()
     mapping: MappingSettings = MappingSettings()
     semantics: SemanticsSettings = SemanticsSettings()
     submaps: SubmapSettings = SubmapSettings()

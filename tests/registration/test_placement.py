@@ -1,0 +1,88 @@
+"""Keyframes placed by what earlier ones observed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from registered_room import Scene, error, motion
+
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.registration.placement import KeyframePlacement, PlacementOptions
+
+
+def keyframe(room: Scene, place: int) -> Keyframe:
+    """One of the target's at its true pose."""
+    return room.target.keyframes[place]
+
+
+def moved(true: Keyframe, seed: int, metres: float = 0.01, degrees: float = 0.5) -> Keyframe:
+    """A keyframe where a tracker might have put it."""
+    return replace(true, T_map_camera=true.T_map_camera @ motion(seed, metres, degrees))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_keyframe_comes_to_its_place(room: Scene, seed):
+    new = moved(keyframe(room, 3), seed)
+    before, _ = error(new.T_map_camera, keyframe(room, 3).T_map_camera)
+    T = KeyframePlacement().place(room.target.keyframes[:3], new)
+    mm, deg = error(T, keyframe(room, 3).T_map_camera)
+    assert before > 9.0
+    assert mm < 0.5
+    assert deg < 0.02
+
+
+def test_exposure_of_the_two_may_differ(room: Scene):
+    new = moved(keyframe(room, 3), 1)
+    darker = replace(new, rgb=(new.rgb.float() * 0.8 + 10.0).round().to(torch.uint8))
+    T = KeyframePlacement().place(room.target.keyframes[:3], darker)
+    mm, _ = error(T, keyframe(room, 3).T_map_camera)
+    assert mm < 1.0
+
+
+def test_a_view_of_another_place_stays_where_it_was(room: Scene, stranger: Keyframe):
+    T = KeyframePlacement().place(room.target.keyframes, stranger)
+    assert np.array_equal(T, stranger.T_map_camera)
+
+
+def test_without_earlier_ones_it_stays(room: Scene):
+    new = moved(keyframe(room, 0), 2)
+    assert np.array_equal(KeyframePlacement().place([], new), new.T_map_camera)
+
+
+def test_a_correction_by_many_pixels_is_not_believed(room: Scene):
+    """The same view, told to stand where alignment would have to go far to find it."""
+    new = moved(keyframe(room, 3), 5, metres=0.06, degrees=4.0)
+    T = KeyframePlacement().place(room.target.keyframes[:3], new)
+    assert np.array_equal(T, new.T_map_camera)
+
+
+def test_a_keyframe_that_shows_something_else_has_no_say(room: Scene):
+    """Two hands wide of where it was taken, its surfaces are not the new one's."""
+    wrong = replace(keyframe(room, 1), T_map_camera=motion(3, 0.8, 20.0))
+    new = moved(keyframe(room, 3), 6)
+    placement = KeyframePlacement(PlacementOptions(recent=1, every=1))
+    alone = placement.place([keyframe(room, 2)], new)
+    beside = placement.place([wrong, keyframe(room, 2)], new)
+    assert np.array_equal(alone, beside)
+
+
+def test_what_was_held_changes_no_bit(room: Scene):
+    placement = KeyframePlacement()
+    news = [moved(keyframe(room, place), place) for place in (1, 2, 3)]
+    held = [placement.place(room.target.keyframes[:n], new) for n, new in enumerate(news, 1)]
+    for n, new in enumerate(news, 1):
+        afresh = KeyframePlacement().place(room.target.keyframes[:n], new)
+        assert np.array_equal(held[n - 1], afresh)
+
+
+def test_a_keyframe_observed_its_own_points_and_none_before_or_behind(room: Scene):
+    own = keyframe(room, 2)
+    points = own.points_in_map()
+    assert own.share_observed(points) > 0.95
+    camera = own.T_map_camera[:3, 3]
+    for stretch in (0.8, 1.2):
+        assert own.share_observed(camera + stretch * (points - camera)) < 0.2
+    assert own.share_observed(np.zeros((0, 3))) == 0.0
