@@ -18,6 +18,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
+from toolkit.mapping.depth_fusion import measured_centres
 from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window, inside
 from toolkit.mapping.observations import Observations
@@ -45,6 +46,7 @@ class MapperOptions:
             no keyframe closes: 0.5 dB, and 10 % fewer Gaussians (a room and a ring).
         depth_floor: seed where rendered depth lies behind the measured one by more than
             this share of it, and by more than `depth_factor` medians of the error.
+        fuse_depth: keep centres at the running mean of what is measured (`depth_fusion.py`).
         centred: fit colours where the Gaussians are and not where they are drawn, for the dense
             tracker, until the final refinement (`rendering/texture.py`).
         bundle_adjustment: optimise the poses of keyframes together with the map (G-3); the
@@ -64,6 +66,7 @@ class MapperOptions:
     least_silhouette: float = 0.85
     depth_floor: float = 0.03
     depth_factor: float = 20.0
+    fuse_depth: bool = True
     centred: bool = True
     bundle_adjustment: bool = False
     pose_translation_m: float = 1e-4
@@ -166,6 +169,9 @@ class Mapper:
         keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
         self.keyframes.append(keyframe)
         self.semantics.observe(frame.labels)
+        if self.options.fuse_depth:
+            with self._recorder.timed("depth fusion"):
+                self._fuse_depth(keyframe)
         with self._recorder.timed("seeding"):
             seeded = self._seed(frame, keyframe)
         all_new = seeded == len(self.gaussians)
@@ -298,7 +304,8 @@ class Mapper:
 
         Args:
             progress: its place in the call.
-            centred: fit colours where the Gaussians are, to track against; else where they are
+            fuse_depth: keep centres at the running mean of what is measured (`depth_fusion.py`).
+        centred: fit colours where the Gaussians are, to track against; else where they are
                 drawn, to look at (see `rendering/texture.py`).
         """
         T_camera_map = se3.inverse(keyframe.T_map_camera)
@@ -344,6 +351,14 @@ class Mapper:
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         step = adam.step(pose_gradient(by_matrix, T_camera_map))
         keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))
+
+    def _fuse_depth(self, keyframe: Keyframe) -> None:
+        """Move the centres that the newest keyframe measures."""
+        depth_m = self._observations.of(keyframe).depth_m
+        found = measured_centres(self.gaussians, self.seeded_by, self.keyframes, depth_m)
+        means = self.gaussians.means.index_copy(0, found.places, found.centres)
+        self.gaussians = replace(self.gaussians, means=means)
+        self.seeded_by = self.seeded_by.index_fill(0, found.places[found.anew], keyframe.index)
 
     def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
         observed = self._observations.of(keyframe)

@@ -77,6 +77,7 @@ class MappingSettings(Settings):
     least_silhouette: float = Field(0.85, gt=0, lt=1, description="seed below it (tau_sil)")
     depth_floor: float = Field(0.03, ge=0, description="depth error that seeds, of depth")
     depth_factor: float = Field(20.0, ge=0, description="the same in medians of the error")
+    fuse_depth: bool = Field(True, description="centres at the mean of what is measured")
     centred: bool = Field(True, description="until refined, colours fit where Gaussians are")
     bundle_adjustment: bool = Field(False, description="optimise keyframe poses with the map")
     pose_translation_m: float = Field(1e-4, gt=0, description="its step, m")
