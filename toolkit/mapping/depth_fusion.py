@@ -25,7 +25,10 @@ from toolkit.mapping.keyframes import Keyframe
 _SHARE = 0.2
 # Less of the way is not worth the work.
 _LEAST_SHARE = 0.02
-# A Gaussian so near to the measured depth, as a share of it, belongs to that surface.
+# A Gaussian this near to the measured depth lies on that surface: so much inverse depth (1 / m,
+# five standard deviations of a sensor that triangulates), where it was measured or where it is
+# now, and never more than this share of the depth.
+_NOISE = 0.006
 _ON_SURFACE = 0.05
 # Neighbouring pixels that differ by more (share of inverse depth) show no single surface.
 _EDGE = 0.03
@@ -68,13 +71,15 @@ def measured_centres(
 
     T_camera_map = torch.from_numpy(se3.inverse(newest.T_map_camera)).to(means)
     points = means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
-    nearer = (means - measured_from).norm(dim=1) / points.norm(dim=1).clamp(min=_NEAREST_M)
+    from_m = (means - measured_from).norm(dim=1)
+    nearer = from_m / points.norm(dim=1).clamp(min=_NEAREST_M)
     share = (_SHARE * nearer**4).clamp(max=1.0)
     seen = (share > _LEAST_SHARE) & (points[:, 2] > _NEAREST_M)
     (places,) = torch.nonzero(seen, as_tuple=True)
     points = points[places]
     depth = _surface_depth(depth_m, newest, points)
-    on_surface = (depth - points[:, 2]).abs() < _ON_SURFACE * depth
+    gate = torch.minimum(_NOISE * torch.maximum(from_m[places], depth) ** 2, _ON_SURFACE * depth)
+    on_surface = (depth - points[:, 2]).abs() < gate
     places, points, depth = places[on_surface], points[on_surface], depth[on_surface]
 
     share = share[places]
