@@ -18,6 +18,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
+from toolkit.registration.placement import KeyframePlacement
 from toolkit.rendering import render
 from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker
@@ -31,7 +32,7 @@ def main() -> None:
     dataset = open_dataset("seven-scenes", path, (320, 240))
     half = len(dataset) // 2
     tracker = DenseTracker()
-    slam = Slam(tracker, Mapper())
+    slam = Slam(tracker, Mapper(), placement=KeyframePlacement())
     for index in range(half):
         slam.process_frame(dataset[index])
     slam.finish()

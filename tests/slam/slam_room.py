@@ -15,6 +15,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.registration.placement import KeyframePlacement
 from toolkit.semantics.factory import build_code, build_labeller
 from toolkit.settings.semantics import SemanticsSettings
 from toolkit.slam import FrameResult, Slam
@@ -36,8 +37,10 @@ def first_steps(count: int = 14) -> SlamRoom:
     return SlamRoom(frames, truth.transformed(se3.inverse(truth.T_world_camera[0])))
 
 
-def new_slam(seed: int = 0) -> Slam:
-    return Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(seed)))
+def new_slam(seed: int = 0, placed: bool = True) -> Slam:
+    """With keyframes placed by earlier ones, or where they are tracked."""
+    mapper = Mapper(FEW, np.random.default_rng(seed))
+    return Slam(DenseTracker(), mapper, placement=KeyframePlacement() if placed else None)
 
 
 def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
@@ -50,7 +53,7 @@ def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
     code = build_code(settings.code, labeller.taxonomy)
     semantics = build_semantic_mapping(settings, code, 0)
     mapper = Mapper(FEW, np.random.default_rng(seed), semantics=semantics)
-    return Slam(DenseTracker(), mapper, labeller=labeller)
+    return Slam(DenseTracker(), mapper, labeller=labeller, placement=KeyframePlacement())
 
 
 def fed(slam: Slam, frames: Iterable[Frame], hold_out: int | None = None) -> list[FrameResult]:
