@@ -96,7 +96,7 @@ class TestPath:
             Mapper(FEW, np.random.default_rng(0), recorder=watch),
             watch,
         )
-        plain = new_slam()
+        plain = new_slam(placed=False)
         for slam in (watched, plain):
             fed(slam, room.frames[:6])
         assert fingerprint(watched) == fingerprint(plain)
