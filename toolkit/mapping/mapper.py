@@ -105,7 +105,8 @@ class MapContent:
 
     Attributes:
         gaussians: N Gaussians. keyframes: in order.
-        seeded_by: [N] int32, the frame index of the keyframe each Gaussian came from.
+        seeded_by: [N] int32, the frame index of the keyframe each Gaussian came from, or of
+            one that has measured it from much nearer since.
         steps: [N] int32, optimisation steps each Gaussian has had.
     """
 

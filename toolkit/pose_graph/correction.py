@@ -2,7 +2,7 @@
 
 G prints one update for both, inverse(T_new) T_old in front of every pose of a submap. With
 poses in the submap's own frame nothing inside has to move when an anchor does, and within a
-submap a Gaussian follows the keyframe that seeded it, by T_new inverse(T_old).
+submap a Gaussian follows the keyframe that measured it, by T_new inverse(T_old).
 """
 
 from __future__ import annotations

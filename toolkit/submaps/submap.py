@@ -30,7 +30,8 @@ class Submap:
         T_world_submap: [4, 4] float64, the anchor's pose; corrections change it alone.
         gaussians: N Gaussians.
         keyframes: their `T_map_camera` is `T_submap_camera`.
-        seeded_by: [N] int32, for each Gaussian the frame index of the keyframe it came from.
+        seeded_by: [N] int32, for each Gaussian the frame index of the keyframe it came from,
+            or of one that has measured it from much nearer since.
         descriptors: [K, D] float32 of unit length, one row a keyframe; D may be 0.
         steps: [N] int32, optimisation steps each Gaussian has had.
     """
