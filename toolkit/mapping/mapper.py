@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -18,6 +17,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
+from toolkit.mapping.content import MapContent
+from toolkit.mapping.density import missing, useless
 from toolkit.mapping.depth_fusion import measured_centres
 from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window, inside
@@ -97,23 +98,6 @@ class MappingResult:
     seeded: int
     pruned: int
     loss: float
-
-
-@dataclass(frozen=True)
-class MapContent:
-    """A map without the optimiser's moments.
-
-    Attributes:
-        gaussians: N Gaussians. keyframes: in order.
-        seeded_by: [N] int32, the frame index of the keyframe each Gaussian came from, or of
-            one that has measured it from much nearer since.
-        steps: [N] int32, optimisation steps each Gaussian has had.
-    """
-
-    gaussians: GaussianCloud
-    keyframes: list[Keyframe]
-    seeded_by: Tensor
-    steps: Tensor
 
 
 class Mapper:
@@ -363,12 +347,18 @@ class Mapper:
 
     def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
         observed = self._observations.of(keyframe)
-        missing = self._missing(self.view(keyframe), observed.depth_m)
+        uncovered = missing(
+            self.view(keyframe),
+            observed.depth_m,
+            self.options.least_silhouette,
+            self.options.depth_floor,
+            self.options.depth_factor,
+        )
         bright = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
         seeds = seed(
             replace(frame, rgb=bright),
             keyframe.T_map_camera,
-            missing.cpu().numpy(),
+            uncovered.cpu().numpy(),
             self.options.seeding,
             self.semantics.start_values,
             self._generator,
@@ -381,24 +371,10 @@ class Mapper:
         self.seeded_by = torch.cat([self.seeded_by, origin])
         return len(seeds)
 
-    def _missing(self, view: SurfaceView, depth_m: Tensor) -> Tensor:
-        """Pixels [H, W] that the map does not explain (H, densification)."""
-        measured = depth_m > 0
-        thin = view.output.silhouette < self.options.least_silhouette
-        behind = torch.where(measured & ~thin, view.depth_m - depth_m, torch.zeros_like(depth_m))
-        errors = behind.abs()[measured & ~thin]
-        median = float(errors.median()) if errors.numel() else 0.0
-        threshold = (self.options.depth_floor * depth_m).clamp(
-            min=self.options.depth_factor * median
-        )
-        return measured & (thin | (behind > threshold))
-
     def _prune(self) -> int:
         """Remove what is invisible, far too large or not finite."""
-        cloud = self.gaussians
-        bad = cloud.opacities < self.options.least_opacity
-        bad |= cloud.radii_m > self.options.largest_radius_m
-        bad |= ~torch.isfinite(cloud.means).all(dim=1)
+        cloud, options = self.gaussians, self.options
+        bad = useless(cloud, options.least_opacity, options.largest_radius_m)
         count = int(bad.sum())
         if count:
             self.gaussians = cloud.select(~bad)

@@ -15,7 +15,8 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.mapper import MapContent, Mapper
+from toolkit.mapping.content import MapContent
+from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.allocation import Allocation, AllocationVerdict
 from toolkit.submaps.store import SubmapStore
