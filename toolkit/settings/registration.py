@@ -47,7 +47,7 @@ class PlacementSettings(Settings):
     every: int = Field(4, ge=1, description="each n-th keyframe may be one of these")
     least_recent: float = Field(0.2, ge=0, le=1, description="share of the view they must show")
     least_older: float = Field(0.5, ge=0, le=1, description="the same for older ones")
-    largest_width: int = Field(200, ge=16, description="images are halved down to it, pixels")
+    largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
     dense: JointAlignmentSettings = JointAlignmentSettings(levels=2)
 
 
