@@ -87,7 +87,8 @@ def main(argv: Sequence[str]) -> int:
     write_splat_ply(options.out / "map.ply", merged.gaussians, merged.columns())
     if merged.taxonomy is not None:
         merged.taxonomy.save(options.out / "taxonomy.yaml")
-    write_tum(options.out / "trajectory_a.txt", a.folder.read_trajectory())
+    # The very bytes: read and written again, a pose may differ in its last digit.
+    write_bytes(options.out / "trajectory_a.txt", a.folder.trajectory.read_bytes())
     write_tum(options.out / "trajectory_b.txt", b.folder.read_trajectory().transformed(T_a_b))
     text = json.dumps(report, indent=1, allow_nan=False) + "\n"
     write_bytes(options.out / "register.json", text.encode())
