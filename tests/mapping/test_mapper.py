@@ -9,6 +9,7 @@ import pytest
 import torch
 from mapped_room import depth_error_m, fed, psnr_db, same_bits
 
+from toolkit.features.builtin import BuiltinEncoder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.losses import photometric
 from toolkit.mapping import sparse_adam
@@ -216,3 +217,28 @@ def test_poses_stay_without_bundle_adjustment(room):
     mapper = fed(Mapper(FEW), room, [0, 4])
     mapper.refine()
     assert np.array_equal(mapper.keyframes[1].T_map_camera, room.T_map_camera[4])
+
+
+class TestPapersRefinement:
+    """Stage 1 of GauSem's refinement: poses too, and the feature term."""
+
+    def test_poses_move_but_for_the_first(self, room):
+        mapper = fed(Mapper(replace(FEW, final_poses=True)), room, [0, 4])
+        before = [k.T_map_camera.copy() for k in mapper.keyframes]
+        mapper.refine()
+        after = [k.T_map_camera for k in mapper.keyframes]
+        assert np.array_equal(before[0], after[0])
+        assert not np.array_equal(before[1], after[1])
+        assert np.abs(before[1] - after[1]).max() < 0.01
+
+    def test_the_feature_term_brings_descriptions_nearer(self, room):
+        encoder, distance = BuiltinEncoder(), {}
+        for weight in (0.0, 1e4):
+            options = replace(FEW, final_iterations=8, final_feature=weight)
+            mapper = fed(Mapper(options), room, [0])
+            mapper.refine()
+            drawn = mapper.view(mapper.keyframes[0]).images[:3]
+            pictures = torch.stack([drawn, mapper.keyframes[0].target_rgb()])
+            one, other = encoder.describe(pictures)
+            distance[weight] = float((one - other).norm())
+        assert distance[1e4] < 0.8 * distance[0.0]

@@ -9,12 +9,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.features.builtin import BuiltinEncoder
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
+from toolkit.losses.features import FeatureLoss
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.content import MapContent
@@ -26,7 +28,7 @@ from toolkit.mapping.observations import Observations
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
-from toolkit.rendering.output import BASE_CHANNELS
+from toolkit.rendering.output import BASE_CHANNELS, COLOUR
 from toolkit.rendering.texture import at_centres
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
@@ -39,6 +41,8 @@ class MapperOptions:
         iterations: optimisation steps a keyframe, while mapping.
         first_iterations: steps on the first keyframe, which has all to itself.
         final_iterations: steps a keyframe at the end, over all of them.
+        final_poses: these move the keyframes' poses as well (G, stage 1).
+        final_feature: weight of the papers' feature term in these (G: 0.5).
         window: keyframes a mapping call works on.
         newest_share: share of the steps spent on the newest keyframe.
         tile_share: share of a keyframe's tiles that further steps of a call see.
@@ -60,6 +64,8 @@ class MapperOptions:
     iterations: int = 12
     first_iterations: int = 40
     final_iterations: int = 10
+    final_poses: bool = False
+    final_feature: float = 0.0
     window: int = 8
     newest_share: float = 0.4
     tile_share: float = 1.0
@@ -207,12 +213,15 @@ class Mapper:
         if self.options.centred:
             self.optimiser.steps = worked.clamp(max=_FRESH_STEPS)
         rested = worked - self.optimiser.steps
-        rounds, count = self.options.final_iterations, len(self.keyframes)
+        options, count = self.options, len(self.keyframes)
+        rounds, words = options.final_iterations, None
+        if options.final_feature > 0:
+            words = FeatureLoss(BuiltinEncoder(), options.final_feature)
         focus = TileFocus(self.options.tile_share)
         for done in range(rounds):
             for number, i in enumerate(self._generator.permutation(count)):
                 progress = (done * count + number, rounds * count)
-                self._step(self.keyframes[i], progress, focus)
+                self._step(self.keyframes[i], progress, focus, options.final_poses, words=words)
         self.optimiser.steps = self.optimiser.steps + rested
         self._prune()
 
@@ -284,14 +293,15 @@ class Mapper:
         focus: TileFocus,
         poses: bool = False,
         centred: bool = False,
+        words: FeatureLoss | None = None,
     ) -> float:
         """One optimisation step on one keyframe (H-24).
 
         Args:
             progress: its place in the call.
-            fuse_depth: keep centres at the running mean of what is measured (`depth_fusion.py`).
-        centred: fit colours where the Gaussians are, to track against; else where they are
+            centred: fit colours where the Gaussians are, to track against; else where they are
                 drawn, to look at (see `rendering/texture.py`).
+            words: one more term, on the whole picture.
         """
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         region = focus.region(keyframe)
@@ -311,6 +321,10 @@ class Mapper:
             loss, base = rgbd_loss(view, rgb, depth_m, self.options.loss, by_images[:BASE_CHANNELS])
             if region is None:
                 focus.learn(keyframe, base)
+            if words is not None and region is None:
+                described, by_colour = words.gradient(images[COLOUR], rgb)
+                by_images[COLOUR] += by_colour
+                loss += described
         with self._recorder.timed("map semantic loss"):
             semantic, by_images, detached = self.semantics.gradient(
                 view, labels, progress, by_images

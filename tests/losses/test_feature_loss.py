@@ -1,0 +1,38 @@
+"""The papers' feature term."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.losses.features import FeatureLoss
+
+
+def picture(seed: int) -> torch.Tensor:
+    """Blotches of colour, so that a pixel's neighbours are like it."""
+    small = torch.rand(1, 3, 12, 16, generator=torch.Generator().manual_seed(seed))
+    return torch.nn.functional.interpolate(small, (60, 80), mode="bilinear")[0]
+
+
+def test_it_is_zero_for_the_picture_itself():
+    loss, by_picture = FeatureLoss(BuiltinEncoder(), 0.5).gradient(picture(0), picture(0))
+    assert loss == 0.0
+    assert torch.count_nonzero(by_picture) == 0
+
+
+def test_its_weight_scales_it():
+    one, by_one = FeatureLoss(BuiltinEncoder(), 1.0).gradient(picture(0), picture(1))
+    half, by_half = FeatureLoss(BuiltinEncoder(), 0.5).gradient(picture(0), picture(1))
+    assert one > 0.01
+    assert half == pytest.approx(0.5 * one)
+    assert torch.allclose(by_half, 0.5 * by_one)
+
+
+def test_the_derivative_is_that_of_the_loss():
+    term, drawn, observed = FeatureLoss(BuiltinEncoder(), 1.0), picture(0), picture(1)
+    _, by_picture = term.gradient(drawn, observed)
+    step = 1e-3 * by_picture / by_picture.norm()
+    ahead, _ = term.gradient(drawn + step, observed)
+    behind, _ = term.gradient(drawn - step, observed)
+    assert (ahead - behind) / 2e-3 == pytest.approx(float(by_picture.norm()), rel=0.05)
