@@ -121,7 +121,7 @@ def _refined(
     measured = float((frame[0].depth_m > 0).sum())
     visible = float(estimate.pixels.sum()) / max(measured, 1.0)
     health, _ = verdict(options.limits, estimate.scales, visible, estimate.information, measured)
-    if health is Health.LOST or parted(start, estimate.T_target_source, second):
+    if health is Health.LOST or parted(start, estimate.T_target_source, first.camera, second):
         return None
     return Offset(
         estimate.T_target_source,
@@ -133,13 +133,12 @@ def _refined(
     )
 
 
-def parted(start: Array, end: Array, second: Keyframe) -> bool:
-    """Whether dense alignment left the place where others had put a camera.
+def parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
+    """Whether dense alignment left the place where others had put a keyframe.
 
     Args:
-        start, end: T_first_second [4, 4], the first being like the second.
+        start, end: T_first_second [4, 4]. camera: the first one's.
     """
-    camera = second.camera
     points = second.points.astype(np.float64)
     if len(points) == 0:
         return True

@@ -85,7 +85,7 @@ class KeyframePlacement:
         ]
         found = align(pairs, Estimate(new.T_map_camera), self.options.dense)
         moved = se3.inverse(new.T_map_camera) @ found.T_target_source
-        if not found.converged or parted(np.eye(4), moved, new):
+        if not found.converged or parted(np.eye(4), moved, new.camera, new):
             return new.T_map_camera
         return found.T_target_source
 
