@@ -199,15 +199,16 @@ def figures_of(options: Options, values: Row, seed: int) -> Row:
             let_drift(slam.atlas, options.drift, seed)
 
     with walks.walked(settings, dataset, prepare) as walk:
+        closed = [r for r in walk.records if r["kind"] == "correction between"]
+        moved = [r for r in walk.records if r["kind"] == "correction within" and r["applied"]]
+        found = walk.metrics | {
+            "submaps": len(walk.slam.atlas),
+            "loops": closed[-1]["loops"] if closed else 0,
+            "keyframes moved": len(moved),
+        }
         if options.table == "allocation":
-            walk.metrics.update(at_boundaries(walk.slam, dataset, settings))
-    closed = [r for r in walk.records if r["kind"] == "correction between"]
-    moved = [r for r in walk.records if r["kind"] == "correction within" and r["applied"]]
-    return walk.metrics | {
-        "submaps": len(walk.slam.atlas),
-        "loops": closed[-1]["loops"] if closed else 0,
-        "keyframes moved": len(moved),
-    }
+            found |= at_boundaries(walk.slam, dataset, settings)
+        return found
 
 
 def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Row:

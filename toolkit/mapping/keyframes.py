@@ -159,24 +159,27 @@ class Keyframe:
 
     def reaches(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which points [P, 3] of the map lie in the volume between camera and measured depth."""
-        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
-        inside, uv = self._projected(points)
-        column, row = np.rint(uv[inside]).astype(np.intp).T
-        depth_m = self.depth_m.numpy()[row, column]
+        inside, z, depth_m = self._measured_at(points_map)
         # Where nothing was measured the view may end anywhere.
-        inside[inside] = (depth_m == 0) | (points[inside, 2] <= _REACH * depth_m)
+        inside[inside] = (depth_m == 0) | (z <= _REACH * depth_m)
         return inside
 
     def share_observed(self, points_map: NDArray[np.float64]) -> float:
         """Share of points [P, 3] of the map that lie on what this keyframe measured."""
         if len(points_map) == 0:
             return 0.0
+        _, z, depth_m = self._measured_at(points_map)
+        near = np.abs(z - depth_m) < _ON_SURFACE * depth_m
+        return float(near.sum() / len(points_map))
+
+    def _measured_at(
+        self, points_map: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
+        """Which points [P, 3] of the map are in the image; their z, and the depth seen there."""
         points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
         inside, uv = self._projected(points)
         column, row = np.rint(uv[inside]).astype(np.intp).T
-        depth_m = self.depth_m.numpy()[row, column]
-        near = np.abs(points[inside, 2] - depth_m) < _ON_SURFACE * depth_m
-        return float(near.sum() / len(points))
+        return inside, points[inside, 2], self.depth_m.numpy()[row, column]
 
     def _projected(
         self, points: NDArray[np.float64]
