@@ -161,11 +161,13 @@ def test_it_is_searched_every_so_many_keyframes():
 
 
 def test_an_adaptive_threshold_follows_the_places_own_look():
-    adaptive = replace(OPTIONS, threshold="adaptive", adaptive_limit=10.0)
+    # Between two of the nine neighbours: at one of them, rounding would decide.
+    adaptive = replace(OPTIONS, threshold="adaptive", adaptive_quantile=0.4, adaptive_limit=10.0)
     finder, found = walked(adaptive)
     number = 2 * PLACES - 1
     own = [np.linalg.norm(LOOKS[29] - LOOKS[p]) for p in range(20, 29)]
     limit = float(np.quantile(own, adaptive.adaptive_quantile))
+    assert {c.distance >= limit for c in found[number]} == {False, True}
     for c in found[number]:
         assert ("descriptors" in c.reason) == (c.distance >= limit)
     strict = replace(adaptive, adaptive_limit=0.1)
