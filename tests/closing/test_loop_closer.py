@@ -12,6 +12,7 @@ import torch
 from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
@@ -226,6 +227,22 @@ class TestSettle:
         count = len(atlas)
         assert len(registrar.asked) == count * (count - 1) // 2 >= held
         assert len(closer.loops) >= held
+
+    @pytest.mark.parametrize("most", [0, 1, 8])
+    def test_a_submap_is_measured_with_so_many_that_it_overlaps(self, frames, most):
+        atlas, closer, _ = closed(frames)
+        atlas.rest()
+        parts, last = closer._parts, atlas.active
+        loops = SubmapLoops(parts, ClosingOptions(most_partners=most), lambda *_: None)
+        held = {(0, last)}
+        pairs = loops.overlapping(atlas, held)
+        assert held <= set(pairs) and pairs == sorted(set(pairs))
+        between = set(range(1, last))
+        found = {number for pair in set(pairs) - held for number in pair}
+        if most == 8:
+            assert len(pairs) == (last + 1) * last // 2
+        else:
+            assert len(pairs) - 1 <= most * len(between) and found >= (between if most else set())
 
     @pytest.mark.parametrize(
         ("overlap", "confidence", "joins"),

@@ -16,6 +16,7 @@ from toolkit.mapping import sparse_adam
 from toolkit.mapping.factory import build_mapper
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.surfaces import Surfaces
 from toolkit.rendering import surface
 from toolkit.rendering.texture import at_centres
 from toolkit.settings.mapping import MappingSettings
@@ -57,11 +58,26 @@ def test_refinement_makes_all_keyframes_better(room):
     assert np.mean(after) > np.mean(before) + 0.3
 
 
+def test_refinement_leaves_centres_on_their_surfaces(room):
+    moved = {}
+    for stays in (True, False):
+        options = replace(FEW, final_iterations=4, final_on_surfaces=stays)
+        mapper = fed(Mapper(options), room, [0, 4, 8])
+        surfaces = Surfaces.of(mapper.gaussians.means)
+        mapper.refine()
+        way = mapper.gaussians.means - surfaces.centres
+        off = (way * surfaces.normals).sum(dim=1)
+        moved[stays] = float(off.abs().mean()), float(way.norm(dim=1).mean())
+    assert moved[True][0] < 1e-6 < 0.1 * moved[False][0]
+    assert moved[True][1] > 0.5 * moved[False][1]
+
+
 def test_views_never_used_are_drawn_well(room):
     mapper = fed(Mapper(FEW), room, [0, 4, 8])
     mapper.refine()
     assert psnr_db(mapper, room.frames[6], room.T_map_camera[6]) > 24.0
-    assert abs(depth_error_m(mapper, room.frames[6], room.T_map_camera[6])).mean() < 0.03
+    # 0.0303 with centres on their surfaces, 0.0299 with free ones, 0.0313 unrefined.
+    assert abs(depth_error_m(mapper, room.frames[6], room.T_map_camera[6])).mean() < 0.031
 
 
 def test_seeds_show_the_surface_without_bias(room):

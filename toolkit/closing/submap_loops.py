@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -42,12 +43,22 @@ class SubmapLoops:
         self._parts, self._options, self._record = parts, options, record
 
     def overlapping(self, atlas: Atlas, held: set[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Pairs of submaps with a loop, or whose keyframes see the same places."""
+        """Pairs of submaps with a loop, or whose keyframes see the same places.
+
+        Of the latter, those that share most, until both have `most_partners`.
+        """
         views = {number: Sights.of(atlas.submap(number)) for number in atlas.readable()}
         # Two submaps of a saved map stay as they are.
         pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
-        least = self._options.least_visible
-        return [p for p in pairs if p in held or views[p[0]].shared(views[p[1]]) >= least]
+        chosen = [pair for pair in pairs if pair in held]
+        partners = Counter(number for pair in chosen for number in pair)
+        shares = {(a, b): views[a].shared(views[b]) for a, b in pairs if (a, b) not in held}
+        for pair in sorted(shares, key=lambda pair: (-shares[pair], pair)):
+            fewest = min(partners[number] for number in pair)
+            if shares[pair] >= self._options.least_visible and fewest < self._options.most_partners:
+                chosen.append(pair)
+                partners.update(pair)
+        return sorted(chosen)
 
     def neighbours(self, atlas: Atlas) -> list[tuple[int, int]]:
         """Pairs of submaps of which the second begins with a keyframe of the first."""

@@ -27,6 +27,7 @@ from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window, i
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
+from toolkit.mapping.surfaces import Surfaces
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.rendering.output import BASE_CHANNELS, COLOUR
 from toolkit.rendering.texture import at_centres
@@ -41,6 +42,8 @@ class MapperOptions:
         iterations: optimisation steps a keyframe, while mapping.
         first_iterations: steps on the first keyframe, which has all to itself.
         final_iterations: steps a keyframe at the end, over all of them.
+        final_on_surfaces: these move centres along the surfaces they lie on and not off them.
+            Free, they look 0.1 to 0.4 dB better, and walls are a third thicker than unrefined.
         final_poses: these move the keyframes' poses as well (G, stage 1).
         final_feature: weight of the papers' feature term in these (G: 0.5).
         window: keyframes a mapping call works on.
@@ -64,6 +67,7 @@ class MapperOptions:
     iterations: int = 12
     first_iterations: int = 40
     final_iterations: int = 10
+    final_on_surfaces: bool = True
     final_poses: bool = False
     final_feature: float = 0.0
     window: int = 8
@@ -217,11 +221,17 @@ class Mapper:
         rounds, words = options.final_iterations, None
         if options.final_feature > 0:
             words = FeatureLoss(BuiltinEncoder(), options.final_feature)
+        surfaces = None
+        if options.final_on_surfaces and rounds:
+            surfaces = Surfaces.of(self.gaussians.means)
         focus = TileFocus(self.options.tile_share)
         for done in range(rounds):
             for number, i in enumerate(self._generator.permutation(count)):
                 progress = (done * count + number, rounds * count)
                 self._step(self.keyframes[i], progress, focus, options.final_poses, words=words)
+            if surfaces is not None:
+                means = surfaces.nearest(self.gaussians.means)
+                self.gaussians = replace(self.gaussians, means=means)
         self.optimiser.steps = self.optimiser.steps + rested
         self._prune()
 

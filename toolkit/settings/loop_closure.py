@@ -37,6 +37,7 @@ class ClosingSettings(Settings):
     between: bool = Field(True, description="between submaps, by registration")
     least_visible: float = Field(0.4, ge=0, le=1, description="share of a pair's view in common")
     least_shared: float = Field(0.3, ge=0, le=1, description="of a suspected pair's views")
+    most_partners: int = Field(8, ge=0, description="of a submap, when overlaps are measured")
     drift_confidence: float = Field(
         0.99, gt=0, lt=1, description="of loops against the keyframes that they move"
     )

@@ -70,6 +70,7 @@ class MappingSettings(Settings):
     iterations: int = Field(12, ge=0, description="steps a keyframe, while mapping")
     first_iterations: int = Field(40, ge=0, description="steps on the first keyframe")
     final_iterations: int = Field(10, ge=0, description="steps a keyframe at the end")
+    final_on_surfaces: bool = Field(True, description="these move centres along surfaces alone")
     final_poses: bool = Field(False, description="these move keyframes too (G, stage 1)")
     final_feature: float = Field(0.0, ge=0, description="their feature term (G: 0.5)")
     window: int = Field(8, ge=1, description="keyframes a mapping call works on")
