@@ -179,7 +179,7 @@ class Slam:
         if self._closer is None or not isinstance(tracker, LocatingTracker):
             return lost
         with self._recorder.timed("relocalisation"):
-            found = self._closer.find(frame, self.atlas, tracker)
+            found = self._closer.find(frame, self.atlas, tracker, self._path.last_seen(self.atlas))
         if found is not None and self.atlas.begun and found.submap == self.atlas.active:
             tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("frame %d is found again in submap %d", frame.index, found.submap)

@@ -20,7 +20,7 @@ from toolkit.geometry import se3
 from toolkit.loops.candidates import CandidateFinder, CandidateOptions
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
-from toolkit.loops.relocalisation import Relocaliser
+from toolkit.loops.relocalisation import LastSeen, Relocaliser
 from toolkit.loops.verification import VerificationOptions, objection
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.pose_graph.consistency import ConsistencyOptions
@@ -271,6 +271,30 @@ class TestSettle:
         before = bits(atlas)
         registrar.asked.clear()
         assert not closer.settle(atlas) and not registrar.asked and bits(atlas) == before
+
+
+class TestLost:
+    def test_of_places_that_look_alike_those_in_reach_are_tried_first(self, frames, monkeypatch):
+        far = np.eye(4)
+        far[0, 3] = 9.0
+        atlas, closer, _ = closed([(f, far @ T if f.index >= 20 else T) for f, T in frames])
+        lost, tried = frames[0][0], []
+        monkeypatch.setattr(
+            Relocaliser, "_tried", lambda _, frame, keyframe, *rest: tried.append(keyframe.index)
+        )
+
+        def order(last):
+            tried.clear()
+            assert closer.find(lost, atlas, None, last) is None
+            return list(tried)
+
+        anyhow = order(None)
+        assert {index < 20 for index in anyhow[:2]} == {True, False}, "they look the same"
+        for there in (np.zeros(3), far[:3, 3]):
+            mine = [index < 20 for index in order(LastSeen(lost.timestamp_s, there))]
+            assert mine[0] == (there[0] == 0.0)
+            assert mine == sorted(mine, reverse=mine[0]), "the others come after them"
+        assert order(LastSeen(lost.timestamp_s - 60.0, np.zeros(3)))[: len(anyhow)] == anyhow
 
 
 class TestState:

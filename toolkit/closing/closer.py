@@ -27,7 +27,7 @@ from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
-from toolkit.loops.relocalisation import Found
+from toolkit.loops.relocalisation import Found, LastSeen
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import (
     PoseCorrection,
@@ -128,9 +128,15 @@ class LoopCloser:
             {"first": found.submap, "second": new, "visible": result.visible_fraction},
         )
 
-    def find(self, frame: Frame, atlas: Atlas, tracker: LocatingTracker) -> Found | None:
+    def find(
+        self,
+        frame: Frame,
+        atlas: Atlas,
+        tracker: LocatingTracker,
+        last: LastSeen | None = None,
+    ) -> Found | None:
         """Where a lost frame is, None if it looks like no keyframe or fits none."""
-        return self._parts.relocaliser.find(frame, atlas, tracker)
+        return self._parts.relocaliser.find(frame, atlas, tracker, last)
 
     @property
     def patience(self) -> int:

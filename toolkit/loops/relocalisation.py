@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
+from toolkit.loops.candidates import Sighting
 from toolkit.loops.detection import LoopDetector
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.matching import MatchingOptions, measure_offset
@@ -26,7 +27,11 @@ class RelocalisationOptions:
     """How a lost camera is looked for.
 
     Attributes:
-        tries: keyframes, the most alike first, whose images are matched with the frame.
+        tries: keyframes, the most alike first, whose images are matched with the frame. As
+            many again where some that are less alike are in reach.
+        speed_m_s, slack_m: in reach is what lies no farther from where the camera was last than
+            it can have gone since, and so much beyond: these are tried first. Of two rooms that
+            look the same, it is in the one it was in.
         least_visible: share of the frame that the submap must explain there. More than of a
             tracked frame, which nothing but its neighbours would confirm.
         patience: lost frames, one after another, after which a new submap begins; loops join
@@ -34,6 +39,8 @@ class RelocalisationOptions:
     """
 
     tries: int = 5
+    speed_m_s: float = 2.0
+    slack_m: float = 2.0
     least_visible: float = 0.4
     patience: int = 15
 
@@ -56,6 +63,18 @@ class Found:
         return self.result.T_map_camera
 
 
+@dataclass(frozen=True, eq=False)
+class LastSeen:
+    """When the camera was last placed, and where: [3] in the world, m."""
+
+    timestamp_s: float
+    position: NDArray[np.float64]
+
+
+# Of so many times the keyframes to be tried, those in reach are looked for.
+_POOL = 4
+
+
 class Relocaliser:
     """Looks for lost frames among all keyframes."""
 
@@ -68,12 +87,21 @@ class Relocaliser:
         self.options = options or RelocalisationOptions()
         self._detector, self._matching = detector, matching
 
-    def find(self, frame: Frame, atlas: Atlas, tracker: LocatingTracker) -> Found | None:
-        """The first place, of those that look alike, where the frame fits a submap."""
+    def find(
+        self,
+        frame: Frame,
+        atlas: Atlas,
+        tracker: LocatingTracker,
+        last: LastSeen | None = None,
+    ) -> Found | None:
+        """The first place, of those that look alike, where the frame fits a submap.
+
+        Args:
+            last: where the camera was before, None if nobody knows.
+        """
         if not (frame.depth_m > 0).any():
             return None
-        view = Keyframe.from_frame(frame, np.eye(4))
-        for sighting in self._detector.alike(view, self.options.tries):
+        for sighting in self._alike(frame, atlas, last):
             try:
                 submap = atlas.submap(sighting.submap)
             except ToolkitError as error:
@@ -87,6 +115,16 @@ class Relocaliser:
                         return found
         return None
 
+    def _alike(self, frame: Frame, atlas: Atlas, last: LastSeen | None) -> list[Sighting]:
+        """Keyframes that look like a frame: first those in reach, then the most alike."""
+        options, view = self.options, Keyframe.from_frame(frame, np.eye(4))
+        if last is None:
+            return self._detector.alike(view, options.tries)
+        reach_m = options.slack_m + options.speed_m_s * abs(frame.timestamp_s - last.timestamp_s)
+        found = self._detector.alike(view, _POOL * options.tries)
+        near = [s for s in found if _apart_m(s, atlas, last) <= reach_m][: options.tries]
+        return near + [s for s in found[: options.tries] if s not in near]
+
     def _tried(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
     ) -> Found | None:
@@ -99,3 +137,12 @@ class Relocaliser:
         if result.lost or result.visible_fraction < self.options.least_visible:
             return None
         return Found(submap.number, result)
+
+
+def _apart_m(sighting: Sighting, atlas: Atlas, last: LastSeen) -> float:
+    """How far a keyframe lies from where the camera was."""
+    T_submap_keyframe = atlas.keyframe_poses(sighting.submap).get(sighting.frame)
+    if T_submap_keyframe is None:
+        return float("inf")
+    T_world_keyframe = atlas.T_world_submap(sighting.submap) @ T_submap_keyframe
+    return float(np.linalg.norm(T_world_keyframe[:3, 3] - last.position))
