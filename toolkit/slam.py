@@ -29,6 +29,7 @@ from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.depth_filter import DepthFilter
+from toolkit.tracking.health import shows_something
 from toolkit.tracking.result import Health, TrackingResult, not_tracked
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
@@ -149,7 +150,7 @@ class Slam:
             T_map_camera = None if tracking.lost else tracking.T_map_camera
         if T_map_camera is None:
             self.lost_frames.append(frame.index)
-            self._lost_in_a_row += 1
+            self._lost_in_a_row += shows_something(frame)
             return FrameResult(frame.index, None, tracking, None)
 
         self._lost_in_a_row = 0
@@ -173,13 +174,17 @@ class Slam:
         """Where a lost frame is after all, in the active submap; the lost answer if nowhere.
 
         Found in the active submap, tracking goes on there. Found in another one, or nowhere for
-        too long, a new submap begins.
+        too long, a new submap begins. Frames that show nothing do not count.
         """
         tracker = self.tracker
         if self._closer is None or not isinstance(tracker, LocatingTracker):
             return lost
+        if not shows_something(frame):
+            return lost
+        at_an_end = self._lost_in_a_row >= self._closer.patience
         with self._recorder.timed("relocalisation"):
-            found = self._closer.find(frame, self.atlas, tracker, self._path.last_seen(self.atlas))
+            last = self._path.last_seen(self.atlas)
+            found = self._closer.find(frame, self.atlas, tracker, last, anywhere=at_an_end)
         if found is not None and self.atlas.begun and found.submap == self.atlas.active:
             tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("frame %d is found again in submap %d", frame.index, found.submap)
@@ -190,7 +195,7 @@ class Slam:
             self._begin_at(frame, found)
             tracker.go_on_from(frame.timestamp_s, np.eye(4))
             return replace(found.result, T_map_camera=np.eye(4))
-        if self._lost_in_a_row < self._closer.patience or tracker.first_pose(frame) is None:
+        if not at_an_end or tracker.first_pose(frame) is None:
             return lost
         self._begin_at(frame, None)
         tracker.go_on_from(frame.timestamp_s, np.eye(4))

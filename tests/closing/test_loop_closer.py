@@ -283,17 +283,20 @@ class TestLost:
             Relocaliser, "_tried", lambda _, frame, keyframe, *rest: tried.append(keyframe.index)
         )
 
-        def order(last):
+        def order(last, anywhere=True):
             tried.clear()
-            assert closer.find(lost, atlas, None, last) is None
+            assert closer.find(lost, atlas, None, last, anywhere) is None
             return list(tried)
 
         anyhow = order(None)
         assert {index < 20 for index in anyhow[:2]} == {True, False}, "they look the same"
         for there in (np.zeros(3), far[:3, 3]):
-            mine = [index < 20 for index in order(LastSeen(lost.timestamp_s, there))]
+            last = LastSeen(lost.timestamp_s, there)
+            mine = [index < 20 for index in order(last)]
             assert mine[0] == (there[0] == 0.0)
             assert mine == sorted(mine, reverse=mine[0]), "the others come after them"
+            alone = [index < 20 for index in order(last, anywhere=False)]
+            assert alone == [own for own in mine if own == mine[0]]
         assert order(LastSeen(lost.timestamp_s - 60.0, np.zeros(3)))[: len(anyhow)] == anyhow
 
 

@@ -82,6 +82,16 @@ def test_darkness_is_reported_and_survived(room):
     assert error_m(slam, room, 10) < 0.02
 
 
+def test_darkness_ends_no_patience_and_widens_no_limit(room):
+    slam = new_slam(patience=2)
+    fed(slam, room.frames[:8])
+    fit = slam.tracker.state()["scales"]
+    fed(slam, blind_frames(room.frames[8:13]))
+    assert np.array_equal(slam.tracker.state()["scales"], fit)
+    again = replace(room.frames[7], index=13, timestamp_s=room.frames[13].timestamp_s)
+    assert not slam.process_frame(again).lost and len(slam.atlas) == 1
+
+
 def test_where_nothing_is_found_a_new_submap_begins(room):
     slam = new_slam(patience=2)
     fed(slam, room.frames[:4])

@@ -11,7 +11,7 @@ from tracked_room import Room
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking.alignment import START_SCALES, Scales
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.health import HealthLimits, forgetting, gone_astray
+from toolkit.tracking.health import HealthLimits, believable, forgetting, gone_astray
 
 LIMITS = HealthLimits()
 USUAL = Scales(0.02, 0.003)
@@ -33,7 +33,17 @@ def test_ideal_images_may_fit_several_times_worse():
     assert not gone_astray(LIMITS, Scales(0.01, 0.0015), Scales(0.002, 0.0001))
 
 
-def test_lost_frames_widen_what_is_believed_up_to_a_first_frame_s():
+def test_lost_frames_widen_what_is_believed_a_little():
+    scales = USUAL
+    assert believable(scales, USUAL) == USUAL
+    for _ in range(20):
+        scales = forgetting(scales)
+    most = believable(scales, USUAL)
+    assert gone_astray(LIMITS, Scales(7 * USUAL.intensity, 2 * USUAL.depth_m), most)
+    assert not gone_astray(LIMITS, Scales(3 * USUAL.intensity, 3 * USUAL.depth_m), most)
+
+
+def test_lost_frames_widen_what_alignment_begins_with_up_to_a_first_frame_s():
     scales, products = USUAL, []
     for _ in range(20):
         products.append(scales.intensity * scales.depth_m)
@@ -63,5 +73,5 @@ def test_a_jump_into_a_place_that_fits_badly_is_no_pose(
     lost = 0
     while tracker.track(room.frames[3], gaussians).lost:
         lost += 1
-        assert lost < 12
+        assert lost < 15  # RelocalisationOptions.patience
     assert lost > 1

@@ -134,9 +134,15 @@ class LoopCloser:
         atlas: Atlas,
         tracker: LocatingTracker,
         last: LastSeen | None = None,
+        anywhere: bool = True,
     ) -> Found | None:
-        """Where a lost frame is, None if it looks like no keyframe or fits none."""
-        return self._parts.relocaliser.find(frame, atlas, tracker, last)
+        """Where a lost frame is, None if it looks like no keyframe or fits none.
+
+        Args:
+            last: where the camera was before, None if nobody knows.
+            anywhere: False leaves out what is not in reach from there.
+        """
+        return self._parts.relocaliser.find(frame, atlas, tracker, last, anywhere)
 
     @property
     def patience(self) -> int:

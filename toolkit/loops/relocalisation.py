@@ -16,6 +16,7 @@ from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
+from toolkit.tracking.health import shows_something
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -30,10 +31,12 @@ class RelocalisationOptions:
         tries: keyframes, the most alike first, whose images are matched with the frame. As
             many again where some that are less alike are in reach.
         speed_m_s, slack_m: in reach is what lies no farther from where the camera was last than
-            it can have gone since, and so much beyond: these are tried first. Of two rooms that
-            look the same, it is in the one it was in.
+            it can have gone since, and so much beyond. Of two rooms that look the same, it is in
+            the one it was in; so other places are believed only once `patience` is at an end.
         least_visible: share of the frame that the submap must explain there. More than of a
             tracked frame, which nothing but its neighbours would confirm.
+        most_intensity: photometric scale there, in [0, 1]; of a tracked frame the last one's
+            says what to expect.
         patience: lost frames, one after another, after which a new submap begins; loops join
             it later.
     """
@@ -42,6 +45,7 @@ class RelocalisationOptions:
     speed_m_s: float = 2.0
     slack_m: float = 2.0
     least_visible: float = 0.4
+    most_intensity: float = 0.1
     patience: int = 15
 
 
@@ -93,15 +97,17 @@ class Relocaliser:
         atlas: Atlas,
         tracker: LocatingTracker,
         last: LastSeen | None = None,
+        anywhere: bool = True,
     ) -> Found | None:
         """The first place, of those that look alike, where the frame fits a submap.
 
         Args:
             last: where the camera was before, None if nobody knows.
+            anywhere: False leaves out what is not in reach from there.
         """
-        if not (frame.depth_m > 0).any():
+        if not shows_something(frame):
             return None
-        for sighting in self._alike(frame, atlas, last):
+        for sighting in self._alike(frame, atlas, last, anywhere):
             try:
                 submap = atlas.submap(sighting.submap)
             except ToolkitError as error:
@@ -115,7 +121,9 @@ class Relocaliser:
                         return found
         return None
 
-    def _alike(self, frame: Frame, atlas: Atlas, last: LastSeen | None) -> list[Sighting]:
+    def _alike(
+        self, frame: Frame, atlas: Atlas, last: LastSeen | None, anywhere: bool
+    ) -> list[Sighting]:
         """Keyframes that look like a frame: first those in reach, then the most alike."""
         options, view = self.options, Keyframe.from_frame(frame, np.eye(4))
         if last is None:
@@ -123,7 +131,7 @@ class Relocaliser:
         reach_m = options.slack_m + options.speed_m_s * abs(frame.timestamp_s - last.timestamp_s)
         found = self._detector.alike(view, _POOL * options.tries)
         near = [s for s in found if _apart_m(s, atlas, last) <= reach_m][: options.tries]
-        return near + [s for s in found[: options.tries] if s not in near]
+        return near + [s for s in found[: options.tries] if anywhere and s not in near]
 
     def _tried(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
@@ -135,6 +143,8 @@ class Relocaliser:
         start = keyframe.T_map_camera @ offset.T_first_second
         result = tracker.locate(frame, submap.gaussians, start)
         if result.lost or result.visible_fraction < self.options.least_visible:
+            return None
+        if result.intensity_residual > self.options.most_intensity:
             return None
         return Found(submap.number, result)
 

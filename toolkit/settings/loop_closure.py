@@ -26,9 +26,10 @@ class RelocalisationSettings(Settings):
     """How a lost camera is looked for."""
 
     tries: int = Field(5, ge=1, description="keyframes matched with the frame")
-    speed_m_s: float = Field(2.0, ge=0, description="keyframes it can have got to come first")
-    slack_m: float = Field(2.0, ge=0, description="and those so much farther, m")
+    speed_m_s: float = Field(2.0, ge=0, description="of the camera; beyond it, not at once")
+    slack_m: float = Field(2.0, ge=0, description="as far it is looked for in any case, m")
     least_visible: float = Field(0.4, ge=0, le=1, description="share that must be explained")
+    most_intensity: float = Field(0.1, gt=0, description="photometric scale, [0, 1]")
     patience: int = Field(15, ge=1, description="lost frames before a new submap begins")
 
 

@@ -31,7 +31,14 @@ from toolkit.tracking.alignment import (
     view_of,
 )
 from toolkit.tracking.gauss_newton import Alignment, Rules, align
-from toolkit.tracking.health import HealthLimits, forgetting, gone_astray, verdict
+from toolkit.tracking.health import (
+    HealthLimits,
+    believable,
+    forgetting,
+    gone_astray,
+    shows_something,
+    verdict,
+)
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.prepared import FramesAhead, PreparedFrame
@@ -138,6 +145,7 @@ class DenseTracker(MovingTracker):
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = START_SCALES
+        self._fit = START_SCALES
         self._exposure = (1.0, 0.0)
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
@@ -150,13 +158,16 @@ class DenseTracker(MovingTracker):
 
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
-        scales = np.array([self._scales.intensity, self._scales.depth_m])
-        return {**super().state(), "scales": scales, "exposure": np.array(self._exposure)}
+        scales, fit = ([s.intensity, s.depth_m] for s in (self._scales, self._fit))
+        own = {"scales": scales, "fit": fit, "exposure": self._exposure}
+        return super().state() | {name: np.array(values) for name, values in own.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
         super().restore(state)
-        self._scales = Scales(*(float(s) for s in state["scales"]))
+        self._scales, self._fit = (
+            Scales(*(float(s) for s in state[name])) for name in ("scales", "fit")
+        )
         gain, bias = state["exposure"]
         self._exposure = (float(gain), float(bias))
 
@@ -168,15 +179,17 @@ class DenseTracker(MovingTracker):
             starts.append(last)
         result = self.locate(frame, gaussians, *starts)
         found = Scales(result.intensity_residual, result.depth_residual_m)
-        astray = "" if result.lost else gone_astray(self.limits, found, self._scales)
+        known = believable(self._scales, self._fit)
+        astray = "" if result.lost else gone_astray(self.limits, found, known)
         if astray:
             result = replace(result, health=Health.LOST, reason=astray)
         if result.lost:
             self.motion.forget_velocity()
-            self._scales = forgetting(self._scales)
+            if shows_something(frame):
+                self._scales = forgetting(self._scales)
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
-            self._scales = found
+            self._scales = self._fit = found
             self._exposure = (result.gain, result.bias)
         return result
 

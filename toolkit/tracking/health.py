@@ -39,9 +39,13 @@ class HealthLimits:
 # Scales below these are no measure of the next frame's: of ideal images the fit may well become
 # several times worse where the map is young.
 _USUAL_SCALES = Scales(intensity=0.01, depth_m=0.0015)
-# By so much the measure grows with each lost frame, up to that of a first frame: the scene itself
-# may have become harder to fit.
+# By so much the scales grow with each lost frame, up to those of a first frame, since alignment
+# from farther off begins with larger errors.
 _FORGETTING = 1.25
+# But what is believed then may fit only so many times worse in each: the scene itself may have
+# become harder to fit. After a covered lens, tracking ended a metre off with 11 times the
+# photometric scale (twin rooms).
+_MOST_FORGOTTEN = 1.6
 
 
 def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
@@ -96,8 +100,26 @@ def gone_astray(limits: HealthLimits, found: Scales, before: Scales) -> str:
     return f"it fits {misfit:.1f} times worse than the frame before"
 
 
+def shows_something(frame: Frame) -> bool:
+    """Whether any pixel has depth: a covered lens says nothing about where the camera is."""
+    return bool((frame.depth_m > 0).any())
+
+
+def believable(scales: Scales, fit: Scales) -> Scales:
+    """What to hold a frame's scales against: the last tracked frame's, wider after lost ones.
+
+    Args:
+        scales: after `forgetting`. fit: of the last tracked frame.
+    """
+    usual = _USUAL_SCALES
+    return Scales(
+        min(scales.intensity, _MOST_FORGOTTEN * max(fit.intensity, usual.intensity)),
+        min(scales.depth_m, _MOST_FORGOTTEN * max(fit.depth_m, usual.depth_m)),
+    )
+
+
 def forgetting(scales: Scales) -> Scales:
-    """What to hold the next frame's scales against after a lost frame."""
+    """The scales that alignment of the next frame begins with after a lost one."""
     return Scales(
         max(scales.intensity, min(_FORGETTING * scales.intensity, START_SCALES.intensity)),
         max(scales.depth_m, min(_FORGETTING * scales.depth_m, START_SCALES.depth_m)),
