@@ -110,6 +110,8 @@ class Options:
     """Which table."""
     only: tuple[str, ...] = ()
     """Names of rows of the first table; all without it."""
+    cover: tuple[int, int] | None = None
+    """Frames of the runs, the first and the one after the last, that show nothing."""
     seed: int = 0
     """Of the runs, and of the random weights."""
 
@@ -120,6 +122,8 @@ def main() -> None:
     print(describe_machine(), flush=True)
     for room in options.rooms:
         dataset = open_dataset(options.kind, room, options.image_size)
+        if options.cover is not None:
+            dataset = walks.Covered(dataset, *options.cover)
         width, height = dataset.camera.size
         print(f"\n{room.name}, {len(dataset)} frames of {width}x{height}\n", flush=True)
         if options.part != "encoders":

@@ -9,16 +9,18 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from toolkit.cli.run import build_slam
 from toolkit.cli.run_results import write_results
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
 from toolkit.run_folder import RunFolder
 from toolkit.settings.files import dump
@@ -70,3 +72,22 @@ def walked(
         write_results(slam, dataset, folder, settings, watch)
         metrics = json.loads(folder.metrics.read_text())
         yield Walk(slam, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
+
+
+class Covered:
+    """A data set whose lens is covered from one frame to before another: black, no depth."""
+
+    def __init__(self, dataset: Dataset, first: int, end: int) -> None:
+        self._dataset, self._covered = dataset, range(first, end)
+
+    def __len__(self) -> int:
+        return len(self._dataset)
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = self._dataset[index]
+        if index not in self._covered:
+            return frame
+        return replace(frame, rgb=np.zeros_like(frame.rgb), depth_m=np.zeros_like(frame.depth_m))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._dataset, name)
