@@ -165,9 +165,9 @@ class DenseTracker(MovingTracker):
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
         super().restore(state)
-        self._scales, self._fit = (
-            Scales(*(float(s) for s in state[name])) for name in ("scales", "fit")
-        )
+        self._scales = Scales(*(float(s) for s in state["scales"]))
+        # Earlier checkpoints have no "fit".
+        self._fit = Scales(*(float(s) for s in state.get("fit", state["scales"])))
         gain, bias = state["exposure"]
         self._exposure = (float(gain), float(bias))
 
