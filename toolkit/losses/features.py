@@ -18,7 +18,9 @@ class FeatureLoss:
     weight: float
 
     def gradient(self, drawn: Tensor, observed: Tensor) -> tuple[float, Tensor]:
-        """The loss and its derivative [3, H, W] by the drawn picture.
+        """The loss, and its derivative [3, H, W] by the drawn picture times the number of pixels.
+
+        So it stands beside `rgbd_loss`, a mean over pixels whose derivative is of the sum.
 
         Args:
             drawn, observed: [3, H, W] float32, RGB.
@@ -30,4 +32,4 @@ class FeatureLoss:
             error = self.encoder.describe(picture[None]) - wanted
             loss = self.weight * (error * error).sum()
             (by_picture,) = torch.autograd.grad(loss, picture)
-        return float(loss.detach()), by_picture
+        return float(loss.detach()), by_picture * picture[0].numel()
