@@ -181,10 +181,11 @@ class Slam:
             return lost
         if not shows_something(frame):
             return lost
-        at_an_end = self._lost_in_a_row >= self._closer.patience
+        relocaliser = self._closer.relocaliser
+        at_an_end = self._lost_in_a_row >= relocaliser.options.patience
         with self._recorder.timed("relocalisation"):
             last = self._path.last_seen(self.atlas)
-            found = self._closer.find(frame, self.atlas, tracker, last, anywhere=at_an_end)
+            found = relocaliser.find(frame, self.atlas, tracker, last, anywhere=at_an_end)
         if found is not None and self.atlas.begun and found.submap == self.atlas.active:
             tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("frame %d is found again in submap %d", frame.index, found.submap)

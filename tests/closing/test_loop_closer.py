@@ -285,7 +285,7 @@ class TestLost:
 
         def order(last, anywhere=True):
             tried.clear()
-            assert closer.find(lost, atlas, None, last, anywhere) is None
+            assert closer.relocaliser.find(lost, atlas, None, last, anywhere) is None
             return list(tried)
 
         anyhow = order(None)

@@ -21,13 +21,13 @@ from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import moved_by, verdict
 from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.closing.uncertainty import frame_covariances
-from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.frame import NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
-from toolkit.loops.relocalisation import Found, LastSeen
+from toolkit.loops.relocalisation import Found, Relocaliser
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import (
     PoseCorrection,
@@ -35,7 +35,6 @@ from toolkit.pose_graph.correction import (
 )
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.tracker import LocatingTracker
 
 Array = NDArray[np.float64]
 
@@ -128,26 +127,10 @@ class LoopCloser:
             {"first": found.submap, "second": new, "visible": result.visible_fraction},
         )
 
-    def find(
-        self,
-        frame: Frame,
-        atlas: Atlas,
-        tracker: LocatingTracker,
-        last: LastSeen | None = None,
-        anywhere: bool = True,
-    ) -> Found | None:
-        """Where a lost frame is, None if it looks like no keyframe or fits none.
-
-        Args:
-            last: where the camera was before, None if nobody knows.
-            anywhere: False leaves out what is not in reach from there.
-        """
-        return self._parts.relocaliser.find(frame, atlas, tracker, last, anywhere)
-
     @property
-    def patience(self) -> int:
-        """Lost frames, one after another, after which a new submap begins."""
-        return self._parts.relocaliser.options.patience
+    def relocaliser(self) -> Relocaliser:
+        """What looks for lost frames."""
+        return self._parts.relocaliser
 
     def close_between(self, atlas: Atlas, number: int) -> bool:
         """Close the loops of one submap with older ones; whether anchors moved."""
