@@ -320,3 +320,27 @@ def test_semantic_term_is_used_only_where_frames_have_labels(room, opaque_map):
     expected = plain.locate(frame, gaussians, start).T_map_camera
     assert np.array_equal(bare, expected)
     assert not np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("preset", "wants_labels"), [("hier-slam", False), ("gausem", True)])
+def test_preset_decides_whether_semantics_are_tracked(preset, wants_labels):
+    """G-2 has a semantic term of weight 0.5, H-22 has none; an explicit weight overrides both."""
+    code = binary_code(CLASSES)
+    settings = TrackingSettings(kind="first-order", first_order=FirstOrderSettings(preset=preset))
+    assert build_tracker(settings, code=code).wants_labels is wants_labels
+    assert not build_tracker(settings, code=None).wants_labels
+    assert FirstOrderTracker(FirstOrderOptions(preset, semantic=0.5), code=code).wants_labels
+    assert not FirstOrderTracker(FirstOrderOptions(preset, semantic=0.0), code=code).wants_labels
+
+
+def test_gausem_preset_tracks_semantics_with_weight_one_half(room, opaque_map):
+    gaussians = labelled_map(room, opaque_map)
+    frame, start = room.frames[1], small_motion(3, 0.01, 0.3)
+
+    def located(semantic: float | None) -> np.ndarray:
+        options = FirstOrderOptions("gausem", iterations=3, semantic=semantic)
+        tracker = FirstOrderTracker(options, code=binary_code(CLASSES))
+        return tracker.locate(frame, gaussians, start).T_map_camera
+
+    assert np.array_equal(located(None), located(0.5))
+    assert not np.array_equal(located(None), located(0.0))

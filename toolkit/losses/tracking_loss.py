@@ -16,6 +16,7 @@ class TrackingLossWeights:
 
     Attributes:
         colour, depth: of the two L1 terms.
+        semantic: of the code's loss against the frame's labels; 0 leaves semantics out.
         summed: sums over pixels and channels (H), else means over both (G). A pixel has three
             colour channels and one depth, so this changes their balance as well.
         least_silhouette: pixels count only where the map is more opaque.
@@ -23,13 +24,14 @@ class TrackingLossWeights:
 
     colour: float
     depth: float
+    semantic: float
     summed: bool
     least_silhouette: float = 0.99
 
 
 PRESETS = {
-    "hier-slam": TrackingLossWeights(colour=0.5, depth=1.0, summed=True),
-    "gausem": TrackingLossWeights(colour=1.0, depth=0.5, summed=False),
+    "hier-slam": TrackingLossWeights(colour=0.5, depth=1.0, semantic=0.0, summed=True),
+    "gausem": TrackingLossWeights(colour=1.0, depth=0.5, semantic=0.5, summed=False),
 }
 
 

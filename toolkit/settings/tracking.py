@@ -43,7 +43,9 @@ class FirstOrderSettings(Settings):
     iterations: int = Field(40, ge=1, description="Adam steps a frame")
     translation_rate: float = Field(0.002, gt=0, description="learning rate, m")
     rotation_rate: float = Field(0.001, gt=0, description="learning rate, rad")
-    semantic: float = Field(0.0, ge=0, description="weight of the semantic term (G-2: 0.5)")
+    semantic: float | None = Field(
+        None, ge=0, description="weight of the semantic term; unset: hier-slam 0, gausem 0.5"
+    )
 
 
 class TrackingSettings(Settings):

@@ -47,14 +47,15 @@ class FirstOrderOptions:
         preset: loss weights, "hier-slam" or "gausem".
         iterations: Adam steps a frame.
         translation_rate, rotation_rate: step sizes in metres and radians.
-        semantic: weight of the semantic term (G-2: 0.5); 0 leaves semantics out.
+        semantic: weight of the semantic term, or None for the preset's (hier-slam 0, gausem 0.5).
+            The term needs a code and labelled frames; 0 leaves it out.
     """
 
     preset: str = "hier-slam"
     iterations: int = 40
     translation_rate: float = 0.002
     rotation_rate: float = 0.001
-    semantic: float = 0.0
+    semantic: float | None = None
 
 
 # How the final pose is judged: rounds of the residual scales' fixed point, the gate on depth
@@ -104,10 +105,12 @@ class FirstOrderTracker(MovingTracker):
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._semantic = None
-        if code is not None and self.options.semantic > 0:
+        preset = PRESETS[self.options.preset]
+        weight = preset.semantic if self.options.semantic is None else self.options.semantic
+        if code is not None and weight > 0:
             weights = SemanticLossWeights(
-                weight=self.options.semantic,
-                least_silhouette=PRESETS[self.options.preset].least_silhouette,
+                weight=weight,
+                least_silhouette=preset.least_silhouette,
                 moves_geometry=True,
             )
             self._semantic = SemanticLoss(code, weights)
