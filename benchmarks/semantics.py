@@ -35,7 +35,6 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
 from toolkit.mapping.consensus import segments_of
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
-from toolkit.mapping.focus import TileFocus
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import backend
 from toolkit.semantics.factory import build_code
@@ -272,7 +271,6 @@ class Subject:
         self.channels = 4 + self._mapper.semantics.channels
         cloud = self._mapper.gaussians
         self.map_mb = len(cloud) * (8 + self._mapper.semantics.channels) * 4 / 1e6
-        self._focus = TileFocus(1.0)
 
     @staticmethod
     def _build(settings: RunSettings, taxonomy: Taxonomy) -> Mapper:
@@ -297,7 +295,7 @@ class Subject:
         times["renderer"] = times["forward"] + times["backward"]
         del drawn
         start = time.perf_counter()
-        mapper._step(keyframe, (0, 4), self._focus)  # of a call's steps one with semantics
+        mapper._step(keyframe, (0, 4))  # of a call's steps one with semantics
         times["step"] = time.perf_counter() - start
         return times
 

@@ -38,7 +38,6 @@ def mapped(device: str, walk) -> Mapper:
         first_iterations=2,
         iterations=3,
         final_iterations=1,
-        tile_share=0.5,
         bundle_adjustment=True,
     )
     mapper, again = (Mapper(options, np.random.default_rng(0), device=device) for _ in range(2))

@@ -19,7 +19,7 @@ from torch.utils._pytree import tree_leaves
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss_torch
-from toolkit.mapping.keyframes import Keyframe, Observed, inside
+from toolkit.mapping.keyframes import Keyframe, Observed
 from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
 from toolkit.rendering.surface import SurfaceView, surface_depth
 from toolkit.rendering.texture import at_centres
@@ -88,13 +88,12 @@ def test_the_semantic_loss_of_some_pixels(code) -> None:
     assert made.pixel_loss(values, ids).shape == (500,)
 
 
-def test_what_a_keyframe_observed_in_a_region() -> None:
+def test_what_a_keyframe_observed() -> None:
     images = Observed(image(3, dtype=torch.uint8), image(), image(dtype=torch.int16))
     keyframe = Keyframe(
         0, 0.0, np.eye(4), torch.empty(0), torch.empty(0), CAMERA, 1.1, 0.02, np.zeros((0, 3))
     )
-    region = torch.empty(3, 3, dtype=torch.bool, device=META)
-    rgb, depth_m, labels = inside(region, *keyframe.observed(images))
+    rgb, depth_m, labels = keyframe.observed(images)
     assert labels is not None
     assert rgb.device == depth_m.device == labels.device == META
 

@@ -203,18 +203,3 @@ def test_a_restored_optimiser_goes_on_with_the_same_bits(any_way):
     for chosen, its in ((cloud, optimiser), (twin, other)):
         its.step(chosen, gradients_for(chosen, ids, 99), ids)
     assert all(torch.equal(getattr(cloud, f.name), getattr(twin, f.name)) for f in fields(cloud))
-
-
-def test_settled_gaussians_rest(any_way: None) -> None:
-    """Those with enough steps keep their values and count no further; the rest goes on."""
-    cloud = cloud_of(20)
-    optimiser = SparseAdam(LearningRates(freeze_steps=3), 2)
-    optimiser.extend(20)
-    half, every = torch.arange(10), torch.arange(20)
-    for seed in range(3):
-        optimiser.step(cloud, gradients_for(cloud, half, seed), half)
-    before = cloud.means.clone()
-    optimiser.step(cloud, gradients_for(cloud, every, 9), every)
-    assert torch.equal(cloud.means[:10], before[:10])
-    assert (cloud.means[10:] != before[10:]).any(dim=1).all()
-    assert optimiser.steps.tolist() == [3] * 10 + [1] * 10

@@ -22,7 +22,7 @@ from splat_scenes import (
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import TILE, region_of_pixels, tile_counts
+from toolkit.rendering import TILE, tile_counts
 from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -140,20 +140,6 @@ def test_empty_region_draws_nothing(native: NativeBackend) -> None:
     assert not scene.draw(native, region).any()
     gradients = gradients_of(scene, native, scene.loss_weights(), region)
     assert not any(g.any() for g in gradients.values())
-
-
-@pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 31), (64, 33)])
-def test_region_of_pixels_marks_the_tiles_of_every_pixel(size: tuple[int, int]) -> None:
-    width, height = size
-    camera = Camera(10, 10, 0, 0, width, height)
-    rng = np.random.default_rng(width)
-    for _ in range(5):
-        x, y = int(rng.integers(width)), int(rng.integers(height))
-        mask = torch.zeros(height, width, dtype=torch.bool)
-        mask[y, x] = True
-        region = region_of_pixels(mask)
-        assert tuple(region.shape) == tile_counts(camera)
-        assert region.nonzero().tolist() == [[y // TILE, x // TILE]]
 
 
 def test_a_million_gaussians(native: NativeBackend) -> None:

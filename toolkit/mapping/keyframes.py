@@ -13,7 +13,6 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import pixels_of_region
 from toolkit.tracking.pose_adam import MOMENTS
 
 # Covisibility is judged on every n-th pixel in each direction.
@@ -198,19 +197,6 @@ class Keyframe:
         T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
         points = se3.transform_points(T_other_self, self.points)
         return float(self._projected(points)[0].mean())
-
-
-def inside(
-    region: Tensor | None, rgb: Tensor, depth_m: Tensor, labels: Tensor | None
-) -> tuple[Tensor, Tensor, Tensor | None]:
-    """What was observed inside a region of tiles, nothing elsewhere; all of it without a region.
-
-    Where a renderer draws nothing, nothing was observed: both sides agree.
-    """
-    if region is None:
-        return rgb, depth_m, labels
-    drawn = pixels_of_region(region, *depth_m.shape)
-    return rgb * drawn, depth_m * drawn, None if labels is None else labels * drawn
 
 
 def _tensor(array: NDArray | None) -> Tensor | None:

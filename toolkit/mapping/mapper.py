@@ -22,8 +22,7 @@ from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.content import MapContent
 from toolkit.mapping.density import missing, useless
 from toolkit.mapping.depth_fusion import measured_centres
-from toolkit.mapping.focus import TileFocus
-from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window, inside
+from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
@@ -48,7 +47,6 @@ class MapperOptions:
         final_feature: weight of the papers' feature term in these (G: 0.5).
         window: keyframes a mapping call works on.
         newest_share: share of the steps spent on the newest keyframe.
-        tile_share: share of a keyframe's tiles that further steps of a call see.
         least_overlap: share of the newest keyframe's points another one must see.
         least_silhouette: seed where the map is thinner (H: tau_sil). At 0.5, pinholes stay that
             no keyframe closes: 0.5 dB, and 10 % fewer Gaussians (a room and a ring).
@@ -72,7 +70,6 @@ class MapperOptions:
     final_feature: float = 0.0
     window: int = 8
     newest_share: float = 0.4
-    tile_share: float = 1.0
     least_overlap: float = 0.15
     least_silhouette: float = 0.85
     depth_floor: float = 0.03
@@ -201,10 +198,10 @@ class Mapper:
         window = choose_window(
             self.keyframes, self.options.window, self.options.least_overlap, self._generator
         )
-        loss, focus = float("nan"), TileFocus(self.options.tile_share)
+        loss = float("nan")
         for step in range(steps):
             keyframe = self._pick(window)
-            loss = self._step(keyframe, (step, steps), focus, poses, self.options.centred)
+            loss = self._step(keyframe, (step, steps), poses, self.options.centred)
         return loss
 
     def refine(self) -> None:
@@ -224,11 +221,10 @@ class Mapper:
         surfaces = None
         if options.final_on_surfaces and rounds:
             surfaces = Surfaces.of(self.gaussians.means)
-        focus = TileFocus(self.options.tile_share)
         for done in range(rounds):
             for number, i in enumerate(self._generator.permutation(count)):
                 progress = (done * count + number, rounds * count)
-                self._step(self.keyframes[i], progress, focus, options.final_poses, words=words)
+                self._step(self.keyframes[i], progress, options.final_poses, words=words)
             if surfaces is not None:
                 means = surfaces.nearest(self.gaussians.means)
                 self.gaussians = replace(self.gaussians, means=means)
@@ -300,7 +296,6 @@ class Mapper:
         self,
         keyframe: Keyframe,
         progress: tuple[int, int],
-        focus: TileFocus,
         poses: bool = False,
         centred: bool = False,
         words: FeatureLoss | None = None,
@@ -314,24 +309,20 @@ class Mapper:
             words: one more term, on the whole picture.
         """
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        region = focus.region(keyframe)
         rgb, depth_m, labels = keyframe.observed(self._observations.of(keyframe))
         if not self.semantics.takes_part(progress[0]):
             labels = None
         with self._recorder.timed("map forward"):
-            options = DrawOptions(features=labels is not None, region=region)
+            options = DrawOptions(features=labels is not None)
             view = draw_surface(
                 self._backend, self.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed("map loss"):
             rgb = at_centres(rgb, view) if centred else rgb
-            rgb, depth_m, labels = inside(region, rgb, depth_m, labels)
             images = view.drawn.images
             by_images = images.new_empty(len(images) - 3, *images.shape[1:])
-            loss, base = rgbd_loss(view, rgb, depth_m, self.options.loss, by_images[:BASE_CHANNELS])
-            if region is None:
-                focus.learn(keyframe, base)
-            if words is not None and region is None:
+            loss, _ = rgbd_loss(view, rgb, depth_m, self.options.loss, by_images[:BASE_CHANNELS])
+            if words is not None:
                 described, by_colour = words.gradient(images[COLOUR], rgb)
                 by_images[COLOUR] += by_colour
                 loss += described

@@ -26,7 +26,6 @@ class LearningRates:
         epsilon: gradients well below it hardly move anything: a Gaussian that fits rests. In
             units of the loss summed over pixels, by the parameter in its own unit.
         settle_steps: a Gaussian's rates fall as 1 / (1 + its steps / settle_steps).
-        freeze_steps: a Gaussian with so many steps is settled and moves no more; 0 is never.
     """
 
     means: float = 0.04
@@ -36,7 +35,6 @@ class LearningRates:
     features: float = 1.0
     epsilon: float = 0.05
     settle_steps: float = 60.0
-    freeze_steps: int = 0
 
 
 BETA1, BETA2 = 0.9, 0.99
@@ -82,10 +80,6 @@ class SparseAdam:
 
         Parameters without a gradient in the dictionary stay as they are.
         """
-        if self.rates.freeze_steps:
-            alive = (self.steps[ids] < self.rates.freeze_steps).nonzero().squeeze(1)
-            ids = ids.index_select(0, alive)
-            gradients = {name: g.index_select(0, alive) for name, g in gradients.items()}
         module = kernels_for(cloud.means)
         if module is None:
             self._step_torch(cloud, gradients, ids)

@@ -4,7 +4,6 @@ from toolkit.rendering.backend import (
     TILE,
     GaussianGradients,
     pixels_of_region,
-    region_of_pixels,
     tile_counts,
 )
 from toolkit.rendering.output import RenderOutput
@@ -21,7 +20,6 @@ __all__ = [
     "draw_surface",
     "map_device",
     "pixels_of_region",
-    "region_of_pixels",
     "render",
     "tile_counts",
 ]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -83,14 +82,6 @@ class Backend(Protocol):
 def tile_counts(camera: Camera) -> tuple[int, int]:
     """(rows, columns) of tiles that cover the camera's image."""
     return -(-camera.height // TILE), -(-camera.width // TILE)
-
-
-def region_of_pixels(mask: Tensor) -> Tensor:
-    """Tiles [rows, columns] that hold at least one marked pixel of a mask [H, W]."""
-    height, width = mask.shape
-    rows, columns = -(-height // TILE), -(-width // TILE)
-    padded = torch.nn.functional.pad(mask, (0, columns * TILE - width, 0, rows * TILE - height))
-    return padded.view(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
 
 
 def pixels_of_region(region: Tensor, height: int, width: int) -> Tensor:

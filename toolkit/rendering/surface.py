@@ -36,12 +36,10 @@ class DrawOptions:
     Attributes:
         least_silhouette: pixels thinner than this have no surface.
         features: draw the Gaussians' feature channels too.
-        region: tiles to draw, as `render` takes it.
     """
 
     least_silhouette: float = 0.5
     features: bool = False
-    region: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ def draw_surface(
     """
     options = options or DrawOptions()
     channels = gaussians.features if options.features else None
-    drawn = backend.forward(gaussians, camera, T_camera_map, channels, options.region, centres=True)
+    drawn = backend.forward(gaussians, camera, T_camera_map, channels, None, centres=True)
     depth_m = surface_depth(drawn.images, camera, T_camera_map, options.least_silhouette)
     return SurfaceView(drawn, depth_m, camera, T_camera_map)
 

@@ -40,7 +40,6 @@ class LearningRateSettings(Settings):
     features: float = Field(1.0, ge=0, description="logits")
     epsilon: float = Field(0.05, gt=0, description="gradients below it hardly move anything")
     settle_steps: float = Field(60.0, ge=0, description="rates halve after so many steps")
-    freeze_steps: int = Field(0, ge=0, description="a Gaussian rests after so many; 0 is never")
 
 
 class LossSettings(Settings):
@@ -75,7 +74,6 @@ class MappingSettings(Settings):
     final_feature: float = Field(0.0, ge=0, description="their feature term (G: 0.5)")
     window: int = Field(8, ge=1, description="keyframes a mapping call works on")
     newest_share: float = Field(0.4, gt=0, le=1, description="of the steps, for the newest")
-    tile_share: float = Field(1.0, gt=0, le=1, description="of a keyframe, for its further steps")
     least_overlap: float = Field(0.15, ge=0, le=1, description="that joins the window")
     least_silhouette: float = Field(0.85, gt=0, lt=1, description="seed below it (tau_sil)")
     depth_floor: float = Field(0.03, ge=0, description="depth error that seeds, of depth")
