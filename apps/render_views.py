@@ -21,7 +21,7 @@ from toolkit.io.images import write_png
 from toolkit.io.pictures import DepthSpan, colour_picture, depth_picture, with_depth_scale
 from toolkit.rendering import render
 from toolkit.rendering.viewpoints import Viewpoint
-from toolkit.run_folder import read_cloud
+from toolkit.runs.folder import read_cloud
 
 VIEWS = 12
 CAMERA = Camera(fx=300.0, fy=300.0, cx=199.5, cy=149.5, width=400, height=300)

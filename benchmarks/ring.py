@@ -31,12 +31,12 @@ import walks  # type: ignore[import-not-found]
 from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
-from toolkit.cli.run_results import tracked_frames
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.runs.results import tracked_frames
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas

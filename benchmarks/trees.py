@@ -27,10 +27,10 @@ import tyro
 from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.evaluation.segmentation import class_iou, confusion
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.runs.finished import FinishedRun, open_finished_run
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy

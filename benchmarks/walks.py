@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from toolkit.cli.run import build_slam
-from toolkit.cli.run_results import write_results
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
-from toolkit.run_folder import RunFolder
+from toolkit.runs.building import build_slam
+from toolkit.runs.folder import RunFolder
+from toolkit.runs.results import write_results
 from toolkit.settings.files import dump
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam

@@ -12,7 +12,7 @@ from room_runs import RoomRuns, make_room_runs
 from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.run_folder import RunFolder
+from toolkit.runs.folder import RunFolder
 from toolkit.settings.files import dump
 from toolkit.settings.run import DatasetSettings, RunSettings
 

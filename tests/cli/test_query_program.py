@@ -27,7 +27,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.splats import read_splats, write_splat_ply
-from toolkit.run_folder import RunFolder
+from toolkit.runs.folder import RunFolder
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.files import dump
 from toolkit.settings.run import DatasetSettings, RunSettings

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from test_finished_run_programs import semsplat
 
-from toolkit.cli.finished_run import open_finished_run
 from toolkit.cli.main import main
 from toolkit.geometry import se3
 from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
+from toolkit.runs.finished import open_finished_run
 from toolkit.semantics.taxonomy import Taxonomy
 
 FAST = ["--registration.fine.views", "3", "--registration.coarse.pairs", "4"]

@@ -11,14 +11,14 @@ import pytest
 from room_runs import walk
 from test_register import other_tree, without_descriptors, without_submaps
 
-from toolkit.cli import run as program
-from toolkit.cli.finished_run import open_finished_run
 from toolkit.cli.main import main
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.geometry import se3
 from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
+from toolkit.runs import execution as program
+from toolkit.runs.finished import open_finished_run
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from toolkit.errors import RunFolderError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.run_folder import RunFolder
+from toolkit.runs.folder import RunFolder
 
 CONFIG = "seed: 0\nmapping:\n  iterations: 12\n"
 

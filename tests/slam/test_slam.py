@@ -18,7 +18,7 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import render
-from toolkit.run_folder import RunFolder
+from toolkit.runs.folder import RunFolder
 from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker

@@ -10,10 +10,10 @@ from pathlib import Path
 import tyro
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.finished_run import FinishedRun, measured, open_finished_run, reading_of
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
 from toolkit.gaussians.scene import WholeScene
+from toolkit.runs.finished import FinishedRun, measured, open_finished_run, reading_of
 
 _log = logging.getLogger(__name__)
 

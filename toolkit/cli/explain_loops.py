@@ -14,7 +14,6 @@ import tyro
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import RunFolderError
 from toolkit.frame import Frame
@@ -30,6 +29,7 @@ from toolkit.io.pictures import (
     strip,
 )
 from toolkit.loops.log import read_loop_log
+from toolkit.runs.finished import FinishedRun, open_finished_run
 
 _log = logging.getLogger(__name__)
 

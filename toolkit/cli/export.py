@@ -11,13 +11,13 @@ import torch
 import tyro
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
-from toolkit.cli.labelled_run import open_labelled_run
-from toolkit.cli.shapes import MeshOptions, part_mesh, surface_mesh, write_solid_points
 from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
 from toolkit.io.splats import SUFFIXES, SplatLabels, export_splats, read_splats
+from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.labelled import open_labelled_run
+from toolkit.runs.shapes import MeshOptions, part_mesh, surface_mesh, write_solid_points
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
 

@@ -14,11 +14,11 @@ import torch
 import tyro
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.labelled_run import LabelledRun, open_labelled_run
-from toolkit.cli.shapes import MeshOptions, check_output, part_mesh, write_solid_points
 from toolkit.errors import SettingsError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
+from toolkit.runs.labelled import LabelledRun, open_labelled_run
+from toolkit.runs.shapes import MeshOptions, check_output, part_mesh, write_solid_points
 from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
-from toolkit.cli.merged_map import merge, not_one_tree, shared_reading
 from toolkit.errors import RunFolderError, SettingsError, ToolkitError
 from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
@@ -32,6 +30,8 @@ from toolkit.loops.two_maps import (
 )
 from toolkit.loops.verification import VerificationOptions
 from toolkit.registration.factory import build_drawer, build_registrar
+from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
 from toolkit.settings.loop_closure import VerificationSettings
 from toolkit.settings.registration import RegistrationSettings
 from toolkit.submaps.saved import SavedSubmaps

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.datasets.base import Dataset
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
@@ -37,7 +36,8 @@ from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
-from toolkit.run_folder import read_cloud
+from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.folder import read_cloud
 from toolkit.semantics.palette import Palette
 
 # Rendered pixels thinner than this show no surface.

@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit import __version__
-from toolkit.cli.finished_run import alignment_of, measured, reading_of
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.loops import LoopTruthOptions
@@ -32,7 +31,8 @@ from toolkit.io.splats import SplatLabels
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
-from toolkit.run_folder import RunFolder
+from toolkit.runs.finished import alignment_of, measured, reading_of
+from toolkit.runs.folder import RunFolder
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy

@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
-from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.base import Dataset
 from toolkit.errors import SettingsError
-from toolkit.semantics.factory import build_labeller
-from toolkit.semantics.labeller import Labeller
+from toolkit.runs.building import labeller_of
+from toolkit.runs.finished import FinishedRun, open_finished_run
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.submap import Submap
@@ -18,16 +17,6 @@ _log = logging.getLogger(__name__)
 
 # Between the last frame of the saved map and the first one of the run: no neighbours.
 _APART = 10_000
-
-
-def labeller_of(settings: RunSettings, dataset: Dataset) -> Labeller | None:
-    """Who labels the frames of a data set, None for a map without semantics.
-
-    Raises:
-        ToolkitError: the settings ask for labels that cannot be had.
-    """
-    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    return build_labeller(settings.semantics, dataset.label_names, stems)
 
 
 def open_saved_map(settings: RunSettings, dataset: Dataset) -> FinishedRun | None:

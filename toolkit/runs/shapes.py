@@ -11,12 +11,12 @@ import numpy as np
 from sklearn.neighbors import NearestNeighbors
 from tqdm import tqdm
 
-from toolkit.cli.finished_run import FinishedRun
 from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.io.meshes import DepthView, TriangleMesh, fuse_views, write_points
 from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.runs.finished import FinishedRun
 
 # Gaussians thinner than this are haze, not surface.
 _LEAST_OPACITY = 0.5

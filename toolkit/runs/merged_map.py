@@ -9,13 +9,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.cli.finished_run import FinishedRun
-from toolkit.cli.run_results import splat_labels
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.splats import SplatLabels
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.refinement.fusion import fuse_submaps
+from toolkit.runs.finished import FinishedRun
+from toolkit.runs.results import splat_labels
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.saved import SavedSubmaps

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.cli.finished_run import FinishedRun, open_finished_run
 from toolkit.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.splats import read_splats
+from toolkit.runs.finished import FinishedRun, open_finished_run
 from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
 

@@ -22,7 +22,7 @@ from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.run_folder import RunFolder
+from toolkit.runs.folder import RunFolder
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.files import load
