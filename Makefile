@@ -48,8 +48,8 @@ test: ready
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
-	.venv/bin/python benchmarks/renderer.py
-	.venv/bin/python benchmarks/compare_open3d.py --dataset.kind synthetic \
+	.venv/bin/python -m benchmarks.renderer
+	.venv/bin/python -m benchmarks.compare_open3d --dataset.kind synthetic \
 		--dataset.path $(DEMO_ROOM) --max-frames 100
 
 lint: ready

@@ -1,6 +1,6 @@
 """Ours beside Open3D on the same frames: one Markdown table.
 
-    python benchmarks/compare_open3d.py --dataset.kind seven-scenes --dataset.path DIR \\
+    python -m benchmarks.compare_open3d --dataset.kind seven-scenes --dataset.path DIR \\
         --image-size 320 240
 
 Each row runs in a process of its own: Open3D's dense SLAM (frame-to-model, with its
@@ -24,7 +24,8 @@ from statistics import median
 from typing import Any, Literal, get_args
 
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
+
+from benchmarks.machine import describe_machine
 
 RowName = Literal["dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat"]
 Figures = dict[str, float | None]
@@ -99,7 +100,7 @@ class Arguments:
 def rival_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> Figures:
     """Run one of Open3D's methods in a child process."""
     out = folder / f"{name}-{repeat}.json"
-    command = [sys.executable, str(_ROOT / "benchmarks" / "open3d_rivals.py")]
+    command = [sys.executable, "-m", "benchmarks.open3d_rivals"]
     command += ["--rival", name, "--out", str(out)]
     command += ["--depth-max-m", str(arguments.depth_max_m), *_frame_options(arguments)]
     _run(command, arguments.timeout_s)

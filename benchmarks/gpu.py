@@ -1,9 +1,9 @@
 """Checks the GPU renderer and tracker, and times them beside gsplat, the CPU and the floors.
 
-    python benchmarks/gpu.py                            on a machine with a CUDA device
-    python benchmarks/gpu.py --parts check render       some parts only
-    python benchmarks/gpu.py --smoke                    anywhere: tiny, by Triton's interpreter
-    python benchmarks/gpu.py --compile-only             anywhere: what each kernel uses
+    python -m benchmarks.gpu                            on a machine with a CUDA device
+    python -m benchmarks.gpu --parts check render       some parts only
+    python -m benchmarks.gpu --smoke                    anywhere: tiny, by Triton's interpreter
+    python -m benchmarks.gpu --compile-only             anywhere: what each kernel uses
 
 Parts, each a few minutes at most (the first use of a kernel compiles it, within seconds):
 
@@ -38,14 +38,12 @@ from pathlib import Path
 
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 if "--smoke" in sys.argv and not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # before Triton is imported
 if "--compile-only" in sys.argv:
     os.environ.pop("TRITON_INTERPRET", None)
 
-from gpu_report import Plan, row, table  # type: ignore[import-not-found]
-
+from benchmarks.gpu_report import Plan, row, table
 from toolkit.datasets.registry import KINDS
 from toolkit.rendering.native import available_instruction_sets, kernels
 
@@ -59,8 +57,7 @@ ON_DEMAND = ("tunings", "profile")
 
 def compile_table(channels: tuple[int, ...], capabilities: tuple[int, ...]) -> None:
     """What every kernel uses as machine code; no GPU is asked."""
-    from gpu_kernels import every_kernel  # type: ignore[import-not-found]
-
+    from benchmarks.gpu_kernels import every_kernel
     from toolkit.rendering.cuda.backend import Tuning
 
     columns = ("sm", "channels", "kernel", "registers", "stack bytes", "shared bytes")
@@ -88,9 +85,7 @@ def build_native() -> None:
 def measure(plan: Plan, parts: list[str], recordings: list[tuple[str, str]]) -> bool:
     """Run the parts in their order; whether all checks passed."""
     # Here, and not at the top, since Triton must find its mode set.
-    import gpu_frames  # type: ignore[import-not-found]
-    import gpu_profile  # type: ignore[import-not-found]
-    import gpu_render  # type: ignore[import-not-found]
+    from benchmarks import gpu_frames, gpu_profile, gpu_render
 
     if set(parts) & {"check", "render"}:
         gpu_render.gsplat()  # says so if it is not there, before any table

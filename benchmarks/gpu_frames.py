@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from gpu_report import (  # type: ignore[import-not-found]
+
+from benchmarks.gpu_report import (
     UNTIMED,
     Plan,
     Stopwatch,
@@ -17,13 +18,12 @@ from gpu_report import (  # type: ignore[import-not-found]
     row,
     table,
 )
-from gpu_scene import (  # type: ignore[import-not-found]
+from benchmarks.gpu_scene import (
     camera_of,
     pose_of,
     trajectory,
     walk,
 )
-
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.trajectory import absolute_trajectory_error

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from gpu_frames import TAXONOMY  # type: ignore[import-not-found]
-from gpu_render import OurContest  # type: ignore[import-not-found]
-from gpu_report import Plan, row, table  # type: ignore[import-not-found]
-from gpu_scene import camera_of, pose_of, surface_cloud, walk  # type: ignore[import-not-found]
 from torch.profiler import ProfilerActivity, profile
 
+from benchmarks.gpu_frames import TAXONOMY
+from benchmarks.gpu_render import OurContest
+from benchmarks.gpu_report import Plan, row, table
+from benchmarks.gpu_scene import camera_of, pose_of, surface_cloud, walk
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping

@@ -9,14 +9,14 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from gpu_report import UNTIMED, Plan, medians_ms, row, table  # type: ignore[import-not-found]
-from gpu_scene import (  # type: ignore[import-not-found]
+from triton.runtime.errors import OutOfResources, PTXASError
+
+from benchmarks.gpu_report import UNTIMED, Plan, medians_ms, row, table
+from benchmarks.gpu_scene import (
     camera_of,
     surface_cloud,
     touched_pixels,
 )
-from triton.runtime.errors import OutOfResources, PTXASError
-
 from toolkit.errors import DependencyError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3

@@ -1,6 +1,6 @@
 """What a longer walk costs: memory, and time a frame from its first quarter to its last.
 
-    python benchmarks/length.py ROOMS HALL [--poses given]
+    python -m benchmarks.length ROOMS HALL [--poses given]
 
 ROOMS and HALL are made by `semsplat make-room --layout rooms --frames 600` and `--layout hall
 --frames 2400`, both with `--image-size 160 120 --sensor-noise`: three rooms and twelve. Each
@@ -20,9 +20,9 @@ from typing import Literal
 
 import numpy as np
 import tyro
-import walks  # type: ignore[import-not-found]
-from machine import describe_machine  # type: ignore[import-not-found]
 
+from benchmarks import walks
+from benchmarks.machine import describe_machine
 from toolkit.datasets.registry import open_dataset
 from toolkit.settings.run import RunSettings
 
@@ -56,7 +56,13 @@ def main() -> None:
     print("|---" * (len(COLUMNS) + 1) + "|", flush=True)
     peaks = []
     for place in options.places:
-        command = [sys.executable, __file__, str(place), *sys.argv[1 + len(options.places) :]]
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.length",
+            str(place),
+            *sys.argv[1 + len(options.places) :],
+        ]
         command += ["--child"]
         done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
         row = json.loads(done.stdout.splitlines()[-1])

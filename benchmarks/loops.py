@@ -1,6 +1,6 @@
 """Loop detection on a walk that comes back: what each test is worth, and each encoder.
 
-    python benchmarks/loops.py ROOMS ... [--image-size 160 120] [--part rows|encoders]
+    python -m benchmarks.loops ROOMS ... [--image-size 160 120] [--part rows|encoders]
 
 Rooms are made by `semsplat make-room --out ROOMS --layout ring --frames 900 --sensor-noise`, or
 `--layout twins --frames 1100`, where two rooms are identical.
@@ -27,11 +27,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 import tyro
-import walks  # type: ignore[import-not-found]
-from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from benchmarks import walks
+from benchmarks.machine import describe_machine
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
@@ -121,7 +121,7 @@ def main() -> None:
     options = tyro.cli(Options)
     print(describe_machine(), flush=True)
     for room in options.rooms:
-        dataset = open_dataset(options.kind, room, options.image_size)
+        dataset: Dataset = open_dataset(options.kind, room, options.image_size)
         if options.cover is not None:
             dataset = walks.Covered(dataset, *options.cover)
         width, height = dataset.camera.size

@@ -1,6 +1,6 @@
 """Published pose graphs: the optimum reached, beside that of GTSAM's own example. No times.
 
-    SEMSPLAT_DATA=DATA python benchmarks/pose_graphs.py
+    SEMSPLAT_DATA=DATA python -m benchmarks.pose_graphs
 
 Errors are half the sum of chi-squares, without kernels, from the chordal initialisation.
 """
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
 
+from benchmarks.machine import describe_machine
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.pose_graph.files import graph_of
 from toolkit.pose_graph.solver import SolverOptions, solve

@@ -1,7 +1,7 @@
 """Registration of submaps: how often it succeeds, how far off, how long it takes.
 
-    python benchmarks/registration.py --pairs 50 --rooms 0 1 2 3 --size 160 120
-    SEMSPLAT_DATA=DATA python benchmarks/registration.py --rooms --kitchen
+    python -m benchmarks.registration --pairs 50 --rooms 0 1 2 3 --size 160 120
+    SEMSPLAT_DATA=DATA python -m benchmarks.registration --rooms --kitchen
 
 Submaps are pieces of a recording, mapped at their given poses with the default settings and
 described by the default encoder, each told in a frame of its own that lies anywhere; no frame
@@ -27,11 +27,11 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
-from registration_pairs import Pair, draw_pairs, kitchen, pool, room  # type: ignore[import-not-found]
 from tqdm import tqdm
 
+from benchmarks.machine import describe_machine
+from benchmarks.registration_pairs import Pair, draw_pairs, kitchen, pool, room
 from toolkit.geometry import se3
 from toolkit.loops.verification import VerificationOptions, objection
 from toolkit.registration.coarse import CoarseOptions, CoarseRegistration

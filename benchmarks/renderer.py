@@ -1,6 +1,6 @@
 """Times the native renderer and prints Markdown tables.
 
-    python benchmarks/renderer.py [--repeats 9] [--rival RAS_SO] [--quick]
+    python -m benchmarks.renderer [--repeats 9] [--rival RAS_SO] [--quick]
 
 Forward is one call that projects, sorts, bins and composites; backward returns the
 gradients of all parameters and of the pose. A width of C channels is 3 colour, 1 depth

@@ -1,7 +1,7 @@
 """Hashes of the results of short runs, to show that a change leaves them as they were.
 
-    SEMSPLAT_DATA=DATA python benchmarks/result_hashes.py --ring RING --write before.json
-    SEMSPLAT_DATA=DATA python benchmarks/result_hashes.py --ring RING --compare before.json
+    SEMSPLAT_DATA=DATA python -m benchmarks.result_hashes --ring RING --write before.json
+    SEMSPLAT_DATA=DATA python -m benchmarks.result_hashes --ring RING --compare before.json
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 450 --sensor-noise
 --image-size 160 120`. Four sequences are run as processes of two threads each: RedKitchen,
@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
+
+from benchmarks.machine import describe_machine
 
 FILES = ("trajectory.txt", "map.ply", "loops.jsonl")
 # Metrics that no two runs share.

@@ -1,7 +1,7 @@
 """Kills runs at random moments, resumes them, and compares with an uninterrupted one.
 
-    python benchmarks/resume.py --room DIR --kills 10
-    python benchmarks/resume.py --room DIR --frames 150 "--extra=--image-size 160 120 ..."
+    python -m benchmarks.resume --room DIR --kills 10
+    python -m benchmarks.resume --room DIR --frames 150 "--extra=--image-size 160 120 ..."
 
 The results must be the same bytes: trajectory.txt, map.ply, loops.jsonl, and metrics.json
 but for times and memory.
@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
+
+from benchmarks.machine import describe_machine
 
 SAME_BYTES = ("trajectory.txt", "map.ply", "loops.jsonl", "frames.json", "config.yaml")
 DIFFERENT_EACH_TIME = ("_ms_per_frame", "_memory_mb")

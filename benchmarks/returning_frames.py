@@ -1,6 +1,6 @@
 """Maps the first half of a sequence and shows the second half to the frozen map.
 
-    SEMSPLAT_DATA=DATA python benchmarks/returning_frames.py
+    SEMSPLAT_DATA=DATA python -m benchmarks.returning_frames
 
 RedKitchen goes along a kitchen and comes back: the frames of the way back are located on
 the map of the way out, and rendered there, at their own exposure.
@@ -12,8 +12,8 @@ import os
 from pathlib import Path
 
 import numpy as np
-from machine import describe_machine  # type: ignore[import-not-found]
 
+from benchmarks.machine import describe_machine
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.geometry import se3

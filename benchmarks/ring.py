@@ -1,6 +1,6 @@
 """A long walk through a ring of rooms, with and without what takes its drift out.
 
-    python benchmarks/ring.py RING [--table loops] [--image-size 160 120] [--drift 0.08]
+    python -m benchmarks.ring RING [--table loops] [--image-size 160 120] [--drift 0.08]
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 900 --sensor-noise`; with
 several seeds, RING-0, RING-1 and so on, made with `--seed N`, where they exist. Tables:
@@ -27,10 +27,10 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import tyro
-import walks  # type: ignore[import-not-found]
-from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
+from benchmarks import walks
+from benchmarks.machine import describe_machine
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run

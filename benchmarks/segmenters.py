@@ -1,6 +1,6 @@
 """Labels sequences with the geometric segmenter, poses given, and prints how good that is.
 
-    SEMSPLAT_DATA=DATA python benchmarks/segmenters.py --room DIR [--noisy-room DIR --truth DIR]
+    SEMSPLAT_DATA=DATA python -m benchmarks.segmenters --room DIR [--noisy-room DIR --truth DIR]
 
 Rooms are made by `semsplat make-room --out DIR [--sensor-noise]`; `--truth` is the same room
 with as many frames, without noise. Truth comes from the names of the classes:
@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
+from benchmarks.machine import describe_machine
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame

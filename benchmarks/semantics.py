@@ -1,6 +1,6 @@
 """What semantics cost and what they are worth, code by code.
 
-    SEMSPLAT_DATA=DATA python benchmarks/semantics.py cost quality noise ablation room \
+    SEMSPLAT_DATA=DATA python -m benchmarks.semantics cost quality noise ablation room \
         [--room DIR]
 
 Each part prints a table; each run is a process of its own with the default settings but for
@@ -28,9 +28,9 @@ import cv2
 import numpy as np
 import torch
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
+from benchmarks.machine import describe_machine
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
 from toolkit.mapping.consensus import segments_of

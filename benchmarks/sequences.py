@@ -1,6 +1,6 @@
 """Runs `semsplat run` with its default settings on every sequence and prints a table.
 
-    SEMSPLAT_DATA=DATA python benchmarks/sequences.py --room DIR --noisy-room DIR
+    SEMSPLAT_DATA=DATA python -m benchmarks.sequences --room DIR --noisy-room DIR
 
 Rooms are made by `semsplat make-room --out DIR [--sensor-noise]`. Each run is a process of
 its own. A row is the median over the seeds, for times too.
@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
+
+from benchmarks.machine import describe_machine
 
 COLUMNS = (
     "ate_rmse_cm",

@@ -1,6 +1,6 @@
 """Builds class trees by the offline rules and prints how wide their codes are.
 
-    python benchmarks/taxonomies.py [--picture DIR]
+    python -m benchmarks.taxonomies [--picture DIR]
 
 Lists: the classes of three data sets, and 200 and 550 object names in benchmarks/data. For each,
 beside our tree: a random and an alphabetical tree of the same form (same widths, so the same
@@ -27,8 +27,6 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
@@ -95,7 +93,7 @@ def digests() -> dict[str, str]:
 
 def digests_of_another_process() -> dict[str, str]:
     """The same, with another order of sets and dictionaries' hashes."""
-    command = [sys.executable, __file__, "--digests"]
+    command = [sys.executable, "-m", "benchmarks.taxonomies", "--digests"]
     environment = os.environ | {"PYTHONHASHSEED": "12345"}
     printed = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     return json.loads(printed.stdout)

@@ -1,7 +1,7 @@
 """Trackers beside each other: error, and how often each draws the map. No times.
 
-    SEMSPLAT_DATA=DATA python benchmarks/trackers.py
-    SEMSPLAT_DATA=DATA python benchmarks/trackers.py --table starts
+    SEMSPLAT_DATA=DATA python -m benchmarks.trackers
+    SEMSPLAT_DATA=DATA python -m benchmarks.trackers --table starts
 
 "kinds": the dense tracker against the papers' first-order one. "starts": the dense tracker's
 starts, where frames are left out of a recording so that the camera jumps.
@@ -17,9 +17,9 @@ from typing import Literal
 
 import numpy as np
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
 from tqdm import tqdm
 
+from benchmarks.machine import describe_machine
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 from toolkit.mapping.factory import build_mapper

@@ -1,6 +1,6 @@
 """Does the tree matter? Maps of one scene under trees of the same widths.
 
-    SEMSPLAT_DATA=DATA python benchmarks/trees.py [--table meaning|shapes] [--seeds N]
+    SEMSPLAT_DATA=DATA python -m benchmarks.trees [--table meaning|shapes] [--seeds N]
 
 "meaning": our tree of Replica's classes beside a random and an alphabetical one of the same
 widths. "shapes": trees by the rules alone beside trees whose last level was sorted by the shapes
@@ -24,9 +24,9 @@ from typing import Literal
 
 import numpy as np
 import tyro
-from machine import describe_machine  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
+from benchmarks.machine import describe_machine
 from toolkit.evaluation.segmentation import class_iou, confusion
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface

@@ -4,22 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+from benchmarks import compare_open3d as compare
 
 
-@pytest.fixture
-def compare(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import compare_open3d
-
-    return compare_open3d
-
-
-def test_the_table_shows_units_and_missing_figures(compare: ModuleType) -> None:
+def test_the_table_shows_units_and_missing_figures() -> None:
     figures = {"ate_rmse_cm": 2.3456, "track_ms": None, "peak_memory_mb": 295.4}
     header, rule, row = compare.markdown_table({"ours": figures}).splitlines()
     assert header.count("|") == rule.count("|") == row.count("|") == len(compare.COLUMNS) + 2
@@ -29,7 +20,7 @@ def test_the_table_shows_units_and_missing_figures(compare: ModuleType) -> None:
     assert cells[-1] == "295"
 
 
-def test_repeats_are_reduced_to_medians_of_what_exists(compare: ModuleType) -> None:
+def test_repeats_are_reduced_to_medians_of_what_exists() -> None:
     runs = [{"ate_rmse_cm": value, "ray_cast_ms": None} for value in (1.0, 9.0, 2.0)]
     figures = compare.median_figures(runs)
     assert figures["ate_rmse_cm"] == 2.0
@@ -37,7 +28,7 @@ def test_repeats_are_reduced_to_medians_of_what_exists(compare: ModuleType) -> N
 
 
 def test_our_row_is_read_from_the_run_folder(
-    compare: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     commands: list[list[str]] = []
 
@@ -60,7 +51,7 @@ def test_our_row_is_read_from_the_run_folder(
     assert text.endswith("--tracking.iterations 3")
 
 
-def test_a_child_that_hangs_or_fails_is_one_line(compare: ModuleType) -> None:
+def test_a_child_that_hangs_or_fails_is_one_line() -> None:
     import sys
 
     with pytest.raises(compare.RowError, match="stopped after"):
@@ -72,9 +63,7 @@ def test_a_child_that_hangs_or_fails_is_one_line(compare: ModuleType) -> None:
         )
 
 
-def test_the_machine_is_described_in_one_line(
-    compare: ModuleType,
-) -> None:
+def test_the_machine_is_described_in_one_line() -> None:
     line = compare.describe_machine()
     assert "\n" not in line
     assert "cores" in line

@@ -1,4 +1,4 @@
-"""benchmarks/gpu.py where no GPU is: it runs through the interpreter, and it compiles."""
+"""`benchmarks.gpu` without a GPU: it runs in the interpreter, and its kernels compile."""
 
 import importlib.util
 from pathlib import Path
@@ -14,7 +14,7 @@ needs_triton = pytest.mark.skipif(
 @needs_triton
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU to run it on")
 def test_it_runs_through_the_interpreter_and_times_nothing(run_python):
-    result = run_python("benchmarks/gpu.py", "--smoke")
+    result = run_python("-m", "benchmarks.gpu", "--smoke")
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.count("| ok |") == 3
     assert "| 300 | 40x24 | 18 | interpreter | interpreter" in result.stdout
@@ -33,7 +33,7 @@ def has_ptxas() -> bool:
 def test_every_kernel_compiles_for_a_gpu_that_is_not_there(run_python):
     """What the interpreter accepts is more than what compiles."""
     arguments = ("--compile-only", "--channels", "30", "--capabilities", "90")
-    result = run_python("benchmarks/gpu.py", *arguments)
+    result = run_python("-m", "benchmarks.gpu", *arguments)
     assert result.returncode == 0, result.stderr
     rows = [line.split("|") for line in result.stdout.splitlines() if line.startswith("| 90")]
     used = {cells[3].strip(): [int(c) for c in cells[4:8]] for cells in rows}

@@ -20,7 +20,7 @@ def test_the_shipped_trees_are_made_again_byte_for_byte(run_python, checkout, tm
 
 
 def test_the_benchmark_prints_every_list_and_its_checks(run_python):
-    result = run_python("benchmarks/taxonomies.py")
+    result = run_python("-m", "benchmarks.taxonomies")
     assert result.returncode == 0, result.stderr
     rows = [line.split(" | ") for line in result.stdout.splitlines() if line.startswith("| ")]
     kinds = {(row[0].removeprefix("| "), row[2]) for row in rows[1:]}

@@ -1,0 +1,1 @@
+"""Benchmarks of the toolkit: run each with `python -m benchmarks.NAME` from the repository root."""
