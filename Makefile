@@ -6,7 +6,7 @@ PYTHON ?= python3
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 PIP := .venv/bin/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
-NATIVE_SOURCES := $(wildcard toolkit/rendering/native_src/*)
+NATIVE_SOURCES := $(wildcard toolkit/native/src/*/*)
 DEMO := runs/demo
 DEMO_ROOM := runs/demo-room
 
@@ -81,7 +81,7 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 .stamps/native: setup.py $(NATIVE_SOURCES) .stamps/dependencies
 	@echo "make: compiling the native kernels, which takes about a minute"
 	.venv/bin/python setup.py --quiet build_ext --inplace
-	@if ls toolkit/rendering/_native_*.so >/dev/null 2>&1; then touch $@; fi
+	@if ls toolkit/native/variants/*.so >/dev/null 2>&1; then touch $@; fi
 
 # What `import open3d` loads besides Python packages. Only Linux lacks it.
 .stamps/system-libraries: | .stamps
@@ -97,5 +97,5 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	@touch $@
 
 clean:
-	rm -rf .stamps build *.egg-info toolkit/rendering/_native_*.so
+	rm -rf .stamps build *.egg-info toolkit/native/variants
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,8 +1,9 @@
 """The native kernels; everything else about the package is in setup.cfg.
 
-The same C++ sources become one extension per instruction set, chosen at import by
-what the processor can do. They are compiled apart and never mixed in one library:
-the linker may keep the AVX-512 copy of a template, and older processors die on it.
+The same C++ sources are compiled into one extension per instruction set;
+`toolkit/native/loading.py` chooses among them by what the CPU supports. They are separate
+libraries: in a common one the linker could keep the AVX-512 copy of a template, which
+crashes on older CPUs.
 """
 
 import copy
@@ -16,7 +17,8 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import BaseError, CCompilerError
 
-SOURCES = Path("toolkit/rendering/native_src")
+SOURCES = Path("toolkit/native/src")
+VARIANTS = "toolkit.native.variants"  # a folder without __init__.py, not a package
 
 COMPILE_FLAGS = [
     "-std=c++17",
@@ -56,19 +58,19 @@ def instruction_sets() -> dict[str, list[str]]:
 
 
 def native_extensions() -> list[Extension]:
-    """One extension per instruction set, from all sources of the folder."""
-    if os.environ.get("SEMSPLAT_NATIVE") == "0":  # for whoever wants only Python
+    """One extension per instruction set, each from all sources."""
+    if os.environ.get("SEMSPLAT_NATIVE") == "0":  # install without native kernels
         return []
-    sources = sorted(str(path) for path in SOURCES.glob("*.cpp"))
-    headers = sorted(str(path) for path in SOURCES.glob("*.hpp"))
+    sources = sorted(str(path) for path in SOURCES.rglob("*.cpp"))
+    headers = sorted(str(path) for path in SOURCES.rglob("*.hpp"))
     return [
         Extension(
-            f"toolkit.rendering._native_{name}",
+            f"{VARIANTS}.{name}",
             sources,
-            depends=["setup.py", *headers],  # its flags as much as the headers
-            include_dirs=[get_include()],
-            # The name that PYBIND11_MODULE must give this variant.
-            define_macros=[("SEMSPLAT_MODULE", f"_native_{name}")],
+            depends=["setup.py", *headers],  # setup.py contains the compiler flags
+            include_dirs=[get_include(), str(SOURCES)],
+            # Also the module name for PYBIND11_MODULE.
+            define_macros=[("SEMSPLAT_INSTRUCTION_SET", name)],
             extra_compile_args=COMPILE_FLAGS + flags,
             extra_link_args=["-fopenmp"],
             language="c++",
@@ -79,13 +81,23 @@ def native_extensions() -> list[Extension]:
 
 
 class BuildNative(build_ext):
-    """Builds the variants side by side; without a compiler the install goes on."""
+    """Builds the variants in parallel; installation continues without a compiler."""
 
     def finalize_options(self) -> None:
         super().finalize_options()
         self.failures: dict[str, list[str]] = {}
         if not self.parallel:
             self.parallel = os.cpu_count()
+
+    def get_ext_filename(self, fullname: str) -> str:
+        # The dot in the stem keeps every import statement and module walker away from the
+        # file: loading a variant that the CPU does not support would kill the interpreter.
+        folder, name = os.path.split(super().get_ext_filename(fullname))
+        return os.path.join(folder, f"kernels.{name}")
+
+    def copy_extensions_to_source(self) -> None:
+        os.makedirs(VARIANTS.replace(".", os.sep), exist_ok=True)
+        super().copy_extensions_to_source()
 
     def build_extensions(self) -> None:
         super().build_extensions()
@@ -94,15 +106,15 @@ class BuildNative(build_ext):
                 f"{reason} ({', '.join(names)})" for reason, names in self.failures.items()
             )
             print(
-                f"semsplat: native kernels missing: {reasons}; without any, a slow plain-torch "
-                "path takes over. Mend it with: apt-get install -y g++ python3-dev, then install "
+                f"semsplat: native kernels not built: {reasons}; without any, slow torch code "
+                "is used instead. To build them: apt-get install -y g++ python3-dev, then install "
                 "again",
                 file=sys.stderr,
             )
 
     def build_extension(self, ext: Extension) -> None:
-        # Objects have the same names in every variant: each gets a folder of its own.
-        # On a copy, since the variants are built in threads that share this command.
+        # Object files have the same names in every variant: each variant gets its own folder.
+        # Set on a copy, since the variants are built in threads that share this command.
         builder = copy.copy(self)
         variant = ext.name.rpartition(".")[2]
         builder.build_temp = os.path.join(self.build_temp, variant)

@@ -45,7 +45,7 @@ if "--compile-only" in sys.argv:
 
 from benchmarks.gpu_report import Plan, row, table
 from toolkit.datasets.registry import KINDS
-from toolkit.rendering.native import available_instruction_sets, kernels
+from toolkit.native import available_instruction_sets, kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 CHANNELS = (4, 18, 30, 105)

@@ -36,8 +36,8 @@ from toolkit.mapping.consensus import ConsensusOptions
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.native import available_instruction_sets
 from toolkit.rendering import backend
-from toolkit.rendering.native import available_instruction_sets
 from toolkit.semantics.codes import SemanticCode, binary_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.taxonomy import Taxonomy

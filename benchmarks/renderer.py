@@ -34,8 +34,9 @@ from numpy.typing import NDArray
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.native import require_kernels
 from toolkit.rendering.backend import ForwardPass
-from toolkit.rendering.native import NativeBackend, require_kernels
+from toolkit.rendering.native import NativeBackend
 
 CHANNELS = (4, 18, 30, 32, 105)
 RIVAL_CHANNELS = (4, 7, 24, 32)
@@ -303,7 +304,7 @@ def main() -> None:
     if arguments.rival and not arguments.rival.is_file():
         parser.error(f"--rival {arguments.rival} is not a file; compile the prototype first")
     scenes = SCENES[:1] if arguments.quick else SCENES
-    name = require_kernels().__name__.rpartition("_native_")[2]
+    name = require_kernels().instruction_set
     print(f"Instruction set {name}; medians of {arguments.repeats}; times with {THREADS} threads.")
     print_widths(scenes, arguments.repeats)
     if not arguments.quick:

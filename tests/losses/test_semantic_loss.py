@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights, semantic_loss_torch
-from toolkit.rendering.native import kernels
+from toolkit.native import kernels
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.taxonomy import Taxonomy

@@ -13,7 +13,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.mapping import sparse_adam
 from toolkit.mapping.sparse_adam import BETA1, BETA2, LearningRates, SparseAdam
-from toolkit.rendering.native import _load, available_instruction_sets
+from toolkit.native import available_instruction_sets, load_variant
 
 PLAIN = ("log_radii", "opacity_logits", "colours", "features")  # parameters in their own unit
 
@@ -23,7 +23,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Choose a compiled variant by name, or "torch"."""
 
     def choose(name: str) -> None:
-        module = None if name == "torch" else _load(name)
+        module = None if name == "torch" else load_variant(name)
         monkeypatch.setattr(sparse_adam, "kernels_for", lambda tensor: module)
 
     return choose

@@ -2,8 +2,8 @@
 
 import pytest
 
+from toolkit import native
 from toolkit.cli import doctor
-from toolkit.rendering import native
 
 
 def test_the_launcher_prints_a_line_for_each_part_of_the_machine(run_python):
@@ -27,8 +27,10 @@ def test_a_forced_instruction_set_that_is_not_there_is_reported(
     if not native.available_instruction_sets():
         pytest.skip("the native kernels are not built")
     monkeypatch.setenv("SEMSPLAT_ISA", "mmx")
+    native.kernels.cache_clear()
     assert doctor.main([]) == 1
     lines = capsys.readouterr().out.splitlines()
+    assert any("SEMSPLAT_ISA=mmx: instruction set 'mmx' is unknown" in line for line in lines)
     assert lines[-1] == "missing: native kernels"
     assert any(line.strip() == "mend it with: unset SEMSPLAT_ISA" for line in lines)
 

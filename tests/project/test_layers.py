@@ -25,7 +25,7 @@ def check_layers(folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def copied_checkout(checkout, tmp_path):
-    python_only = shutil.ignore_patterns("*.so", "native_src", "__pycache__")
+    python_only = shutil.ignore_patterns("*.so", "*.cpp", "*.hpp", "__pycache__")
     shutil.copytree(checkout / "toolkit", tmp_path / "toolkit", ignore=python_only)
     shutil.copy(checkout / "setup.cfg", tmp_path)
     return tmp_path

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from splat_scenes import native_backend
 
-from toolkit.rendering.native import NativeBackend, available_instruction_sets
+from toolkit.native import available_instruction_sets
+from toolkit.rendering.native import NativeBackend
 
 
 @pytest.fixture(params=available_instruction_sets())

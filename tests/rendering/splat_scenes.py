@@ -20,9 +20,10 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.native import load_variant
 from toolkit.rendering import GaussianGradients
 from toolkit.rendering.backend import ALPHA_CUT, ALPHA_MAX, NEAR_M, Backend, ForwardPass
-from toolkit.rendering.native import NativeBackend, _load
+from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.reference import ReferenceBackend
 
 BAND = 1e-5
@@ -60,7 +61,7 @@ class Scene:
 def native_backend(instruction_set: str) -> NativeBackend:
     """The backend on one variant of the kernels, whichever render() would choose."""
     backend = NativeBackend()
-    module = _load(instruction_set)
+    module = load_variant(instruction_set)
     assert module is not None
     backend._module = module
     return backend

@@ -12,10 +12,10 @@ import pytest
 import torch
 from splat_scenes import random_scene, scene_at_pixels, skewed_camera
 
+from toolkit import native
 from toolkit.errors import DependencyError, SettingsError
-from toolkit.rendering import backend, native, render
-
-NATIVE_MODULE = "toolkit.rendering.native"
+from toolkit.native import loading
+from toolkit.rendering import backend, render
 
 needs_kernels = pytest.mark.skipif(
     not native.available_instruction_sets(), reason="no native kernels were built"
@@ -24,11 +24,11 @@ needs_kernels = pytest.mark.skipif(
 
 @pytest.fixture(autouse=True)
 def forgotten_choices() -> Iterator[None]:
-    """The choice of backend and kernels is remembered; each test makes its own."""
-    native.kernels.cache_clear()
+    """Clears the cached choice of backend and kernels before and after each test."""
+    loading.kernels.cache_clear()
     backend.cache_clear()
     yield
-    native.kernels.cache_clear()
+    loading.kernels.cache_clear()
     backend.cache_clear()
 
 
@@ -149,8 +149,7 @@ def test_native_is_the_choice_where_it_was_built() -> None:
 
 def test_reference_takes_over_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(native.ISA_VARIABLE, raising=False)
-    monkeypatch.setattr(f"{NATIVE_MODULE}._load", lambda instruction_set: None)
-    assert native.available_instruction_sets() == []
+    monkeypatch.setattr(loading, "available_instruction_sets", list)
     assert native.kernels() is None
     assert backend("auto").name == "reference"
     with pytest.raises(DependencyError, match="install a C\\+\\+ compiler"):
@@ -158,40 +157,6 @@ def test_reference_takes_over_without_kernels(monkeypatch: pytest.MonkeyPatch) -
     scene = scene_at_pixels([(4, 3)], skewed_camera(9, 7))
     output = render(scene.cloud, scene.camera, scene.T_camera_map)
     assert float(output.silhouette[3, 4]) == pytest.approx(0.6, rel=1e-5)
-
-
-@needs_kernels
-@pytest.mark.parametrize("name", native.available_instruction_sets())
-def test_instruction_set_can_be_forced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.setenv(native.ISA_VARIABLE, name)
-    module = native.kernels()
-    assert module is not None
-    assert module.__name__.endswith(f"_native_{name}")
-
-
-@pytest.mark.parametrize("name", ["avx9000", "AVX2", " "])
-def test_wrong_instruction_set_is_an_error(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.setenv(native.ISA_VARIABLE, name)
-    with pytest.raises(DependencyError, match=f"SEMSPLAT_ISA={name} cannot run here; available: "):
-        native.kernels()
-
-
-def test_an_older_processor_gets_what_it_can_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Variant:
-        def __init__(self, name: str):
-            self.name = name
-
-        def instruction_set(self) -> str:
-            return "avx2"
-
-    monkeypatch.delenv(native.ISA_VARIABLE, raising=False)
-    monkeypatch.setattr(f"{NATIVE_MODULE}._load", Variant)
-    assert native.available_instruction_sets() == ["base", "avx2"]
-    assert getattr(native.kernels(), "name", None) == "avx2"
-    native.kernels.cache_clear()
-    monkeypatch.setenv(native.ISA_VARIABLE, "avx512")
-    with pytest.raises(DependencyError, match="available: base, avx2"):
-        native.kernels()
 
 
 @pytest.mark.parametrize("name", ["auto", "reference"])

@@ -9,8 +9,8 @@ import torch
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.native import available_instruction_sets, load_variant
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface, texture
-from toolkit.rendering.native import _load, available_instruction_sets
 from toolkit.rendering.texture import (
     at_centres,
     centre_offsets,
@@ -93,7 +93,7 @@ def test_kernels_compute_what_torch_does(wavy, monkeypatch, instructions):
     luma = torch.where(view.images[4] >= 0.8, luma, torch.zeros_like(luma))
     moved = moved_to_centres(luma, view, 0.8)
     assert centred_intensity(view, 0.8) is None
-    monkeypatch.setattr(texture, "kernels_for", lambda _: _load(instructions))
+    monkeypatch.setattr(texture, "kernels_for", lambda _: load_variant(instructions))
     assert float((sampled - image).abs().max()) > 0.1 and float((moved - luma).abs().max()) > 1e-3
     assert torch.allclose(at_centres(image, view, 0.8), sampled, atol=1e-4)
     assert torch.allclose(centred_intensity(view, 0.8), moved, atol=1e-5)

@@ -11,7 +11,7 @@ from tracked_room import Room, first_steps
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.mapping.mapper import Mapper
-from toolkit.rendering.native import _load, available_instruction_sets
+from toolkit.native import available_instruction_sets, load_variant
 
 
 @pytest.fixture(scope="session")
@@ -38,6 +38,6 @@ def opaque_map(room: Room) -> GaussianCloud:
 @pytest.fixture(params=available_instruction_sets())
 def module(request: pytest.FixtureRequest) -> ModuleType:
     """The compiled kernels, once for each instruction set; skipped where none was built."""
-    loaded = _load(request.param)
+    loaded = load_variant(request.param)
     assert loaded is not None
     return loaded

@@ -12,7 +12,7 @@ from test_alignment import SCALES, assert_close, assert_same_sums, level_of
 from tracked_room import Room, angle_deg, distance_mm
 
 from toolkit.geometry import se3
-from toolkit.rendering.native import kernels_for
+from toolkit.native import kernels_for
 from toolkit.tracking import alignment_numpy, alignment_torch
 from toolkit.tracking.alignment import (
     START_SCALES,

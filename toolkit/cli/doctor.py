@@ -117,29 +117,20 @@ def _compute_findings() -> Iterator[Finding]:
 
 
 def _native_kernels() -> Finding:
-    from toolkit.rendering import native
+    from toolkit import native
 
     subject = "native kernels"
-    built = [
-        name
-        for name in native.INSTRUCTION_SETS
-        if find_spec(f"toolkit.rendering._native_{name}") is not None
-    ]
+    built = native.built_instruction_sets()
     if not built:
-        return Finding(subject, "not built: plain torch renders, slowly", _MEND_NATIVE)
-    usable = native.available_instruction_sets()
-    forced = os.environ.get(native.ISA_VARIABLE)
-    if not usable:
-        return Finding(subject, f"built ({', '.join(built)}) but do not load", _MEND_NATIVE)
-    if forced and forced not in usable:
-        return Finding(
-            subject,
-            f"{native.ISA_VARIABLE}={forced}, but usable here: {', '.join(usable)}",
-            f"unset {native.ISA_VARIABLE}",
-            needed=True,
-        )
-    chosen = f"{forced} ({native.ISA_VARIABLE})" if forced else usable[-1]
-    return Finding(subject, f"{chosen}; built: {', '.join(built)}")
+        return Finding(subject, "not built: rendering uses slow torch code", _MEND_NATIVE)
+    try:
+        chosen = native.kernels()
+    except DependencyError as error:
+        return Finding(subject, str(error), f"unset {native.ISA_VARIABLE}", needed=True)
+    if chosen is None:
+        return Finding(subject, f"built ({', '.join(built)}), but cannot be loaded", _MEND_NATIVE)
+    forced = f" ({native.ISA_VARIABLE})" if os.environ.get(native.ISA_VARIABLE) else ""
+    return Finding(subject, f"{chosen.instruction_set}{forced}; built: {', '.join(built)}")
 
 
 def _threads(torch_threads: int) -> Finding:

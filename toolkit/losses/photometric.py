@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import torch
 from torch import Tensor
 
-from toolkit.rendering.native import address, kernels_for
+from toolkit.native import address, kernels_for
 from toolkit.rendering.output import COLOUR, DEPTH_SUM, SILHOUETTE
 from toolkit.rendering.surface import SurfaceView
 

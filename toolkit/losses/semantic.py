@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toolkit.rendering.native import address, kernels_for
+from toolkit.native import address, kernels_for
 from toolkit.semantics.codes import Heads, SemanticCode
 from toolkit.semantics.decoder import NetworkDecoder
 

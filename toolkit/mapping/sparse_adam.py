@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.rendering.native import address, kernels_for
+from toolkit.native import address, kernels_for
 
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
 

@@ -1,10 +1,7 @@
-"""The compiled CPU renderer: which variant runs here, and its calls."""
+"""The native rendering backend: calls of the C++ rasterisation kernels."""
 
 from __future__ import annotations
 
-import functools
-import importlib
-import os
 from types import ModuleType
 from typing import Any
 
@@ -13,75 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.errors import DependencyError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.native import address, require_kernels
 from toolkit.rendering.backend import GaussianGradients
 from toolkit.rendering.output import BASE_CHANNELS
-
-INSTRUCTION_SETS = ("base", "avx2", "avx512")
-ISA_VARIABLE = "SEMSPLAT_ISA"
-
-
-def _load(instruction_set: str) -> ModuleType | None:
-    try:
-        return importlib.import_module(f"toolkit.rendering._native_{instruction_set}")
-    except ImportError:
-        return None
-
-
-def available_instruction_sets() -> list[str]:
-    """The variants that were built and that this processor can run, weakest first."""
-    base = _load("base")
-    if base is None:
-        return []
-    best = INSTRUCTION_SETS.index(base.instruction_set())
-    return [name for name in INSTRUCTION_SETS[: best + 1] if _load(name) is not None]
-
-
-@functools.cache
-def kernels() -> ModuleType | None:
-    """The best compiled variant for this processor, or None where none was built.
-
-    SEMSPLAT_ISA = base, avx2 or avx512 forces one.
-
-    Raises:
-        DependencyError: the forced variant is unknown or cannot run here.
-    """
-    names = available_instruction_sets()
-    forced = os.environ.get(ISA_VARIABLE)
-    if not forced:
-        return _load(names[-1]) if names else None
-    if forced not in names:
-        raise DependencyError(
-            f"{ISA_VARIABLE}={forced} cannot run here; available: {', '.join(names) or 'none'}"
-        )
-    return _load(forced)
-
-
-def kernels_for(tensor: Tensor) -> ModuleType | None:
-    """The compiled kernels where they can work on a tensor: it must lie on the CPU."""
-    return kernels() if tensor.device.type == "cpu" else None
-
-
-def require_kernels() -> ModuleType:
-    """The compiled kernels.
-
-    Raises:
-        DependencyError: none were built.
-    """
-    module = kernels()
-    if module is None:
-        raise DependencyError(
-            "the native kernels are not built; install a C++ compiler (apt-get install g++) "
-            "and run: pip install --force-reinstall --no-deps ."
-        )
-    return module
-
-
-def address(tensor: Tensor | None) -> int:
-    """Address of a contiguous tensor's data, 0 for None."""
-    return 0 if tensor is None else tensor.data_ptr()
 
 
 def _contiguous(tensor: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:

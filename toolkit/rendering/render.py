@@ -15,9 +15,10 @@ from torch.autograd.function import once_differentiable
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.native import kernels
 from toolkit.rendering.backend import Backend, ForwardPass, tile_counts
 from toolkit.rendering.gsplat import GsplatBackend
-from toolkit.rendering.native import NativeBackend, kernels
+from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.reference import ReferenceBackend
 

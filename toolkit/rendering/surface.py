@@ -18,8 +18,8 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.native import address, kernels_for
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.native import address, kernels_for
 from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
 
 EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them

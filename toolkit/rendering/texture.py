@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from toolkit.rendering.native import address, kernels_for
+from toolkit.native import address, kernels_for
 from toolkit.rendering.surface import SurfaceView, kernel_geometry
 
 # Farther off the ray there is no slanted surface but an edge.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.native import address, kernels_for
+from toolkit.native import address, kernels_for
 from toolkit.rendering.surface import EDGE, SurfaceView
 from toolkit.rendering.texture import centred_intensity, moved_to_centres
 from toolkit.tracking import alignment_numpy, alignment_torch

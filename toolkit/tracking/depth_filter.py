@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.rendering.native import address, kernels
+from toolkit.native import address, kernels
 
 # Half-sizes of the windows.
 _RADII = (8, 5, 3, 2)

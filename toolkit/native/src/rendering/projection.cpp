@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "splats.hpp"
+#include "rendering/splats.hpp"
 
 namespace semsplat {
 namespace {

@@ -1,7 +1,7 @@
 // Front-to-back compositing (H-19, H-20, G-1), one tile at a time, one 4x4 block at a time.
 #include <algorithm>
 
-#include "tile.hpp"
+#include "rendering/tile.hpp"
 
 namespace semsplat {
 namespace {

@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "tile.hpp"
+#include "rendering/tile.hpp"
 
 namespace semsplat {
 namespace {

@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "splats.hpp"
+#include "rendering/splats.hpp"
 
 namespace semsplat {
 namespace {

@@ -1,19 +1,20 @@
-// The door to Python: plain addresses in, so that no torch headers are needed.
+// Python bindings. Arrays are passed as plain addresses, so that no torch headers are needed.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
 #include <algorithm>
 #include <array>
+#include <string>
 #include <tuple>
 #include <vector>
 
-#include "alignment.hpp"
-#include "depth_filter.hpp"
-#include "losses.hpp"
-#include "optimisation.hpp"
-#include "semantics.hpp"
-#include "splats.hpp"
-#include "ssim.hpp"
+#include "alignment/alignment.hpp"
+#include "depth_filter/depth_filter.hpp"
+#include "losses/rgbd_loss.hpp"
+#include "losses/semantic_loss.hpp"
+#include "losses/ssim.hpp"
+#include "optimisation/adam.hpp"
+#include "rendering/splats.hpp"
 
 namespace py = pybind11;
 
@@ -198,23 +199,31 @@ double loss_of_semantics(const Size& size, const std::array<Address, 3>& images,
                          at<float>(gradients[1]));
 }
 
-// The best instruction set that this processor runs and that we build for.
-std::string instruction_set() {
+// The instruction sets that this CPU and its operating system support, ascending. The features
+// are those that setup.py compiles each variant for.
+std::vector<std::string> supported_instruction_sets() {
+    std::vector<std::string> names = {"base"};
 #if defined(__x86_64__)
+    // The compiler's run-time also checks that the operating system saves the wider registers.
     __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq")) {
-        return "avx512";
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
+        names.push_back("avx2");
+        if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+            __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq")) {
+            names.push_back("avx512");
+        }
     }
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return "avx2";
 #endif
-    return "base";
+    return names;
 }
 
 }  // namespace
 }  // namespace semsplat
 
-PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
+#define SEMSPLAT_QUOTED(name) #name
+#define SEMSPLAT_NAME(name) SEMSPLAT_QUOTED(name)
+
+PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     using namespace semsplat;
     m.doc() = "Native kernels: splat rasterisation, dense alignment, optimisation.";
     // Local to the module: the variants for other instruction sets register their own.
@@ -237,5 +246,6 @@ PYBIND11_MODULE(SEMSPLAT_MODULE, m) {
     m.def("mean_ssim", &mean_ssim);
     m.def("rgbd_loss", &loss_of_rgbd);
     m.def("semantic_loss", &loss_of_semantics);
-    m.def("instruction_set", &instruction_set);
+    m.def("supported_instruction_sets", &supported_instruction_sets);
+    m.attr("instruction_set") = SEMSPLAT_NAME(SEMSPLAT_INSTRUCTION_SET);
 }

@@ -4,7 +4,7 @@
 // model intensity there minus the frame's; geometric: distance of Y from the model's plane.
 // Derivatives come from the model, which is smoother than a camera image. Weights follow
 // Student's t distribution (nu = 5), whose scales the caller re-estimates from the sums.
-#include "alignment.hpp"
+#include "alignment/alignment.hpp"
 
 #include <algorithm>
 #include <cmath>

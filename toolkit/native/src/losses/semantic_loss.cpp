@@ -1,11 +1,11 @@
-#include "semantics.hpp"
+#include "losses/semantic_loss.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <vector>
 
-#include "simd.hpp"
+#include "common/simd.hpp"
 
 namespace semsplat {
 namespace {

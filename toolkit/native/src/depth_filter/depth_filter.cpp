@@ -1,4 +1,4 @@
-#include "depth_filter.hpp"
+#include "depth_filter/depth_filter.hpp"
 
 #include <algorithm>
 #include <cmath>

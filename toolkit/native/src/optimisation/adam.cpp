@@ -1,5 +1,5 @@
 // Adam on the Gaussians that a view shows, and on no others.
-#include "optimisation.hpp"
+#include "optimisation/adam.hpp"
 
 #include <cmath>
 

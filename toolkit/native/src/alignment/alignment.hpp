@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "splats.hpp"
+#include "rendering/splats.hpp"
 
 namespace semsplat {
 

@@ -4,8 +4,8 @@
 // exp(k dx^2) exp(k dy^2): two vector exponentials give all columns and all rows of a tile.
 #pragma once
 
-#include "simd.hpp"
-#include "splats.hpp"
+#include "common/simd.hpp"
+#include "rendering/splats.hpp"
 
 namespace semsplat {
 namespace {

@@ -1,10 +1,10 @@
-#include "losses.hpp"
+#include "losses/rgbd_loss.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "ssim.hpp"
+#include "losses/ssim.hpp"
 
 namespace semsplat {
 namespace {

@@ -1,10 +1,10 @@
-#include "ssim.hpp"
+#include "losses/ssim.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "simd.hpp"
+#include "common/simd.hpp"
 
 namespace semsplat {
 namespace {

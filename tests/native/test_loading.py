@@ -1,0 +1,110 @@
+"""Choosing among the compiled variants of the kernels."""
+
+from __future__ import annotations
+
+import importlib.util
+import pkgutil
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from toolkit.errors import DependencyError
+from toolkit.native import loading
+
+BUILT_BASE = loading._path("base")
+AVAILABLE = loading.available_instruction_sets()
+needs_kernels = pytest.mark.skipif(not AVAILABLE, reason="no native kernels were built")
+
+
+class FakeVariant:
+    """A variant on a CPU with AVX2, but without AVX-512."""
+
+    def __init__(self, name: str):
+        self.instruction_set = name
+
+    def supported_instruction_sets(self) -> list[str]:
+        return ["base", "avx2"]
+
+
+@pytest.fixture(autouse=True)
+def no_cached_choice(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Clears the cached choice of kernels before and after each test."""
+    monkeypatch.delenv(loading.ISA_VARIABLE, raising=False)
+    loading.kernels.cache_clear()
+    yield
+    loading.kernels.cache_clear()
+
+
+@pytest.fixture
+def variants(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that replaces the one of the compiled variants."""
+    monkeypatch.setattr(loading, "_VARIANTS", tmp_path)
+    monkeypatch.setattr(loading, "_load", loading._load.__wrapped__)
+    return tmp_path
+
+
+@pytest.fixture
+def cpu_with_avx2(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loading, "_load", FakeVariant)
+    monkeypatch.setattr(loading, "built_instruction_sets", lambda: list(loading.INSTRUCTION_SETS))
+
+
+@pytest.mark.parametrize("name", AVAILABLE)
+def test_an_instruction_set_can_be_forced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setenv(loading.ISA_VARIABLE, name)
+    assert loading.require_kernels().instruction_set == name
+
+
+@needs_kernels
+def test_the_best_available_instruction_set_is_the_default() -> None:
+    assert loading.require_kernels().instruction_set == AVAILABLE[-1]
+
+
+@pytest.mark.parametrize("name", ["avx9000", "AVX2", " "])
+def test_an_unknown_instruction_set_is_an_error(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setenv(loading.ISA_VARIABLE, name)
+    with pytest.raises(DependencyError, match=f"SEMSPLAT_ISA={name}: .* is unknown; choose one of"):
+        loading.kernels()
+
+
+@pytest.mark.usefixtures("cpu_with_avx2")
+def test_a_variant_that_the_cpu_does_not_support_is_never_loaded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert loading.available_instruction_sets() == ["base", "avx2"]
+    assert loading.require_kernels().instruction_set == "avx2"
+    loading.kernels.cache_clear()
+    monkeypatch.setenv(loading.ISA_VARIABLE, "avx512")
+    message = "SEMSPLAT_ISA=avx512: this CPU does not support avx512; supported: base, avx2"
+    with pytest.raises(DependencyError, match=message):
+        loading.kernels()
+
+
+def test_a_variant_that_was_not_built_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, variants: Path
+) -> None:
+    assert loading.available_instruction_sets() == []
+    monkeypatch.setenv(loading.ISA_VARIABLE, "avx2")
+    with pytest.raises(DependencyError, match="kernels for avx2 are not built; built: none"):
+        loading.kernels()
+
+
+@needs_kernels
+def test_a_damaged_variant_is_skipped_unless_forced(
+    monkeypatch: pytest.MonkeyPatch, variants: Path
+) -> None:
+    shutil.copy(BUILT_BASE, variants)
+    loading._path("avx2").write_bytes(b"not a library")
+    assert loading.available_instruction_sets() == ["base"]
+    monkeypatch.setenv(loading.ISA_VARIABLE, "avx2")
+    with pytest.raises(DependencyError):
+        loading.kernels()
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", loading.INSTRUCTION_SETS)
+def test_no_import_finds_a_variant(name: str) -> None:
+    assert importlib.util.find_spec(f"toolkit.native.variants.{name}") is None
+    assert list(pkgutil.iter_modules([str(loading._path(name).parent)])) == []
