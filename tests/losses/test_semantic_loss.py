@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.losses.photometric import ssim_torch
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights, semantic_loss_torch
 from toolkit.native import kernels
-from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
+from toolkit.semantics.codes import ColourCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -36,9 +37,9 @@ def scene(channels: int, size: tuple[int, int], seed: int = 0):
 def test_kernel_equals_autograd(name, size):
     code = CODES[name](TREE)
     images = scene(code.channels, size)
-    loss = SemanticLoss(code, SemanticLossWeights(moves_geometry=True))
-    actual = loss(*images, (0, 10))
-    expected = semantic_loss_torch(code, images, 0.2, 0.5, True)
+    weights = SemanticLossWeights(moves_geometry=True)
+    actual = SemanticLoss(code, weights)(*images, (0, 10))
+    expected = semantic_loss_torch(code, images, weights)
     assert actual.value == pytest.approx(expected.value, rel=1e-5, abs=1e-9)
     assert torch.allclose(actual.features, expected.features, atol=1e-6)
     assert torch.allclose(actual.silhouette, expected.silhouette, atol=1e-5)
@@ -160,3 +161,58 @@ def test_a_restored_network_goes_on_identically():
     second.restore(first.state())
     assert first.learn(values, labels)[0] == second.learn(values, labels)[0]
     assert torch.equal(first.logits(values), second.logits(values))
+
+
+def colour_scene() -> tuple[ColourCode, tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
+    palette = np.random.default_rng(3).random((len(TREE), 3)).astype(np.float32)
+    code = ColourCode(TREE, palette)
+    _, silhouette, labels = scene(3, (18, 24))
+    noise = torch.rand(3, 18, 24, generator=torch.Generator().manual_seed(5))
+    return code, ((0.5 * noise + 0.25) * silhouette, silhouette, labels)
+
+
+def test_semantic_colour_has_the_ssim_mix():
+    """G-4 for the semantic colour: 0.8 * L1 + 0.2 * (1 - SSIM)."""
+    code, (features, _, _) = colour_scene()
+    silhouette, labels = torch.ones(18, 24), torch.full((18, 24), 2, dtype=torch.int32)
+    labels[:, 12:] = 5
+    weights = SemanticLossWeights(weight=1.0, structure=0.2)
+    loss = SemanticLoss(code, weights)(features, silhouette, labels, (0, 1))
+    wanted = code.codewords[labels.long()].permute(2, 0, 1)
+    l1, ssim = float((features - wanted).abs().mean()), float(ssim_torch(features, wanted))
+    assert loss.value == pytest.approx(0.8 * l1 + 0.2 * (1.0 - ssim), rel=1e-5)
+    perfect = SemanticLoss(code, weights)(wanted.contiguous(), silhouette, labels, (0, 1))
+    assert perfect.value == pytest.approx(0.0, abs=1e-6)
+
+
+def test_ssim_of_the_semantic_colour_has_the_gradient_of_its_loss():
+    """At pixels that count, and at none of the others."""
+    code, images = colour_scene()
+    features, silhouette, labels = (image.double() for image in images)
+    labels = labels.to(torch.int32)
+    weights = SemanticLossWeights(structure=0.7, moves_geometry=True)
+
+    def value(features: torch.Tensor, silhouette: torch.Tensor) -> float:
+        return semantic_loss_torch(code, (features, silhouette, labels), weights).value
+
+    found = semantic_loss_torch(code, (features, silhouette, labels), weights)
+    counted = (labels > 0) & (silhouette >= weights.least_silhouette)
+    assert not found.features[:, ~counted].any() and not found.silhouette[~counted].any()
+    step = 1e-6
+    for row, column in counted.nonzero()[::60].tolist():
+        moved = features.clone()
+        moved[1, row, column] += step
+        slope = (value(moved, silhouette) - value(features, silhouette)) / step * labels.numel()
+        assert float(found.features[1, row, column]) == pytest.approx(slope, rel=1e-3, abs=1e-5)
+        thicker = silhouette.clone()
+        thicker[row, column] += step
+        slope = (value(features, thicker) - value(features, silhouette)) / step * labels.numel()
+        assert float(found.silhouette[row, column]) == pytest.approx(slope, rel=1e-3, abs=1e-5)
+
+
+def test_ssim_leaves_other_codes_as_they_are():
+    code = one_hot_code(TREE)
+    images = scene(code.channels, (12, 12))
+    plain = SemanticLoss(code, SemanticLossWeights())(*images, (0, 1))
+    mixed = SemanticLoss(code, SemanticLossWeights(structure=0.2))(*images, (0, 1))
+    assert mixed.value == plain.value and torch.equal(mixed.features, plain.features)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from toolkit.losses.photometric import ssim_torch
 from toolkit.native import address, kernels_for
 from toolkit.semantics.codes import Heads, SemanticCode
 from toolkit.semantics.decoder import NetworkDecoder
@@ -26,6 +27,8 @@ class SemanticLossWeights:
         inter_from: first step within a mapping call at which it does (H: eta), but never
             later than a quarter of the call, or short calls would not reach it.
         inter_pixels: pixels that the network sees a step; 0 takes them all.
+        structure: share of SSIM in the loss of the colour code (G-3, G-4: 0.2); other codes
+            have none.
         least_silhouette: thinner pixels do not count.
         moves_geometry: whether semantics may move Gaussians, as in the papers, or only
             changes their features.
@@ -37,6 +40,7 @@ class SemanticLossWeights:
     inter: float = 5.0
     inter_from: int = 15
     inter_pixels: int = 2048
+    structure: float = 0.0
     least_silhouette: float = 0.5
     moves_geometry: bool = False
 
@@ -108,7 +112,7 @@ class SemanticLoss:
         module = kernels_for(features)
         if module is None or self.code.heads is None:
             images = (features, silhouette, labels)
-            found = semantic_loss_torch(self.code, images, scale, least, by_silhouette is not None)
+            found = semantic_loss_torch(self.code, images, self.weights)
             return replace(found, features=gradient.copy_(found.features))
         heads = _scaled(self.code.heads, scale)
         total = module.semantic_loss(
@@ -157,27 +161,38 @@ def _scaled(heads: Heads, scale: float) -> Heads:
 
 
 def semantic_loss_torch(
-    code: SemanticCode,
-    images: tuple[Tensor, Tensor, Tensor],
-    scale: float,
-    least_silhouette: float,
-    moves_geometry: bool = False,
+    code: SemanticCode, images: tuple[Tensor, Tensor, Tensor], weights: SemanticLossWeights
 ) -> SemanticGradient:
-    """The intra-level term by autograd: the native kernel's reference, and any code's way.
+    """Compute the intra-level term by autograd: the native kernel's reference, and any code's way.
 
     Args:
         images: features [S, H, W], silhouette [H, W] and labels [H, W].
     """
     features, silhouette, labels = images
-    pixels = ((labels > 0) & (silhouette >= least_silhouette)).view(-1).nonzero().squeeze(1)
+    counted = (labels > 0) & (silhouette >= weights.least_silhouette)
+    pixels = counted.view(-1).nonzero().squeeze(1)
+    scale = weights.weight * weights.intra
+    structure = weights.structure if code.is_colour else 0.0
     with torch.enable_grad():
         leaves = [features.detach().requires_grad_(), silhouette.detach().requires_grad_()]
         flat = leaves[0].view(len(features), -1).index_select(1, pixels)
         values = flat / leaves[1].view(-1).index_select(0, pixels)
-        loss = scale * code.pixel_loss(values, labels.view(-1)[pixels]).sum()
+        share = scale * (1.0 - structure)
+        loss = share * code.pixel_loss(values, labels.view(-1)[pixels]).sum()
+        if structure > 0:
+            thickness = torch.where(counted, leaves[1], torch.ones_like(silhouette))
+            colours = torch.where(counted, leaves[0] / thickness, torch.zeros_like(features))
+            similarity = ssim_torch(colours, _class_colours(code, labels * counted))
+            loss = loss + scale * structure * (1.0 - similarity) * labels.numel()
         by_features, by_silhouette = torch.autograd.grad(loss, leaves)
     return SemanticGradient(
         float(loss.detach()) / labels.numel(),
         by_features,
-        by_silhouette if moves_geometry else None,
+        by_silhouette if weights.moves_geometry else None,
     )
+
+
+def _class_colours(code: SemanticCode, labels: Tensor) -> Tensor:
+    """Colours [3, H, W] of class ids [H, W] in a colour code; void is black."""
+    codewords = code.codewords.to(labels.device)
+    return codewords.index_select(0, labels.reshape(-1).long()).T.reshape(3, *labels.shape)

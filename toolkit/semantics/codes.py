@@ -35,6 +35,7 @@ class SemanticCode(Protocol):
         taxonomy: its classes; ids count from 1, 0 is void.
         channels: S, feature channels of a Gaussian.
         heads: what the native loss needs, or None where only `pixel_loss` will do.
+        is_colour: the values are a colour, which is compared with that of the class: SSIM applies.
         unit: what counts as a step of a feature: learning rates are in units of it.
     """
 
@@ -43,6 +44,7 @@ class SemanticCode(Protocol):
     channels: int
     unit: float
     heads: Heads | None
+    is_colour: bool
 
     @property
     def start_values(self) -> Tensor:
@@ -119,6 +121,8 @@ class HeadedCode:
             each head has, [K], at least 2.
         bits: spell the answers in binary.
     """
+
+    is_colour = False
 
     def __init__(
         self,
@@ -252,6 +256,7 @@ class ColourCode:
     """
 
     heads: Heads | None = None
+    is_colour = True
 
     def __init__(
         self, taxonomy: Taxonomy, palette: NDArray[np.float32], spread: float = 0.05

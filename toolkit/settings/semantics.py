@@ -67,6 +67,9 @@ class SemanticLossSettings(Settings):
     inter: float = Field(5.0, ge=0, description="of the network's flat classes (w2)")
     inter_from: int = Field(15, ge=0, description="first step of a call that counts it (eta)")
     inter_pixels: int = Field(2048, ge=0, description="pixels the network sees; 0 is all")
+    structure: float = Field(
+        0.0, ge=0, le=1, description="share of SSIM in the colour code's loss (G-4: 0.2)"
+    )
     least_silhouette: float = Field(0.5, gt=0, lt=1, description="thinner pixels do not count")
     moves_geometry: bool = Field(False, description="let semantics move Gaussians, as in H")
 
