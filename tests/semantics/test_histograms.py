@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from toolkit.semantics.histograms import (
     SMOOTHING,
+    class_counts,
     class_histogram,
-    observed_class_counts,
     smoothed_kl,
 )
 from toolkit.semantics.taxonomy import Taxonomy
@@ -92,9 +92,8 @@ def test_wrong_histograms_are_named(first, second, smoothing, named):
         smoothed_kl(first, second, smoothing)
 
 
-def test_observed_gaussians_are_counted_by_class():
-    ids, visible = np.array([0, 1, 1, 3, 3, 3, 2]), np.array([0, 2, 3, 5])
-    assert observed_class_counts(ids, visible, 4).tolist() == [1, 1, 0, 2, 0]
-    assert observed_class_counts(ids, np.zeros(0, int), 4).tolist() == [0] * 5
+def test_classes_are_counted_with_void_first():
+    assert class_counts(np.array([[0, 1], [3, 3]]), 4).tolist() == [1, 1, 0, 2, 0]
+    assert class_counts(np.zeros(0, int), 4).tolist() == [0] * 5
     with pytest.raises(ValueError, match=r"0\.\.2"):
-        observed_class_counts(ids, visible, 2)
+        class_counts(np.array([3]), 2)

@@ -13,6 +13,7 @@ from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.features.factory import build_describer
 from toolkit.frame import Recorder
+from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.factory import build_candidate_finder
 from toolkit.loops.log import LoopLog
@@ -32,10 +33,11 @@ from toolkit.registration.factory import (
     matching_options,
 )
 from toolkit.registration.fine import FineRegistration
+from toolkit.rendering import backend
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.loop_closure import LoopClosureSettings
-from toolkit.settings.loops import LoopSettings
+from toolkit.settings.loops import LandmarkSettings, LoopSettings
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def build_loop_closer(
         def painter(class_ids: NDArray[np.integer]) -> Tensor:
             return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
 
-    detector = LoopDetector(describer, finder, len(taxonomy) if taxonomy else 0, painter)
+    detector = LoopDetector(describer, finder, _class_counter(settings.landmarks, context), painter)
     drawer = build_drawer(
         settings.registration, context.semantics, context.backend_name, context.centred
     )
@@ -97,3 +99,11 @@ def build_loop_closer(
     return LoopCloser(
         detector, parts, ClosingOptions(**settings.closing.model_dump()), log, recorder
     )
+
+
+def _class_counter(settings: LandmarkSettings, context: ClosingContext) -> ClassCounter:
+    """What counts the classes of a keyframe."""
+    classes = len(context.taxonomy) if context.taxonomy else 0
+    if settings.counted == "pixels" or not context.semantics.channels:
+        return LabelledPixels(classes)
+    return ObservedGaussians(context.semantics, classes, backend(context.backend_name))

@@ -31,7 +31,7 @@ class DescribedKeyframe:
         submap: the number of its submap.
         travelled_m: length of the estimated path up to here, metres.
         descriptor: [D] float32 of unit length.
-        class_counts: [C] observed Gaussians of each class without void; C may be 0.
+        class_counts: [C] observed pixels or Gaussians of each class without void; C may be 0.
     """
 
     frame: int

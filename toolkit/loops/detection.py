@@ -16,6 +16,7 @@ from toolkit.loops.candidates import (
     LoopCandidate,
     Sighting,
 )
+from toolkit.loops.class_counts import ClassCounter, LabelledPixels
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
@@ -27,13 +28,10 @@ Painter = Callable[[NDArray[np.integer]], Tensor]
 class LoopDetector:
     """Describes each keyframe and searches among the older ones.
 
-    A view's landmarks are counted by its labelled pixels, not by the Gaussians behind them: the
-    shares are the same up to the density of seeding, and nothing has to be drawn or decoded.
-
     Args:
         describer: of views.
         finder: of candidates, for its descriptors.
-        classes: of the taxonomy, 0 without labels.
+        counter: of classes in a keyframe; default: a map without labels.
         painter: of semantic pictures, where the describer wants them.
     """
 
@@ -41,11 +39,11 @@ class LoopDetector:
         self,
         describer: ViewDescriber,
         finder: CandidateFinder,
-        classes: int = 0,
+        counter: ClassCounter | None = None,
         painter: Painter | None = None,
     ) -> None:
         self._describer, self._finder = describer, finder
-        self._classes, self._painter = classes, painter
+        self._counter, self._painter = counter or LabelledPixels(0), painter
         self._travelled_m = 0.0
         self._last: NDArray[np.float64] | None = None
 
@@ -55,7 +53,10 @@ class LoopDetector:
         descriptor = self._described(keyframe)
         atlas.describe(descriptor)
         T_world_camera = atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera
-        return self._finder.add(self._passed(keyframe, atlas.active, T_world_camera, descriptor))
+        counts = self._counter.counts(keyframe, atlas.mapper.gaussians)
+        return self._finder.add(
+            self._passed(keyframe, atlas.active, T_world_camera, descriptor, counts)
+        )
 
     def take_over(self, submaps: Iterable[Submap]) -> None:
         """Remember the keyframes of an earlier run, with the descriptors that it gave them.
@@ -71,8 +72,9 @@ class LoopDetector:
                     continue
                 last = keyframe.index
                 T_world_camera = submap.T_world_camera(keyframe)
+                counts = self._counter.counts(keyframe, submap.gaussians)
                 self._finder.remember(
-                    self._passed(keyframe, submap.number, T_world_camera, descriptor)
+                    self._passed(keyframe, submap.number, T_world_camera, descriptor, counts)
                 )
         self._travelled_m += self._finder.options.least_gap_m
         self._last = None
@@ -83,13 +85,13 @@ class LoopDetector:
         submap: int,
         T_world_camera: NDArray[np.float64],
         descriptor: NDArray[np.float32],
+        counts: NDArray[np.int64],
     ) -> DescribedKeyframe:
         """A keyframe with the length of the path up to it."""
         place = T_world_camera[:3, 3]
         if self._last is not None:
             self._travelled_m += float(np.linalg.norm(place - self._last))
         self._last = place
-        counts = self._counts(keyframe)
         return DescribedKeyframe(keyframe.index, submap, self._travelled_m, descriptor, counts)
 
     @property
@@ -110,12 +112,6 @@ class LoopDetector:
             semantic = self._painter(blank if ids is None else ids.numpy())[None]
         with torch.no_grad():
             return self._describer.describe(rgb, semantic)[0].numpy()
-
-    def _counts(self, keyframe: Keyframe) -> NDArray[np.int64]:
-        if keyframe.class_ids is None:
-            return np.zeros(self._classes, np.int64)
-        ids = keyframe.class_ids.numpy().ravel()
-        return np.bincount(ids, minlength=self._classes + 1)[1 : self._classes + 1]
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes."""

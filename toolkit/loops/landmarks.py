@@ -21,20 +21,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
 Weighting = Literal["sqrt", "linear", "paper"]
+Counted = Literal["pixels", "gaussians"]
 
 
 @dataclass(frozen=True)
 class LandmarkOptions:
-    """How counts become landmark vectors.
+    """How a view is counted, and how counts become landmark vectors.
 
     Attributes:
         weighting: "sqrt" as above; "linear" without the root; "paper" as printed in G-7.
-        least_count: a class with fewer observed Gaussians is not seen in that view; in the
-            paper's weighting it is the floor on M_c instead.
+        least_count: a class with a smaller count is not seen in that view; in the paper's
+            weighting it is the floor on M_c instead.
+        counted: "pixels" counts the keyframe's labelled pixels, "gaussians" the Gaussians that it
+            observes by the class they decode to, as in G-7.
     """
 
     weighting: Weighting = "sqrt"
     least_count: int = 10
+    counted: Counted = "pixels"
 
 
 def landmark_vectors(
@@ -45,7 +49,7 @@ def landmark_vectors(
     All are of one snapshot of the keyframes: never compare vectors of two calls.
 
     Args:
-        counts: [K, C] observed Gaussians of each class, without void.
+        counts: [K, C] observed pixels or Gaussians of each class, without void.
         options: how; default if None.
         map_counts: [C] Gaussians of each class in the map, for the paper's weighting only.
 

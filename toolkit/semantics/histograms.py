@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.taxonomy import VOID, Taxonomy
+from toolkit.semantics.taxonomy import Taxonomy
 
 Array = NDArray[np.float64]
 
@@ -27,31 +27,24 @@ def class_histogram(labels: NDArray[np.integer], classes: int | Taxonomy) -> Arr
         ValueError: an id is outside 0..C.
     """
     count = len(classes) if isinstance(classes, Taxonomy) else classes
-    flat = np.asarray(labels).ravel()
-    if flat.size and not 0 <= int(flat.min()) <= int(flat.max()) <= count:
-        raise ValueError(f"labels must lie in 0..{count}, got {flat.min()}..{flat.max()}")
-    counts = np.bincount(flat, minlength=count + 1).astype(np.float64)
-    counts[VOID] = 0.0
-    return counts[1:] / max(counts.sum(), 1.0)
+    counts = class_counts(labels, count)[1:].astype(np.float64)
+    return counts / max(counts.sum(), 1.0)
 
 
-def observed_class_counts(
-    class_ids: NDArray[np.integer], visible: NDArray[np.integer], classes: int
-) -> NDArray[np.int64]:
-    """Counts [C + 1] of the Gaussians of each class that a view shows; void's is [0].
+def class_counts(class_ids: NDArray[np.integer], classes: int) -> NDArray[np.int64]:
+    """Count pixels or Gaussians by class, [C + 1]; the first entry is void.
 
     Args:
-        class_ids: [N] class of every Gaussian, 0..C, 0 void.
-        visible: [V] indices of those in the view.
+        class_ids: 0..C, 0 void, any shape.
         classes: C.
 
     Raises:
         ValueError: an id is outside 0..C.
     """
-    ids = np.asarray(class_ids)[np.asarray(visible)]
-    if ids.size and not 0 <= int(ids.min()) <= int(ids.max()) <= classes:
-        raise ValueError(f"class ids must lie in 0..{classes}, got {ids.min()}..{ids.max()}")
-    return np.bincount(ids, minlength=classes + 1).astype(np.int64)
+    flat = np.asarray(class_ids).ravel()
+    if flat.size and not 0 <= int(flat.min()) <= int(flat.max()) <= classes:
+        raise ValueError(f"class ids must lie in 0..{classes}, got {flat.min()}..{flat.max()}")
+    return np.bincount(flat, minlength=classes + 1).astype(np.int64)
 
 
 def smoothed_kl(current: Array, anchor: Array, smoothing: float = SMOOTHING) -> float:

@@ -33,10 +33,13 @@ class CandidateSettings(Settings):
 class LandmarkSettings(Settings):
     """How the classes in view tell one place from another."""
 
+    counted: Literal["pixels", "gaussians"] = Field(
+        "pixels", description="labelled pixels of a keyframe, or the Gaussians it observes (G-7)"
+    )
     weighting: Literal["sqrt", "linear", "paper"] = Field(
         "sqrt", description="of a class's share of the view; paper is G-7 as printed"
     )
-    least_count: int = Field(10, ge=0, description="Gaussians that make a class seen")
+    least_count: int = Field(10, ge=0, description="minimum count of a class that a keyframe sees")
 
 
 class LoopSettings(Settings):

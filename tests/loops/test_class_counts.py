@@ -1,0 +1,112 @@
+"""What landmark vectors count: labelled pixels, or the Gaussians on the surface in view (G-7)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.closing.factory import ClosingContext, build_loop_closer
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
+from toolkit.loops.class_counts import LabelledPixels, ObservedGaussians
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.mapping.keyframes import Keyframe
+from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.rendering import backend
+from toolkit.semantics.codes import flat_code
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.settings.loop_closure import LoopClosureSettings
+from toolkit.settings.loops import LandmarkSettings
+from toolkit.submaps.atlas import Atlas
+
+NAMES = ["wall", "chair", "table", "lamp"]
+CAMERA = Camera(40.0, 40.0, 19.5, 14.5, 40, 30)
+
+
+def semantics(names) -> SemanticMapping:
+    tree = Taxonomy({"everything": list(names)}, classes=names)
+    return SemanticMapping(SemanticLoss(flat_code(tree), SemanticLossWeights()))
+
+
+def grid(x_m: tuple[float, float], z_m: float, class_id: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """An opaque sheet at a depth, between two x, 1 m high; 25 mm from Gaussian to Gaussian."""
+    x = torch.arange(*x_m, 0.025)
+    y = torch.arange(-0.5, 0.5, 0.025)
+    means = torch.stack([*torch.meshgrid(x, y, indexing="ij")], dim=-1).reshape(-1, 2)
+    means = torch.cat([means, torch.full((len(means), 1), z_m)], dim=1)
+    return means, torch.full((len(means),), class_id)
+
+
+def cloud_of(*parts: tuple[torch.Tensor, torch.Tensor]) -> GaussianCloud:
+    means, ids = (torch.cat(group) for group in zip(*parts, strict=True))
+    count = len(means)
+    return GaussianCloud.from_values(
+        means=means,
+        radii_m=torch.full((count,), 0.02),
+        opacities=torch.full((count,), 0.95),
+        colours=torch.full((count, 3), 0.5),
+        features=semantics(NAMES).start_values.index_select(0, ids),
+    )
+
+
+def keyframe(labels: np.ndarray | None = None) -> Keyframe:
+    return Keyframe(
+        index=0,
+        timestamp_s=0.0,
+        T_map_camera=np.eye(4),
+        rgb=torch.zeros(3, 30, 40, dtype=torch.uint8),
+        depth_m=torch.full((30, 40), 2.0),
+        camera=CAMERA,
+        gain=1.0,
+        bias=0.0,
+        points=np.zeros((0, 3), np.float32),
+        class_ids=None if labels is None else torch.from_numpy(labels.astype(np.int16)),
+    )
+
+
+def test_gaussians_in_view_are_counted_by_class():
+    """Not those behind the surface (table), out of view (lamp), or without a label."""
+    wall, chair = grid((-0.5, 0.2), 2.0, 1), grid((0.2, 0.5), 2.0, 2)
+    hidden, aside = grid((-0.3, 0.3), 3.0, 3), grid((3.0, 3.5), 2.0, 4)
+    unlabelled = grid((0.5, 0.7), 2.0, 0)
+    counter = ObservedGaussians(semantics(NAMES), len(NAMES), backend())
+    counts = counter.counts(keyframe(), cloud_of(wall, chair, hidden, aside, unlabelled))
+    assert counts.tolist() == [len(wall[0]), len(chair[0]), 0, 0]
+
+
+def test_labelled_pixels_are_counted_without_the_map():
+    labels = np.zeros((30, 40), int)
+    labels[:10], labels[10:15] = 3, 1
+    counter = LabelledPixels(len(NAMES))
+    assert counter.counts(keyframe(labels), GaussianCloud.empty()).tolist() == [200, 0, 400, 0]
+    assert counter.counts(keyframe(), GaussianCloud.empty()).tolist() == [0] * 4
+
+
+@pytest.fixture(scope="module")
+def labelled_frame():
+    frames, _ = tiny_room(1, 64, 48)
+    return frames[0]
+
+
+@pytest.mark.parametrize("counted", ["pixels", "gaussians"])
+def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted):
+    reading = semantics(CLASS_NAMES)
+    taxonomy = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
+    mapper = Mapper(MapperOptions(first_iterations=1), semantics=reading)
+    atlas = Atlas(mapper)
+    mapper.add_keyframe(labelled_frame, np.eye(4))
+    settings = LoopClosureSettings(landmarks=LandmarkSettings(counted=counted))
+    closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
+    closer.observe(atlas)
+    counter = {
+        "pixels": LabelledPixels(len(taxonomy)),
+        "gaussians": ObservedGaussians(reading, len(taxonomy), backend()),
+    }[counted]
+    expected = counter.counts(mapper.keyframes[0], mapper.gaussians)
+    assert closer.state()[0]["detector/class_counts"].tolist() == [expected.tolist()]
+    others = LabelledPixels(len(taxonomy)).counts(mapper.keyframes[0], mapper.gaussians)
+    assert (expected.tolist() == others.tolist()) is (counted == "pixels")
