@@ -44,7 +44,7 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
 # One thread a worker: two workers share the machine, and pools would fight.
-test: ready
+test: ready .stamps/emulator
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
@@ -95,6 +95,13 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 		fi; \
 	fi
 	@touch $@
+
+# Tests run the native kernels on emulated CPUs; without the emulator they are skipped.
+.stamps/emulator: | .stamps
+	@if ! command -v qemu-x86_64-static >/dev/null; then \
+		( $(call apt,qemu-user-static,the emulator for tests of older CPUs is) ) || true; \
+	fi
+	@if command -v qemu-x86_64-static >/dev/null; then touch $@; fi
 
 clean:
 	rm -rf .stamps build *.egg-info toolkit/native/variants

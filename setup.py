@@ -98,6 +98,9 @@ class BuildNative(build_ext):
     def copy_extensions_to_source(self) -> None:
         os.makedirs(VARIANTS.replace(".", os.sep), exist_ok=True)
         super().copy_extensions_to_source()
+        # Variants that an earlier revision built here could still be imported by name.
+        for stale in Path("toolkit/rendering").glob("_native_*"):
+            stale.unlink()
 
     def build_extensions(self) -> None:
         super().build_extensions()
