@@ -274,7 +274,7 @@ def check_alignment(plan: Plan) -> bool:
     sums = alignment_numpy.accumulate(
         (model.texture.numpy(), model.surface.numpy()),
         (frame.intensity.numpy(), frame.depth_m.numpy()),
-        camera,
+        (camera, camera),
         pose,
         scalars,
     )

@@ -24,10 +24,11 @@ def path(count: int) -> NDArray[np.float64]:
 def box_frames(T_map_camera: NDArray[np.float64], width: int, height: int) -> list[Frame]:
     """What cameras [N, 4, 4] inside the box see."""
     camera = Camera(0.8 * width, 0.8 * width, width / 2 - 0.5, height / 2 - 0.5, width, height)
-    return [_frame(index, T, camera) for index, T in enumerate(T_map_camera)]
+    return [box_frame(index, T, camera) for index, T in enumerate(T_map_camera)]
 
 
-def _frame(index: int, T_map_camera: NDArray[np.float64], camera: Camera) -> Frame:
+def box_frame(index: int, T_map_camera: NDArray[np.float64], camera: Camera) -> Frame:
+    """What one camera [4, 4] inside the box sees."""
     rays = camera.rays() @ T_map_camera[:3, :3].T
     origin = T_map_camera[:3, 3]
     with np.errstate(divide="ignore"):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -72,6 +73,19 @@ def moved(submap: Submap, T_new_old: NDArray[np.float64]) -> Submap:
     keyframes = [replace(k, T_map_camera=T_new_old @ k.T_map_camera) for k in submap.keyframes]
     gaussians = submap.gaussians.transformed(T_new_old)
     return replace(submap, gaussians=gaussians, keyframes=keyframes)
+
+
+def seen_by(keyframe: Keyframe, camera: Camera) -> Keyframe:
+    """A keyframe as another camera at the same place sees it, its images resampled."""
+    own = keyframe.camera
+    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    u = ((x - camera.cx) / camera.fx * own.fx + own.cx).astype(np.float32)
+    v = ((y - camera.cy) / camera.fy * own.fy + own.cy).astype(np.float32)
+    rgb = keyframe.rgb.permute(1, 2, 0).contiguous().numpy().astype(np.float32) / 255.0
+    rgb = cv2.remap(rgb, u, v, cv2.INTER_LINEAR).clip(0.0, 1.0)
+    depth_m = cv2.remap(keyframe.depth_m.numpy(), u, v, cv2.INTER_NEAREST)
+    frame = Frame(keyframe.index, keyframe.timestamp_s, rgb, depth_m, camera)
+    return Keyframe.from_frame(frame, keyframe.T_map_camera, keyframe.gain, keyframe.bias)
 
 
 def thumbnail(keyframe: Keyframe) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from registered_room import Scene, error, motion
+from registered_room import Scene, error, motion, seen_by
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
@@ -18,6 +18,7 @@ from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.matching import (
     Matched,
     MatchingOptions,
+    match_features,
     measure_offset,
     rigid_fits,
 )
@@ -42,6 +43,36 @@ def test_an_offset_is_measured_to_a_fraction_of_a_millimetre(room: Scene, i, j):
     x = se3.log(se3.inverse(offset.T_first_second) @ true_offset(room, i, j))
     assert 0.01 < x @ offset.information @ x < 12.6  # chi-square of six: 95 % lie below
     assert np.linalg.eigvalsh(offset.information)[0] > 0
+
+
+@pytest.mark.parametrize("order", ["larger first", "larger second"])
+def test_offsets_between_two_cameras_are_unbiased(room: Scene, order):
+    """Half as large again, another focal length, another principal point."""
+    other = Camera(250.0, 262.0, 110.0, 98.0, 240, 180)
+    first, second = room.target.keyframes[1], room.source.keyframes[1]
+    if order == "larger first":
+        first = seen_by(first, other)
+    else:
+        second = seen_by(second, other)
+    offset = measure_offset(first, second)
+    assert offset is not None
+    mm, deg = error(offset.T_first_second, true_offset(room, 1, 1))
+    assert mm < 3.0
+    assert deg < 0.1
+
+
+def test_the_coarser_image_says_how_far_matches_may_be_off(room: Scene):
+    """A pixel of an image of a third of the size is three pixels of the larger one."""
+    keyframe = room.target.keyframes[1]
+    large = keyframe.camera.scaled(3.0, 3.0, 480, 360)
+    first, second = seen_by(keyframe, large), keyframe
+    matched = match_features(first, second, MatchingOptions())
+    assert matched is not None
+    assert matched.pixel == pytest.approx(3.0)
+    strict = MatchingOptions(tolerance_rad=0.0, tolerance_depth=1.0)
+    agree = matched.agree(np.eye(4)[None], strict)[0]
+    closer = replace(matched, pixel=1.0).agree(np.eye(4)[None], strict)[0]
+    assert agree.mean() > 0.9 > closer.mean()
 
 
 def test_poses_play_no_part(room: Scene):

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from registered_room import Scene, error, motion
+from registered_room import Scene, error, motion, seen_by
 
+from toolkit.geometry.camera import Camera
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.placement import KeyframePlacement, PlacementOptions
 
@@ -32,6 +33,21 @@ def test_a_keyframe_comes_to_its_place(room: Scene, seed):
     assert before > 9.0
     assert mm < 0.5
     assert deg < 0.02
+
+
+@pytest.mark.parametrize("newest", [False, True])
+def test_keyframes_of_two_cameras_are_compared(room: Scene, newest):
+    """The new keyframe, or those before it, are larger and of another focal length."""
+    camera = Camera(250.0, 262.0, 110.0, 98.0, 240, 180)
+    earlier, new = room.target.keyframes[:3], moved(keyframe(room, 3), 0)
+    if newest:
+        new = seen_by(new, camera)
+    else:
+        earlier = [seen_by(k, camera) for k in earlier]
+    placement = KeyframePlacement()
+    mm, deg = error(placement.place(earlier, new), keyframe(room, 3).T_map_camera)
+    assert mm < 1.0
+    assert deg < 0.04
 
 
 def test_exposure_of_the_two_may_differ(room: Scene):

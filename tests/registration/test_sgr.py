@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from registered_room import Scene, error, motion, moved
+from registered_room import Scene, error, motion, moved, seen_by
 
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.registration.fine import FineOptions
 from toolkit.registration.result import register_pair
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
@@ -37,6 +38,17 @@ def test_the_same_bits_again(room: Scene):
     a, b = (registrar.register(room.target, room.source) for _ in range(2))
     assert a.T_target_source.tobytes() == b.T_target_source.tobytes()
     assert a.information.tobytes() == b.information.tobytes()
+
+
+def test_submaps_of_two_cameras_find_each_other(room: Scene):
+    """The source's keyframes are larger, of another focal length and principal point."""
+    camera = Camera(250.0, 262.0, 110.0, 98.0, 240, 180)
+    source = replace(room.source, keyframes=[seen_by(k, camera) for k in room.source.keyframes])
+    result = SemanticGuidedRegistration().register(room.target, source)
+    mm, deg = error(result.T_target_source, room.T_target_source)
+    assert result.converged, result.reason
+    assert mm < 3.0
+    assert deg < 0.05
 
 
 def test_a_start_serves_where_no_view_is_alike(room: Scene):

@@ -7,17 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from painted_box import box_frames, path
+from painted_box import box_frame, box_frames, path
 from test_alignment import SCALES, assert_close, assert_same_sums, level_of
 from tracked_room import Room, angle_deg, distance_mm
 
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.native import kernels_for
 from toolkit.tracking import alignment_numpy, alignment_torch
 from toolkit.tracking.alignment import (
     START_SCALES,
     FrameLevel,
     ModelLevel,
+    finest_level,
     linearise,
     model_level,
     pyramid,
@@ -128,3 +130,30 @@ def test_torch_computes_what_numpy_does(room, size):
 
 def test_kernels_of_the_cpu_keep_away_from_other_devices():
     assert kernels_for(torch.empty(1, device="meta")) is None
+
+
+@pytest.mark.parametrize("widths", [(24, 32), (32, 24)])
+def test_cameras_of_model_and_frame_may_differ(aligner, widths):
+    """Sums and steps: with other focal lengths, and with either image the larger one."""
+    model_camera, frame_camera = (
+        Camera(0.8 * width, 0.7 * width, 0.52 * width, 0.3 * width, width, 3 * width // 4)
+        for width in widths
+    )
+    frame_camera = replace(frame_camera, fx=1.3 * frame_camera.fx, fy=1.2 * frame_camera.fy)
+    T = se3.exp(np.array([0.01, -0.008, 0.009, 0.004, -0.005, 0.006]))
+    cpu = torch.device("cpu")
+    views = pyramid(finest_level(box_frame(0, np.eye(4), model_camera), cpu), 2)
+    models = [model_level(level) for level in views]
+    frames = pyramid(finest_level(box_frame(1, T, frame_camera), cpu), 2)
+    models_there, frames_there = [model_there(m) for m in models], [there(f) for f in frames]
+    arguments = (se3.exp(np.full(6, 0.003)) @ T, SCALES, (1.1, -0.02), 0.05)
+    expected = linearise(models[0], frames[0], *arguments)
+    assert expected.depth_pixels > 100 and expected.intensity_pixels > 100
+    actual = aligner.linearised(models_there[0], frames_there[0], *arguments)
+    assert_same_sums(actual, expected, 2e-3)
+    rules = Rules(1, 0.05, 1.0, (1.0, 0.0), fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
+    start = Alignment(np.eye(4), START_SCALES, 1.0, 0.0)
+    found = aligner.align(models_there, frames_there, start, rules)
+    assert (
+        distance_mm(found.T_view_camera, align(models, frames, start, rules).T_view_camera) < 0.01
+    )

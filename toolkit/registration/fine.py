@@ -199,12 +199,12 @@ class FineRegistration:
     def _pairs(
         self, sources: list[_SourceView], targets: list[_TargetView], far: bool
     ) -> list[Pair]:
-        window = _NEAR_WINDOW_PIXELS
-        if far:
-            window = max(window, round(_FAR_WINDOW * sources[0].view.camera.width))
         pairs = []
         for seen, drawn in zip(sources, targets, strict=True):
             level = seen.view.level
+            window = _NEAR_WINDOW_PIXELS
+            if far:
+                window = max(window, round(_FAR_WINDOW * level.camera.width))
             if self.options.semantic_gate:
                 clash = classes_clash(seen.view.class_ids, drawn.view.class_ids, window)
                 if clash is not None:

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _NEAREST_M = 0.05
 # Dense alignment may correct features by this share of the image's width, but at least by so
-# many pixels; where it goes farther, one of the two is wrong.
+# many pixels of the coarser camera; where it goes farther, one of the two is wrong.
 _MOST_CORRECTION, _MOST_CORRECTION_PIXELS = 0.02, 3.0
 
 
@@ -36,7 +36,8 @@ class MatchingOptions:
         features: most SIFT features an image.
         ratio: a match must be nearer than this share of the second nearest.
         hypotheses: motions tried, each from three matches.
-        tolerance_rad: largest error of direction of a match, but at least 1.5 pixels.
+        tolerance_rad: largest error of direction of a match, but at least 1.5 pixels of the
+            coarser of the two cameras.
         tolerance_depth: largest error of depth, as a share of the depth.
         least_matches: fewest matches that must agree.
         largest_width: dense alignment halves images until they are no wider.
@@ -134,10 +135,10 @@ def _refined(
 
 
 def parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
-    """Whether dense alignment left the place where others had put a keyframe.
+    """Whether dense alignment moved a keyframe farther than features can be wrong.
 
     Args:
-        start, end: T_first_second [4, 4]. camera: the first one's.
+        start, end: T_first_second [4, 4]. camera: of the first keyframe.
     """
     points = second.points.astype(np.float64)
     if len(points) == 0:
@@ -147,8 +148,14 @@ def parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
     if not ahead.any():
         return True
     shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
-    most = max(_MOST_CORRECTION * camera.width, _MOST_CORRECTION_PIXELS)
+    pixels = _MOST_CORRECTION_PIXELS * _coarseness(camera, second.camera)
+    most = max(_MOST_CORRECTION * camera.width, pixels)
     return bool(np.median(shift) > most)
+
+
+def _coarseness(first: Camera, second: Camera) -> float:
+    """Size of the coarser camera's pixels in pixels of the first."""
+    return max(1.0, first.focal / second.focal)
 
 
 def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:
@@ -164,7 +171,9 @@ def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) 
     measured = (points_a[:, 2] > 0) & (points_b[:, 2] > 0)
     if not measured.any():
         return None
-    return Matched(points_a[measured], points_b[measured], pixels_a[measured], first.camera)
+    pixel = _coarseness(first.camera, second.camera)
+    points_a, points_b, pixels_a = points_a[measured], points_b[measured], pixels_a[measured]
+    return Matched(points_a, points_b, pixels_a, first.camera, pixel)
 
 
 def _by_features(
@@ -223,12 +232,19 @@ def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
 
 @dataclass(frozen=True)
 class Matched:
-    """n matched features: points [n, 3] in either camera, and the first one's pixels [n, 2]."""
+    """n matched features of two keyframes, whose cameras may differ.
+
+    Attributes:
+        first, second: points [n, 3] in the coordinates of either camera (m).
+        pixels: [n, 2] in the first image. camera: of the first image.
+        pixel: size of the coarser camera's pixels, in pixels of the first image.
+    """
 
     first: Array
     second: Array
     pixels: Array
     camera: Camera
+    pixel: float = 1.0
 
     def motion(
         self, options: MatchingOptions, generator: np.random.Generator
@@ -255,7 +271,7 @@ class Matched:
         depth = moved[..., 2]
         safe = np.where((depth > _NEAREST_M)[..., None], moved, [0.0, 0.0, 1.0])
         error = np.linalg.norm(self.camera.project(safe) - self.pixels, axis=-1)
-        tolerance = max(options.tolerance_rad * self.camera.focal, 1.5)
+        tolerance = max(options.tolerance_rad * self.camera.focal, 1.5 * self.pixel)
         near = np.abs(depth - self.first[:, 2]) < options.tolerance_depth * self.first[:, 2]
         return (depth > _NEAREST_M) & (error < tolerance) & near
 

@@ -26,11 +26,19 @@ _SUMS = 49  # doubles of the kernel's result
 
 @dataclass(frozen=True)
 class FrameLevel:
-    """One pyramid level of a frame: intensity [H, W] in [0, 1], depth [H, W] in metres."""
+    """One pyramid level of a frame: intensity [H, W] in [0, 1], depth [H, W] in metres.
+
+    Raises:
+        ValueError: an image does not have the camera's size.
+    """
 
     camera: Camera
     intensity: Tensor
     depth_m: Tensor
+
+    def __post_init__(self) -> None:
+        for name in ("intensity", "depth_m"):
+            _check_shape(name, getattr(self, name), (self.camera.height, self.camera.width))
 
 
 @dataclass(frozen=True)
@@ -40,11 +48,24 @@ class ModelLevel:
     Attributes:
         texture: [H, W, 4] intensity, its x and y derivatives, depth (m); 0 where unusable.
         surface: [H, W, 4] unit normal in the view's frame and plane offset; 0 where unusable.
+
+    Raises:
+        ValueError: an image does not have the camera's size.
     """
 
     camera: Camera
     texture: Tensor
     surface: Tensor
+
+    def __post_init__(self) -> None:
+        for name in ("texture", "surface"):
+            _check_shape(name, getattr(self, name), (self.camera.height, self.camera.width, 4))
+
+
+def _check_shape(name: str, image: Tensor, expected: tuple[int, ...]) -> None:
+    """Refuse an image that is not its camera's: kernels read it by the camera's size."""
+    if image.shape != expected:
+        raise ValueError(f"{name} must have shape {list(expected)}, got {list(image.shape)}")
 
 
 @dataclass(frozen=True)
@@ -219,7 +240,7 @@ def linearise(
     exposure: tuple[float, float],
     max_distance: float,
 ) -> Linearisation:
-    """Normal equations of frame against model at a pose.
+    """Normal equations of frame against model at a pose; their cameras may differ.
 
     Args:
         T_model_frame: [4, 4]; the perturbation multiplies from the left.
@@ -228,7 +249,7 @@ def linearise(
     """
     sigmas = scales.intensity, scales.depth_m
     scalars = (*exposure, *sigmas, max_distance, scales.photometric_weight)
-    camera = frame.camera
+    cameras = model.camera, frame.camera
     if frame.depth_m.is_cuda:
         from toolkit.tracking.cuda.aligner import linearised
 
@@ -238,15 +259,15 @@ def linearise(
         sums = alignment_numpy.accumulate(
             (model.texture.numpy(), model.surface.numpy()),
             (frame.intensity.numpy(), frame.depth_m.numpy()),
-            camera,
+            cameras,
             T_model_frame,
             scalars,
         )
     else:
         sums = np.empty(_SUMS)
         module.align_accumulate(
-            (camera.fx, camera.fy, camera.cx, camera.cy),
-            camera.size,
+            [(camera.fx, camera.fy, camera.cx, camera.cy) for camera in cameras],
+            [camera.size for camera in cameras],
             [address(t) for t in (model.texture, model.surface, frame.intensity, frame.depth_m)],
             np.asarray(T_model_frame[:3]).reshape(-1).tolist(),
             scalars,

@@ -85,22 +85,31 @@ def _same_surface(a: Image, z: Image, b: Image) -> NDArray[np.bool_]:
 def accumulate(
     model_images: tuple[Image, Image],
     frame_images: tuple[Image, Image],
-    camera: Camera,
+    cameras: tuple[Camera, Camera],
     T_model_frame: NDArray[np.float64],
     scalars: tuple[float, float, float, float, float, float],
 ) -> NDArray[np.float64]:
-    """The kernel's 49 sums; scalars are gain, bias, both scales, gate and weight."""
+    """The 49 sums of the native kernel.
+
+    Args:
+        model_images: texture and surface [H, W, 4]. frame_images: intensity and depth [H, W].
+        cameras: of the model view and of the frame.
+        T_model_frame: [4, 4].
+        scalars: gain, bias, intensity scale, depth scale, depth gate, photometric weight.
+    """
     texture, surface = model_images
     intensity, depth = frame_images
+    model_camera, frame_camera = cameras
     gain, bias, sigma_intensity, sigma_depth, gate, weight = scalars
     rows, columns = np.nonzero(depth > 0)
     z = depth[rows, columns].astype(np.float64)
     own = intensity[rows, columns].astype(np.float64)
-    Y = (camera.rays()[rows, columns] * z[:, None]) @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
+    X = frame_camera.rays()[rows, columns] * z[:, None]
+    Y = X @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
     ahead = Y[:, 2] > NEAR_M
-    uv = camera.project(np.where(ahead[:, None], Y, [0.0, 0.0, 1.0]))
+    uv = model_camera.project(np.where(ahead[:, None], Y, [0.0, 0.0, 1.0]))
     inside = ahead & (uv >= 0).all(axis=1)
-    inside &= (uv[:, 0] < camera.width - 1) & (uv[:, 1] < camera.height - 1)
+    inside &= (uv[:, 0] < model_camera.width - 1) & (uv[:, 1] < model_camera.height - 1)
     Y, uv, own = Y[inside], uv[inside], own[inside]
     nearest = (uv + 0.5).astype(int)
     plane = surface[nearest[:, 1], nearest[:, 0]].astype(np.float64)
@@ -119,8 +128,8 @@ def accumulate(
 
     value, usable = _bilinear(texture, surface[..., 3] != 0, uv[close])
     Y, own, value = Y[close][usable], own[close][usable], value[usable]
-    a = value[:, 1] * camera.fx / Y[:, 2]
-    b = value[:, 2] * camera.fy / Y[:, 2]
+    a = value[:, 1] * model_camera.fx / Y[:, 2]
+    b = value[:, 2] * model_camera.fy / Y[:, 2]
     slope = np.stack([a, b, -(a * Y[:, 0] + b * Y[:, 1]) / Y[:, 2]], axis=1)
     J = np.concatenate(
         [_jacobian(slope, Y)[:, :6], -own[:, None], -np.ones_like(own)[:, None]], axis=1

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
@@ -29,7 +30,7 @@ def frame_to_model(
 ) -> NDArray[np.float64] | None:
     """Pose of a frame against a drawn view, by depth alone.
 
-    The same bits each time: the bridge holds Open3D to one thread.
+    Reproducible: the bridge holds Open3D to one thread.
 
     Args:
         view, frame: one pyramid level of each, of the same camera.
@@ -40,7 +41,13 @@ def frame_to_model(
 
     Raises:
         DependencyError: Open3D cannot be loaded.
+        ToolkitError: the cameras differ; Open3D's odometry takes one.
     """
+    if view.camera != frame.camera:
+        raise ToolkitError(
+            "Open3D's odometry needs one camera for both images: draw the view with the frame's "
+            f"camera ({_described(frame.camera)}), not with {_described(view.camera)}"
+        )
     o3d = open3d()
     odometry = o3d.t.pipelines.odometry
     try:
@@ -64,6 +71,10 @@ def _depth_image(o3d: ModuleType, depth_m: NDArray[np.float32]) -> Any:
     """An RGB-D image of Open3D's; point to plane never reads its colour."""
     image = o3d.t.geometry.Image(o3d.core.Tensor.from_numpy(np.ascontiguousarray(depth_m)))
     return o3d.t.geometry.RGBDImage(image, image)
+
+
+def _described(camera: Camera) -> str:
+    return f"{camera.width}x{camera.height}, fx {camera.fx:g}, fy {camera.fy:g}"
 
 
 def _matrix(o3d: ModuleType, camera: Camera) -> Any:

@@ -151,11 +151,13 @@ def accumulate(
     surface,
     intensity,
     depth,
-    camera,
+    cameras,
     state,
     parts,
-    width,
-    height,
+    model_width,
+    model_height,
+    frame_width,
+    frame_height,
     gate,
     root_weight,
     chunks,
@@ -163,12 +165,15 @@ def accumulate(
 ):
     """One partial result [16, 16] a program, of every so many chunks of the frame's pixels.
 
-    `root_weight` is the root of the photometric term's weight.
+    `cameras` holds fx, fy, cx, cy of the model view and then of the frame; `root_weight` is the
+    square root of the photometric term's weight.
     """
     if tl.load(state + PHASE) > 0.5:
         return
-    fx, fy = tl.load(camera), tl.load(camera + 1)
-    cx, cy = tl.load(camera + 2), tl.load(camera + 3)
+    fx, fy = tl.load(cameras), tl.load(cameras + 1)
+    cx, cy = tl.load(cameras + 2), tl.load(cameras + 3)
+    frame_fx, frame_fy = tl.load(cameras + 4), tl.load(cameras + 5)
+    frame_cx, frame_cy = tl.load(cameras + 6), tl.load(cameras + 7)
     row_x, row_y, row_z = _row(state, 0), _row(state, 1), _row(state, 2)
     gain, bias = tl.load(state + GAIN).to(tl.float32), tl.load(state + BIAS).to(tl.float32)
     inverse_intensity = (1.0 / tl.load(state + SIGMA_INTENSITY)).to(tl.float32)
@@ -179,23 +184,23 @@ def accumulate(
     tail = tl.zeros([WIDE], dtype=tl.float32)
     for chunk in range(tl.program_id(0), chunks, tl.num_programs(0)):
         i = chunk * BLOCK + tl.arange(0, BLOCK)
-        measured = tl.load(depth + i, mask=i < width * height, other=0.0)
+        measured = tl.load(depth + i, mask=i < frame_width * frame_height, other=0.0)
         valid = measured > 0.0
         own = tl.load(intensity + i, mask=valid, other=0.0)
-        rx = ((i % width).to(tl.float32) - cx) / fx
-        ry = ((i // width).to(tl.float32) - cy) / fy
+        rx = ((i % frame_width).to(tl.float32) - frame_cx) / frame_fx
+        ry = ((i // frame_width).to(tl.float32) - frame_cy) / frame_fy
         x = _coordinate(row_x, measured, rx, ry)
         y = _coordinate(row_y, measured, rx, ry)
         z = _coordinate(row_z, measured, rx, ry)
         valid = valid & (z > NEAR_M)
         inverse_z = 1.0 / tl.where(valid, z, 1.0)
         u, v = fx * x * inverse_z + cx, fy * y * inverse_z + cy
-        valid = valid & (u >= 0.0) & (v >= 0.0) & (u < width - 1.0) & (v < height - 1.0)
+        valid = valid & (u >= 0.0) & (v >= 0.0) & (u < model_width - 1.0) & (v < model_height - 1.0)
         u, v = tl.where(valid, u, 0.0), tl.where(valid, v, 0.0)
         tail += tl.where(place == 4, tl.sum(valid.to(tl.float32), axis=0), 0.0)
 
         # Geometry: the plane of the nearest model pixel.
-        at = (v + 0.5).to(tl.int32) * width + (u + 0.5).to(tl.int32)
+        at = (v + 0.5).to(tl.int32) * model_width + (u + 0.5).to(tl.int32)
         seen = tl.load(texture + 4 * at + 3, mask=valid, other=0.0)
         close = valid & (seen > 0.0) & (tl.abs(seen - z) < gate * seen)
         J, flat, squares = _point_to_plane(
@@ -206,7 +211,7 @@ def accumulate(
         tail += _counted(place, 1, flat, squares)
 
         # Intensity, where all taps lie on one surface.
-        sampled = _interpolated(texture, surface, width, u, v, close)
+        sampled = _interpolated(texture, surface, model_width, u, v, close)
         exposure = (gain, bias, inverse_intensity)
         J, bright, squares = _photometric(
             columns, sampled, own, exposure, (x, y, z), (fx, fy), inverse_z, root_weight

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.rendering.cuda.backend import on
 from toolkit.tracking import exposure
 from toolkit.tracking.alignment import (
@@ -48,11 +47,11 @@ def align(
     with on(device):
         for level in range(len(models) - 1, -1, -1):
             state[_PHASE].mul_(state[_PHASE] > _SOLVABLE)
-            camera = _intrinsics(frames[level].camera, device)
+            images = models[level], frames[level]
+            cameras = _intrinsics(*images)
             gate = rules.max_distance * 2**level
             for _ in range(rules.iterations):
-                images = models[level], frames[level]
-                count = _accumulate(*images, camera, (state, parts), gate, weight)
+                count = _accumulate(*images, cameras, (state, parts), gate, weight)
                 _advance((parts, state, last), count, rules, level)
     return _read(state, last)
 
@@ -69,10 +68,10 @@ def linearised(
     device = frame.depth_m.device
     state = _state_of(Alignment(T_model_frame, scales, *gain_and_bias), device)
     parts = torch.empty(_PARTS, _PART, device=device)
-    camera = _intrinsics(frame.camera, device)
+    cameras = _intrinsics(model, frame)
     with on(device):
         weight = scales.photometric_weight
-        count = _accumulate(model, frame, camera, (state, parts), max_distance, weight)
+        count = _accumulate(model, frame, cameras, (state, parts), max_distance, weight)
     return _unpack(parts[:count].double().sum(0).view(_WIDE, _WIDE).cpu().numpy())
 
 
@@ -83,15 +82,16 @@ def _state_of(start: Alignment, device: torch.device) -> Tensor:
     return torch.from_numpy(numbers).to(device)
 
 
-def _intrinsics(camera: Camera, device: torch.device) -> Tensor:
-    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
-    return torch.tensor(numbers, dtype=torch.float32, device=device)
+def _intrinsics(model: ModelLevel, frame: FrameLevel) -> Tensor:
+    """Intrinsics [8] as the kernel reads them: of the model view, then of the frame."""
+    numbers = [n for c in (model.camera, frame.camera) for n in (c.fx, c.fy, c.cx, c.cy)]
+    return torch.tensor(numbers, dtype=torch.float32, device=frame.depth_m.device)
 
 
 def _accumulate(
     model: ModelLevel,
     frame: FrameLevel,
-    camera: Tensor,
+    cameras: Tensor,
     state_and_parts: tuple[Tensor, Tensor],
     gate: float,
     photometric_weight: float,
@@ -106,11 +106,11 @@ def _accumulate(
         model.surface,
         frame.intensity,
         frame.depth_m,
-        camera,
+        cameras,
         state,
         parts,
-        width,
-        height,
+        *model.camera.size,
+        *frame.camera.size,
         gate,
         float(np.sqrt(photometric_weight)),
         chunks,

@@ -127,13 +127,16 @@ void align_halve(const Size& size, Address intensity, Address depth, double edge
           at<float>(half_intensity), at<float>(half_depth));
 }
 
+// intrinsics, sizes: of the model view's camera, then of the frame's.
+// arrays: the model's texture and surface, the frame's intensity and depth.
 // scalars: gain, bias, sigma_intensity, sigma_depth, max_distance, photometric_weight. out: 49 doubles.
-void align_accumulate(const Intrinsics& intrinsics, const Size& size, const std::array<Address, 4>& arrays,
-                      const std::array<double, 12>& T_model_frame, const std::array<double, 6>& scalars,
-                      Address out) {
-    const Pinhole camera = pinhole(intrinsics, size);
-    const ModelLevel model = {camera, at<const float>(arrays[0]), at<const float>(arrays[1])};
-    const FrameLevel frame = {camera, at<const float>(arrays[2]), at<const float>(arrays[3])};
+void align_accumulate(const std::array<Intrinsics, 2>& intrinsics, const std::array<Size, 2>& sizes,
+                      const std::array<Address, 4>& arrays, const std::array<double, 12>& T_model_frame,
+                      const std::array<double, 6>& scalars, Address out) {
+    const ModelLevel model = {pinhole(intrinsics[0], sizes[0]), at<const float>(arrays[0]),
+                              at<const float>(arrays[1])};
+    const FrameLevel frame = {pinhole(intrinsics[1], sizes[1]), at<const float>(arrays[2]),
+                              at<const float>(arrays[3])};
     AlignmentSettings settings;
     std::copy(T_model_frame.begin(), T_model_frame.end(), settings.T_model_frame);
     settings.gain = scalars[0];
