@@ -159,7 +159,12 @@ def test_information_is_a_covariance_inverse(room, gaussians):
 
 
 def test_errors_are_as_large_as_the_information_says(room, gaussians):
-    """Noise on depth and colour moves the pose by about its standard deviation."""
+    """Noise on depth and colour moves the pose by about its standard deviation.
+
+    Squared errors in units of the stated covariance have mean 6 (six degrees of freedom) if pixels
+    are independent. Bilinear samples of neighbouring pixels are not: the mean here is 13.1. The
+    bounds are a factor of two either way, so an information matrix off by that factor fails.
+    """
     pose = room.T_map_camera[1]
     clean = ideal_frame(gaussians, room.frames[1], pose)
     generator = np.random.default_rng(0)
@@ -175,8 +180,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
         result = DenseTracker(centred=False).locate(noisy, gaussians, pose)
         error = se3.log(se3.inverse(pose) @ result.T_map_camera)
         squares.append(error @ result.information @ error)
-    # Six degrees of freedom: the mean is 6 where pixels are independent.
-    assert 1.0 < np.mean(squares) < 30.0
+    assert 6.6 < np.mean(squares) < 26.0
 
 
 def test_it_works_without_compiled_kernels(room, gaussians, monkeypatch):
