@@ -13,7 +13,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.relocalisation import LastSeen
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.result import TrackingResult, exposure_of
 
 Array = NDArray[np.float64]
 
@@ -50,10 +50,10 @@ class CameraPath:
         """Remember a frame of the active submap beside its newest keyframe.
 
         Args:
-            T_submap_camera: [4, 4]. tracking: None for a frame that was not tracked.
+            T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
         """
         last = atlas.mapper.keyframes[-1]
-        gain, bias = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
+        gain, bias = exposure_of(tracking)
         self._frames.append(
             _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, gain, bias)
         )

@@ -30,7 +30,7 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.health import shows_something
-from toolkit.tracking.result import Health, TrackingResult, not_tracked
+from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
@@ -44,7 +44,8 @@ class FrameResult:
         index: the frame's index in its sequence.
         T_map_camera: [4, 4] float64 pose in the frame of the active submap, or None if the
             frame is lost.
-        tracking: the tracker's full answer; None for the frame that started the map.
+        tracking: the tracker's result; None for the frame that started the map. It is lost for
+            a frame that nothing located and that started a submap of unknown position.
         mapping: what mapping did; None unless the frame became a keyframe.
         T_world_camera: the same pose in the world, as it is known by now: loops move it.
     """
@@ -84,7 +85,7 @@ class Slam:
         """
         self.tracker = tracker
         self.mapper = mapper
-        self.atlas = atlas or Atlas(mapper)
+        self.atlas = Atlas(mapper) if atlas is None else atlas
         self.fused: FusedMap | None = None
         self._labeller = labeller
         self._closer = closer
@@ -136,18 +137,16 @@ class Slam:
         if self._labels_first:
             frame = self._labelled(frame, None)
         if not self.atlas.begun:
-            tracking = self._recovered(
-                frame, not_tracked("it is not found in the saved map"), may_map
-            )
-            T_map_camera = None if tracking.lost else tracking.T_map_camera
+            lost = not_tracked("it is not found in the saved map")
+            T_map_camera, tracking = self._recovered(frame, lost, may_map)
         elif not self.mapper.keyframes:
             T_map_camera = self.tracker.first_pose(frame) if may_map else None
         else:
             with self._recorder.timed("tracking"):
                 tracking = self.tracker.track(frame, self.mapper.gaussians)
+            T_map_camera = tracking.T_map_camera
             if tracking.lost:
-                tracking = self._recovered(frame, tracking, may_map)
-            T_map_camera = None if tracking.lost else tracking.T_map_camera
+                T_map_camera, tracking = self._recovered(frame, tracking, may_map)
         if T_map_camera is None:
             self.lost_frames.append(frame.index)
             self._lost_in_a_row += shows_something(frame)
@@ -156,7 +155,7 @@ class Slam:
         self._lost_in_a_row = 0
         mapping = None
         if may_map and self.mapper.wants(frame, T_map_camera):
-            exposure = (tracking.gain, tracking.bias) if tracking else (1.0, 0.0)
+            exposure = exposure_of(tracking)
             if self._labeller is not None and not self._labels_first:
                 frame = self._labelled(frame, T_map_camera)
             T_map_camera = self._placed(frame, T_map_camera, exposure)
@@ -170,17 +169,24 @@ class Slam:
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
         return FrameResult(frame.index, T_map_camera, tracking, mapping, T_world_camera)
 
-    def _recovered(self, frame: Frame, lost: TrackingResult, may_map: bool) -> TrackingResult:
-        """Where a lost frame is after all, in the active submap; the lost answer if nowhere.
+    def _recovered(
+        self, frame: Frame, lost: TrackingResult, may_map: bool
+    ) -> tuple[NDArray[np.float64] | None, TrackingResult]:
+        """Relocalise a lost frame.
 
-        Found in the active submap, tracking goes on there. Found in another one, or nowhere for
-        too long, a new submap begins. Frames that show nothing do not count.
+        If it is found in the active submap, tracking continues there. If it is found in another
+        submap, or `patience` frames were lost in a row, a new submap starts at the frame. Frames
+        without depth are not counted.
+
+        Returns:
+            T_map_camera [4, 4] in the active submap, None if the frame stays lost; and the
+            result of relocalisation, or `lost` where nothing located the frame.
         """
         tracker = self.tracker
         if self._closer is None or not isinstance(tracker, LocatingTracker):
-            return lost
+            return None, lost
         if not shows_something(frame):
-            return lost
+            return None, lost
         relocaliser = self._closer.relocaliser
         at_an_end = self._lost_in_a_row >= relocaliser.options.patience
         with self._recorder.timed("relocalisation"):
@@ -189,18 +195,18 @@ class Slam:
         if found is not None and self.atlas.begun and found.submap == self.atlas.active:
             tracker.go_on_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("frame %d is found again in submap %d", frame.index, found.submap)
-            return found.result
+            return found.T_submap_camera, found.result
         if not may_map:
-            return lost
+            return None, lost
         if found is not None:
             self._begin_at(frame, found)
             tracker.go_on_from(frame.timestamp_s, np.eye(4))
-            return replace(found.result, T_map_camera=np.eye(4))
+            return np.eye(4), replace(found.result, T_map_camera=np.eye(4))
         if not at_an_end or tracker.first_pose(frame) is None:
-            return lost
+            return None, lost
         self._begin_at(frame, None)
         tracker.go_on_from(frame.timestamp_s, np.eye(4))
-        return replace(lost, T_map_camera=np.eye(4), health=Health.GOOD, reason="")
+        return np.eye(4), lost
 
     def _begin_at(self, frame: Frame, found: Found | None) -> None:
         """Begin a submap at a frame, joined to where it was found or to nothing yet."""

@@ -60,6 +60,12 @@ def test_what_does_not_differ_stays_together():
     assert len(ask(["xyzzy", "foo", "zap"], "function")) == 1
 
 
+def test_an_empty_vocabulary_is_not_replaced_by_the_built_in_one():
+    question = Question(("cup", "wardrobe"), "size")
+    assert len(RuleGrouper().group(question)) == 2
+    assert len(RuleGrouper(Vocabulary({})).group(question)) == 1
+
+
 def test_two_groups_of_one_name_are_kept_apart():
     tree = {kind: {"1 flat": f"{kind}one, {kind}two"} for kind in "abcdefghi"}
     tree["e"] = {"1 flat": ", ".join(f"e{n}" for n in "pqrstuvwxyz")}

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_room import FEW, blind_frames, fed, first_steps
+from slam_room import FEW, blind_frames, fed, fingerprint, first_steps
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.geometry import se3
@@ -16,6 +16,7 @@ from toolkit.settings.loop_closure import LoopClosureSettings
 from toolkit.slam import Slam
 from toolkit.submaps.allocation import Allocation, AllocationOptions
 from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.store import SubmapStore
 from toolkit.tracking.dense import DenseTracker
 
 
@@ -24,7 +25,7 @@ def room():
     return first_steps(14)
 
 
-def new_slam(patience=3, most_keyframes=150):
+def new_slam(patience=3, most_keyframes=150, folder=None):
     settings = LoopClosureSettings.model_validate(
         {
             "relocalisation": {"patience": patience},
@@ -33,7 +34,8 @@ def new_slam(patience=3, most_keyframes=150):
     )
     mapper = Mapper(FEW, np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
-    atlas = Atlas(mapper, Allocation(AllocationOptions(most_keyframes=most_keyframes), 0))
+    allocation = Allocation(AllocationOptions(most_keyframes=most_keyframes), 0)
+    atlas = Atlas(mapper, allocation, SubmapStore(folder))
     return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
 
 
@@ -66,9 +68,10 @@ def test_found_in_another_submap_a_new_one_begins_there(room):
     assert count > 1
     slam.tracker.go_on_from(9.0, se3.exp(np.array([3.0, 0, 0, 0, 2.0, 0])))
     result = slam.process_frame(later(room.frames[0], 100))
-    assert not result.lost
-    if len(slam.atlas) > count:
-        assert slam.mapper.keyframes[0].index == 100
+    assert len(slam.atlas) == count + 1
+    assert [k.index for k in slam.mapper.keyframes] == [100]
+    assert [(loop.first, loop.second) for loop in slam.loops] == [(0, count)]
+    assert not result.tracking.lost and np.array_equal(result.T_map_camera, np.eye(4))
     assert error_m(slam, room, 100) < 0.015
 
 
@@ -92,30 +95,34 @@ def test_darkness_ends_no_patience_and_widens_no_limit(room):
     assert not slam.process_frame(again).lost and len(slam.atlas) == 1
 
 
+def views_of_another_place(frames):
+    """Frames of the room upside down and two metres farther away, in other colours."""
+    return [
+        replace(f, rgb=np.ascontiguousarray(f.rgb[::-1, ::-1, ::-1]), depth_m=f.depth_m[::-1] + 2.0)
+        for f in (later(frame, 100) for frame in frames)
+    ]
+
+
 def test_where_nothing_is_found_a_new_submap_begins(room):
     slam = new_slam(patience=2)
     fed(slam, room.frames[:4])
-    elsewhere = [
-        replace(f, rgb=np.ascontiguousarray(f.rgb[::-1, ::-1, ::-1]), depth_m=f.depth_m[::-1] + 2.0)
-        for f in (later(frame, 100) for frame in room.frames[8:13])
-    ]
-    results = fed(slam, elsewhere)
-    assert results[0].lost, "it is not taken for the place that is known"
-    assert len(slam.atlas) == 2 and not results[-1].lost
-    assert slam.mapper.keyframes[0].index in slam.keyframe_indices
+    results = fed(slam, views_of_another_place(room.frames[8:13]))
+    assert [result.lost for result in results] == [True, True, False, False, False]
+    assert len(slam.atlas) == 2
+    assert slam.mapper.keyframes[0].index == results[2].index
+    assert results[2].tracking.lost and results[2].tracking.reason, "nothing located this frame"
+    assert slam.exposures[slam.tracked_indices.index(results[2].index)].tolist() == [1.0, 0.0]
 
 
-def test_a_lost_run_goes_on_from_a_checkpoint(room):
-    def ended(cut):
-        slam = new_slam(patience=2)
-        frames = [*room.frames[:5], *blind_frames(room.frames[5:7]), *room.frames[7:10]]
-        fed(slam, frames[:cut])
-        arrays, values = slam.state()
-        other = new_slam(patience=2)
-        other.restore(arrays, values)
-        fed(other, frames[cut:])
-        return other
-
-    a, b = ended(6), ended(8)
-    assert a.lost_frames == b.lost_frames
-    assert np.array_equal(a.trajectory.T_world_camera, b.trajectory.T_world_camera)
+@pytest.mark.parametrize("cut", [5, 6, 7])
+def test_a_run_resumed_while_lost_equals_an_uninterrupted_run(room, cut, tmp_path):
+    """Cut after one and two of the lost frames, and after the new submap has started."""
+    frames = [*room.frames[:4], *views_of_another_place(room.frames[8:13])]
+    whole, begun = new_slam(patience=2), new_slam(patience=2, folder=tmp_path)
+    fed(whole, frames)
+    fed(begun, frames[:cut])
+    resumed = new_slam(patience=2, folder=tmp_path)
+    resumed.restore(*begun.state())
+    fed(resumed, frames[cut:])
+    assert len(whole.atlas) == 2
+    assert fingerprint(resumed) == fingerprint(whole)

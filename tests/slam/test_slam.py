@@ -20,6 +20,7 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import render
 from toolkit.runs.folder import RunFolder
 from toolkit.slam import Slam
+from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 from toolkit.tracking.given import GivenPoses
@@ -114,6 +115,14 @@ class TestPath:
             errors[centred] = float(np.sqrt((away[:, :3, 3] ** 2).sum(axis=1).mean()))
         assert errors[True] < 1e-3
         assert errors[True] < 0.5 * errors[False]
+
+
+def test_an_empty_atlas_is_not_replaced():
+    mapper = Mapper(FEW)
+    atlas = Atlas(mapper)
+    atlas.begin_in([])
+    assert len(atlas) == 0
+    assert Slam(DenseTracker(), mapper, atlas=atlas).atlas is atlas
 
 
 def test_without_a_map_there_is_nothing_to_finish(room):

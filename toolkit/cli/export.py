@@ -73,7 +73,7 @@ def main(argv: Sequence[str]) -> int:
         raise FormatError(f"--to {options.to}: there is no folder {options.to.parent}; make it")
     part = _part(options)
     if kind == "splats":
-        columns = part.labels.columns() if part.labels else None
+        columns = None if part.labels is None else part.labels.columns()
         export_splats(options.to, part.gaussians, columns)
         what = f"{len(part.gaussians)} Gaussians"
     elif kind == "points":

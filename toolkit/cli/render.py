@@ -126,7 +126,7 @@ def main(argv: Sequence[str]) -> int:
     dataset = None
     if subject.run is not None and program.camera is None:
         dataset = _dataset(subject.run, program.image_size)
-    camera = dataset.camera if dataset else _camera(program, subject.run)
+    camera = dataset.camera if dataset is not None else _camera(program, subject.run)
     shots = _shots(program, subject, camera)[:: program.every]
     out = _prepared_folder(program)
 

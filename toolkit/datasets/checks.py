@@ -194,7 +194,7 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
         f"{dataset.name}: {len(dataset)} frames over {duration_s:.1f} s, "
         f"{camera.width}x{camera.height}, f {camera.fx:.1f} {camera.fy:.1f}, "
         f"c {camera.cx:.1f} {camera.cy:.1f}",
-        f"ground truth: {truth}" if truth else "ground truth: none",
+        f"ground truth: {truth}" if truth is not None else "ground truth: none",
     ]
     if findings.medians_m:
         lines.append(

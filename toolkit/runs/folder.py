@@ -289,7 +289,7 @@ class RunFolder:
 def _with_columns(
     gaussians: GaussianCloud, labels: SplatLabels | None, submap: int | None
 ) -> tuple[GaussianCloud, dict[str, NDArray]]:
-    columns = labels.columns() if labels else {}
+    columns = {} if labels is None else labels.columns()
     if submap is not None:
         columns["submap"] = np.full(len(gaussians), submap, np.int32)
     return gaussians, columns

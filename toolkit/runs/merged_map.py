@@ -39,7 +39,7 @@ class MergedMap:
 
     def columns(self) -> dict[str, NDArray]:
         """What lies beside the Gaussians in a file."""
-        columns = self.labels.columns() if self.labels else {}
+        columns = {} if self.labels is None else self.labels.columns()
         return columns | {"submap": self.submap.numpy()}
 
 

@@ -68,3 +68,8 @@ def not_tracked(reason: str) -> TrackingResult:
         health=Health.LOST,
         reason=reason,
     )
+
+
+def exposure_of(result: TrackingResult | None) -> tuple[float, float]:
+    """Gain and bias of a frame against the map; (1, 0) for a frame that was not located."""
+    return (1.0, 0.0) if result is None or result.lost else (result.gain, result.bias)

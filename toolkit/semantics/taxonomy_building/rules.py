@@ -24,7 +24,7 @@ class RuleGrouper:
     """Groups by a built-in vocabulary; the same items always give the same groups."""
 
     def __init__(self, vocabulary: Vocabulary | None = None) -> None:
-        self._vocabulary = vocabulary or built_in()
+        self._vocabulary = built_in() if vocabulary is None else vocabulary
         self._functions = {f: n for n, f in enumerate(self._vocabulary.functions)}
 
     def group(self, question: Question, complaint: str = "") -> Grouping:
