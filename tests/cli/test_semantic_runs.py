@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
@@ -92,6 +93,62 @@ def test_measuring_again_gives_the_same_labels(run, tmp_path):
     after = metrics_of(copy)
     for key in ("miou_percent", "miou_unseen_percent", "accuracy_percent", "ece_percent"):
         assert after[key] == pytest.approx(before[key], abs=0.02)
+
+
+def test_evaluate_computes_lpips_and_the_subset_miou_on_request(run, tmp_path, capsys):
+    copy = shutil.copytree(run, tmp_path / "copy")
+    before = metrics_of(copy)
+    assert before["lpips"] is None
+    assert before["miou_subset_percent"] is None
+    weights = tmp_path / "lpips.pth"
+    torch.save(random_lpips_weights(), weights)
+    words = ["evaluate", str(copy), "--subset", "--lpips-weights", str(weights)]
+    assert main([*words, "--max-views", "3"]) == 0
+    after = metrics_of(copy)
+    assert after["lpips"] > 0.0
+    assert after["lpips_unseen"] > 0.0
+    assert after["miou_subset_percent"] > 70.0
+    assert after["miou_subset_percent"] != after["miou_visible_percent"]
+    printed = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines())
+    assert printed["lpips"] == f"{after['lpips']:.3f}"
+    assert printed["miou_subset_percent"] == f"{after['miou_subset_percent']:.3f}"
+    # Measured again without them they are null, and not those of the other views.
+    assert main(["evaluate", str(copy)]) == 0
+    assert metrics_of(copy)["lpips"] is metrics_of(copy)["miou_subset_percent"] is None
+
+
+def test_run_computes_lpips_and_refuses_bad_weights_at_once(labelled_recording, tmp_path, capsys):
+    weights = tmp_path / "lpips.pth"
+    torch.save(random_lpips_weights(), weights)
+    words = ["--evaluation.lpips-weights", str(weights), "--evaluation.subset"]
+    out = tmp_path / "run"
+    assert main(arguments(labelled_recording, out, *words, "--max-frames", "2")) == 0
+    first = metrics_of(out)
+    assert first["lpips"] > 0.0
+    assert first["miou_subset_percent"] > 0.0
+    # Evaluated again with the same weights by default, or without them where they are gone.
+    assert main(["evaluate", str(out)]) == 0
+    assert metrics_of(out)["lpips"] == pytest.approx(first["lpips"], rel=0.01)
+    weights.unlink()
+    assert main(["evaluate", str(out)]) == 0
+    assert metrics_of(out)["lpips"] is None
+    capsys.readouterr()
+    line = one_line_of_error(capsys, *arguments(labelled_recording, tmp_path / "other", *words))
+    assert str(weights) in line
+    assert not (tmp_path / "other").exists()
+
+
+def random_lpips_weights() -> dict[str, torch.Tensor]:
+    """Every parameter of LPIPS, as one file may hold them."""
+    generator = torch.Generator().manual_seed(0)
+    shapes = {0: (64, 3, 11, 11), 3: (192, 64, 5, 5), 6: (384, 192, 3, 3)}
+    shapes |= {8: (256, 384, 3, 3), 10: (256, 256, 3, 3)}
+    weights = {}
+    for level, (index, shape) in enumerate(shapes.items()):
+        weights[f"features.{index}.weight"] = torch.randn(shape, generator=generator) * 0.02
+        weights[f"features.{index}.bias"] = torch.zeros(shape[0])
+        weights[f"lin{level}.model.1.weight"] = torch.rand(1, shape[0], 1, 1, generator=generator)
+    return weights
 
 
 def test_labels_are_rendered_at_every_level(run, tmp_path):

@@ -63,6 +63,19 @@ def test_a_map_shows_what_it_was_told(room, code):
     assert accuracy(mapper, room, 6) > 0.93  # never mapped
 
 
+def test_a_view_can_be_decoded_among_some_classes_alone(room):
+    mapper = fed(mapper_with(), room, [0, 4])
+    frame, T_camera_map = room.frames[4], se3.inverse(room.T_map_camera[4])
+    options = DrawOptions(features=True)
+    view = draw_surface(backend(), mapper.gaussians, frame.camera, T_camera_map, options)
+    usual = mapper.semantics.decode_view(view).class_ids
+    kept = np.unique(usual[usual > 0])[::2]
+    chosen = mapper.semantics.decode_view(view, among=kept).class_ids
+    assert set(np.unique(chosen[usual > 0])) == set(kept)
+    np.testing.assert_array_equal(chosen[np.isin(usual, kept)], usual[np.isin(usual, kept)])
+    assert not chosen[usual == 0].any()
+
+
 def test_wrong_labels_are_voted_out(room):
     """One keyframe in five calls the floor a sofa, from the first on."""
     sofa, floor = (CLASS_NAMES.index(n) + 1 for n in ("sofa", "floor"))

@@ -14,6 +14,7 @@ from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
 from toolkit.gaussians.scene import WholeScene
 from toolkit.runs.finished import FinishedRun, measured, open_finished_run, reading_of
+from toolkit.settings.run import RunSettings
 
 _log = logging.getLogger(__name__)
 
@@ -25,11 +26,15 @@ _SHOWN = (
     "psnr_unseen_refined_db",
     "ssim",
     "ms_ssim",
+    "lpips",
     "depth_l1_cm",
     "frames",
     "frames_lost",
     "gaussians",
 )
+
+
+_SHOWN_SUBSET = ("miou_percent", "miou_subset_percent", "miou_subset_unseen_percent")
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,15 @@ class EvaluateOptions:
     """The run folder."""
     dataset: DatasetPlace = DatasetPlace()
     max_views: int = 100
-    """Most views scored of each group (mapped, held out, unseen), evenly spaced."""
+    """Maximum number of views evaluated in each group (mapped, held out, unseen), evenly
+    spaced."""
+    lpips_weights: tuple[Path, ...] = ()
+    """Files with the weights of LPIPS: torchvision's AlexNet (alexnet-owt-7be5be79.pth) and the
+    linear weights of the lpips package (alex.pth), or one file (.pth, .safetensors) with both.
+    Default: those that the run was given."""
+    subset: bool = False
+    """Compute the papers' subset mIoU as well: each view is decoded among the classes of its
+    true labels alone."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -58,8 +71,8 @@ def main(argv: Sequence[str]) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run, its data set cannot be read, or a value is
-            out of range.
+        ToolkitError: there is no finished run, its data set or the weights of LPIPS cannot be
+            read, or a value is out of range.
     """
     options = parse_arguments(EvaluateOptions, argv, "evaluate")
     if options.max_views < 1:
@@ -67,17 +80,34 @@ def main(argv: Sequence[str]) -> int:
     run = open_finished_run(options.run)
     path = options.dataset.path or run.dataset_path
     dataset = run.open_dataset(path)
-    reading = reading_of(run.semantics, run.taxonomy, dataset)
-    place = run.settings.dataset.model_copy(update={"path": path})
-    settings = run.settings.model_copy(update={"dataset": place})
+    settings = _settings(run, options, path)
+    subset = settings.evaluation.subset
+    reading = reading_of(run.semantics, run.taxonomy, dataset, subset)
     scene = WholeScene(run.gaussians)
     figures = measured(scene, run.tracked, dataset, settings, reading, options.max_views)
     metrics = _earlier_metrics(run) | figures | _counts(run)
     write_metrics(run.folder.metrics, metrics)
-    for key in _SHOWN:
-        print(f"{key:<24}{_shown(metrics[key])}")
+    for key in _SHOWN + _SHOWN_SUBSET * subset:
+        print(f"{key:<28}{_shown(metrics.get(key))}")
     print(f"wrote {run.folder.metrics}")
     return 0
+
+
+def _settings(run: FinishedRun, options: EvaluateOptions, path: Path | None) -> RunSettings:
+    """The settings of the run with what the command line asks for."""
+    weights = options.lpips_weights or run.settings.evaluation.lpips_weights
+    missing = [str(file) for file in weights if not file.is_file()]
+    if missing and not options.lpips_weights:
+        _log.warning("LPIPS is not computed: %s does not exist any more", missing[0])
+        weights = ()
+    evaluation = run.settings.evaluation
+    asked = {"lpips_weights": weights, "subset": options.subset or evaluation.subset}
+    return run.settings.model_copy(
+        update={
+            "dataset": run.settings.dataset.model_copy(update={"path": path}),
+            "evaluation": evaluation.model_copy(update=asked),
+        }
+    )
 
 
 def _counts(run: FinishedRun) -> Metrics:

@@ -1,21 +1,17 @@
-"""How close a rendered image is to the photograph: PSNR, SSIM, MS-SSIM, LPIPS.
+"""Image quality of a rendered view: PSNR, SSIM and MS-SSIM (LPIPS is in `lpips.py`).
 
-PSNR here is over all pixels of one view; the mean over views is a mean of decibels.
-SSIM (Wang et al. 2004) and MS-SSIM (Wang et al. 2003) are different numbers:
-SplaTAM and Hier-SLAM print the second under the name of the first.
+PSNR is over all pixels of one view; the mean over views is a mean of decibels.
+SSIM (Wang et al. 2004) and MS-SSIM (Wang et al. 2003) are different metrics:
+SplaTAM and Hier-SLAM report the second under the name of the first.
 """
 
 from __future__ import annotations
 
-import functools
-import importlib
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -105,32 +101,10 @@ def ms_ssim(rendered: Image, truth: Image) -> float | None:
     return product
 
 
-def lpips(rendered: Image, truth: Image) -> float | None:
-    """Learned perceptual distance (AlexNet), or None where package or weights are absent."""
-    network = _lpips_network()
-    if network is None:
-        return None
-    a, b = (
-        torch.from_numpy(2.0 * image - 1.0).float().permute(2, 0, 1)[None]
-        for image in _as_pair(rendered, truth)
-    )
-    with torch.no_grad():
-        return float(network(a, b))
-
-
 def mean_or_none(values: Sequence[float | None]) -> float | None:
     """The mean of the values that exist, None if none does."""
     present = [value for value in values if value is not None]
     return float(np.mean(present)) if present else None
-
-
-@functools.cache
-def _lpips_network() -> Any | None:
-    try:
-        package = importlib.import_module("lpips")
-        return package.LPIPS(net="alex", verbose=False).eval()
-    except (ImportError, OSError, RuntimeError):  # not installed, or no weights and no network
-        return None
 
 
 def _as_pair(rendered: Image, truth: Image) -> tuple[Array, Array]:

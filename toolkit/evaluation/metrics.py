@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.evaluation.depth import depth_l1
-from toolkit.evaluation.images import lpips, mean_or_none, ms_ssim, psnr_db, ssim
+from toolkit.evaluation.images import mean_or_none, ms_ssim, psnr_db, ssim
+from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
     AlignmentKind,
@@ -36,6 +37,8 @@ IMAGE_CONVENTIONS: Metrics = {
     "psnr_convention": "mean of per-view dB over all pixels, at most 100 dB a view",
     "ssim_convention": "11x11 Gaussian window of sigma 1.5, data range 1, mirrored border",
     "ms_ssim_convention": "5 scales; null where the shorter side is below 176 pixels",
+    "lpips_convention": "AlexNet, version 0.1; null without --lpips-weights, and for images below "
+    "31 pixels a side",
     "depth_l1_convention": "mean over views of the mean over pixels with measured and rendered "
     "depth",
 }
@@ -92,6 +95,7 @@ def view_quality(
     frame_index: int,
     rendered: tuple[NDArray[np.float32], NDArray[np.float32]],
     measured: tuple[NDArray[np.float32], NDArray[np.float32]],
+    lpips: Lpips | None = None,
 ) -> ViewQuality:
     """Score one view.
 
@@ -100,6 +104,7 @@ def view_quality(
         rendered: colour [H, W, 3] in [0, 1] and z-depth [H, W] of the surface in
             metres, 0 where nothing solid was rendered.
         measured: the frame's colour and depth, depth 0 where missing.
+        lpips: the network of LPIPS, or None where its weights are not available.
 
     Raises:
         ValueError: shapes differ.
@@ -112,7 +117,7 @@ def view_quality(
         psnr_db=psnr_db(rgb, true_rgb),
         ssim=ssim(rgb, true_rgb),
         ms_ssim=ms_ssim(rgb, true_rgb),
-        lpips=lpips(rgb, true_rgb),
+        lpips=None if lpips is None else lpips(rgb, true_rgb),
         depth_l1_m=depth.l1_m,
         depth_coverage=depth.coverage,
     )

@@ -19,6 +19,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import ToolkitError
+from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import (
     IMAGE_CONVENTIONS,
     Metrics,
@@ -84,6 +85,7 @@ class MeasureOptions:
         max_views: most views scored of each group (mapped, held out, unseen), evenly spaced.
         semantics: how the map's features are read, None for a map without any.
         mesh: file of the true surface in the world of the truth, or None.
+        lpips: the network of LPIPS, or None where its weights are not available.
     """
 
     backend_name: str = "auto"
@@ -91,6 +93,7 @@ class MeasureOptions:
     max_views: int = 100
     semantics: SemanticReading | None = None
     mesh: Path | None = None
+    lpips: Lpips | None = None
 
 
 def measure_run(
@@ -131,16 +134,16 @@ def measure_run(
         SemanticScores(options.semantics, suffix) for suffix in ("", "_unseen", "_unseen_refined")
     ]
     mapped_quality = [
-        _quality(scene, view, options.backend_name, scores[0])
+        _quality(scene, view, options, scores[0])
         for view in _tracked_views(mapped, dataset, options.max_views)
     ]
     unseen_quality, refined_quality = [], []
     T_map_world = _map_from_world(estimate, truth, options.alignment)
     tracker = DenseTracker(backend_name=options.backend_name, centred=False)
     for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
-        unseen_quality.append(_quality(scene, view, options.backend_name, scores[1]))
+        unseen_quality.append(_quality(scene, view, options, scores[1]))
         refined = _refined(view, scene, tracker)
-        refined_quality.append(_quality(scene, refined, options.backend_name, scores[2]))
+        refined_quality.append(_quality(scene, refined, options, scores[2]))
 
     return {
         **trajectory_metrics(estimate, truth, options.alignment),
@@ -248,12 +251,13 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
 
 
 def _quality(
-    scene: GaussianScene, view: View, backend_name: str, scores: SemanticScores
+    scene: GaussianScene, view: View, options: MeasureOptions, scores: SemanticScores
 ) -> ViewQuality:
     camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
     gaussians = scene.seen_from(camera, view.T_map_camera)
-    options = DrawOptions(_LEAST_SILHOUETTE, features=scores.wanted)
-    drawn = draw_surface(backend(backend_name), gaussians, camera, T_camera_map, options)
+    drawing = DrawOptions(_LEAST_SILHOUETTE, features=scores.wanted)
+    renderer = backend(options.backend_name)
+    drawn = draw_surface(renderer, gaussians, camera, T_camera_map, drawing)
     scores.add(view.frame, drawn)
     # Back to the camera's own exposure, so that the observed image stays as it is.
     colour = (drawn.output.colour.numpy() - view.bias) / view.gain
@@ -261,4 +265,5 @@ def _quality(
         view.frame.index,
         (colour.clip(0.0, 1.0).astype(np.float32), drawn.depth_m.numpy()),
         (view.frame.rgb, view.frame.depth_m),
+        options.lpips,
     )

@@ -39,8 +39,8 @@ _CONVENTIONS: Metrics = {
     ),
     "miou_subset_convention": (
         "Hier-SLAM++'s 'subset': the same, with predictions decoded among the classes of the "
-        "view's truth alone, which a system without the truth cannot do; null where that was "
-        "not decoded"
+        "view's truth alone, which is impossible without the truth; null unless evaluated with "
+        "--subset"
     ),
     "fwiou_convention": "IoU weighted by each class's share of the true pixels",
 }
@@ -74,7 +74,7 @@ class ViewScore:
     Attributes:
         miou: at each level, without void.
         visible: over the classes in the view's truth.
-        subset: the same of predictions among these classes alone, where they were given.
+        subset: the same for predictions decoded among these classes alone; None unless given.
     """
 
     miou: tuple[float | None, ...]

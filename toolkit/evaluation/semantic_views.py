@@ -14,6 +14,7 @@ from toolkit.evaluation.segmentation import (
     Segmentation,
     segmentation_conventions,
     segmentation_metrics,
+    visible_classes,
 )
 from toolkit.frame import Frame
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -29,11 +30,14 @@ class SemanticReading:
         semantics: decodes views of the map.
         taxonomy: the map's classes.
         truth_names: class names by id of the data set's labels, without void.
+        subset: decode each view a second time among the classes of its true labels alone, for
+            the papers' subset mIoU.
     """
 
     semantics: SemanticMapping
     taxonomy: Taxonomy
     truth_names: Mapping[int, str]
+    subset: bool = False
 
     @property
     def comparable(self) -> bool:
@@ -72,7 +76,7 @@ class SemanticScores:
         truth = self._truth(frame.labels)
         decoding = self._reading.semantics.decode_view(drawn)
         nodes = decoding.nodes.T.reshape(-1, *truth.shape)
-        self._segmentation.add(truth, nodes)
+        self._segmentation.add(truth, nodes, self._subset(truth, drawn))
         predicted = decoding.class_ids.reshape(truth.shape)
         self.calibration.add(truth, predicted, decoding.confidence.reshape(truth.shape))
 
@@ -85,6 +89,14 @@ class SemanticScores:
             **calibration_metrics(self.calibration, self._suffix),
             **segmentation_conventions(self._reading.taxonomy),
         }
+
+    def _subset(self, truth: NDArray[np.int32], drawn: SurfaceView) -> NDArray[np.int32] | None:
+        """Class ids [H, W] decoded among the classes of the true labels, if asked for."""
+        assert self._reading is not None
+        visible = visible_classes(truth)
+        if not self._reading.subset or not len(visible):
+            return None
+        return self._reading.semantics.decode_view(drawn, visible).class_ids.reshape(truth.shape)
 
     def _truth(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """Class ids of the map's tree; ids without a name are void."""

@@ -118,14 +118,18 @@ class SemanticMapping:
             by_images[4] += result.silhouette
         return result.value, by_images, result.silhouette is None
 
-    def decode_view(self, view: SurfaceView) -> Decoding:
-        """What each pixel of a view [H * W] shows."""
+    def decode_view(self, view: SurfaceView, among: NDArray[np.integer] | None = None) -> Decoding:
+        """Decode each pixel of a view [H * W].
+
+        Args:
+            among: class ids to choose from; all classes that the map observed by default.
+        """
         silhouette = view.output.silhouette.reshape(-1)
         seen = silhouette >= _LEAST_SILHOUETTE
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
         values = view.features.reshape(self.channels, -1) / safe
         assert self._loss is not None
-        return self._decode(values, seen & self._loss.code.told(values))
+        return self._decode(values, seen & self._loss.code.told(values), among)
 
     def probabilities(self, view: SurfaceView) -> tuple[NDArray[np.int64], Tensor]:
         """Classes told of, ascending [K], and the probability of each at each pixel [K, H * W]."""
@@ -141,17 +145,30 @@ class SemanticMapping:
         values = features.T.contiguous()
         return self._decode(values, self._loss.code.told(values))
 
-    def _decode(self, values: Tensor, seen: Tensor) -> Decoding:
+    def _decode(
+        self, values: Tensor, seen: Tensor, among: NDArray[np.integer] | None = None
+    ) -> Decoding:
         assert self._loss is not None, "a map without semantics has nothing to decode"
         network = self._loss.network
         by_network = self._by_network and network is not None
         logits = network.logits if by_network and network else self._loss.code.logits
 
-        def among_told(values: Tensor) -> Tensor:
-            return logits(values).masked_fill(~self._told.to(values.device)[:, None], -torch.inf)
+        candidates = self._candidates(among)
 
-        chosen = among_told if self._told.any() else logits
+        def masked_logits(values: Tensor) -> Tensor:
+            return logits(values).masked_fill(~candidates.to(values.device)[:, None], -torch.inf)
+
+        chosen = masked_logits if candidates.any() else logits
         return decode(values, chosen, self._loss.code.taxonomy, seen)
+
+    def _candidates(self, among: NDArray[np.integer] | None) -> Tensor:
+        """Mask [C] of the classes to choose from: observed ones, of these those in `among`."""
+        if among is None:
+            return self._told
+        asked = torch.zeros_like(self._told)
+        asked[torch.from_numpy(among.astype(np.int64)) - 1] = True
+        observed = asked & self._told
+        return observed if observed.any() else asked
 
     def state(self) -> dict[str, NDArray]:
         """Arrays that `restore` takes."""

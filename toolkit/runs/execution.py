@@ -15,6 +15,7 @@ from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.runs.building import build_slam
+from toolkit.runs.finished import lpips_of
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.results import held_out, write_results
 from toolkit.runs.saved_map import begin_in_map, open_saved_map
@@ -51,6 +52,7 @@ def execute(
     settings = _with_path(settings, path)
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
     config = dump(settings)
+    lpips_of(settings)  # reports unusable weights before the run instead of after it
     # Before the folder is created: the saved map may be unsuitable.
     begun = resume and RunFolder(out).has_checkpoint
     saved = None if begun else open_saved_map(settings, dataset)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, RunFolderError
+from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.evaluation.semantic_views import SemanticReading
@@ -128,13 +129,17 @@ def open_finished_run(path: Path) -> FinishedRun:
 
 
 def reading_of(
-    semantics: SemanticMapping, taxonomy: Taxonomy | None, dataset: Dataset
+    semantics: SemanticMapping, taxonomy: Taxonomy | None, dataset: Dataset, subset: bool = False
 ) -> SemanticReading | None:
-    """How a map is scored against the data set's labels; None where there is nothing to score."""
+    """How a map is scored against the data set's labels; None where there is nothing to score.
+
+    Args:
+        subset: measure the papers' subset mIoU as well.
+    """
     names = dataset.label_names
     if taxonomy is None or not names:
         return None
-    return SemanticReading(semantics, taxonomy, names)
+    return SemanticReading(semantics, taxonomy, names, subset)
 
 
 def measured(
@@ -155,14 +160,29 @@ def measured(
 
     Raises:
         DatasetError: a frame cannot be read, or truth and estimate share no time.
+        FormatError: the weights of LPIPS cannot be read.
     """
     path = settings.dataset.path
     unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
     mesh = path / "mesh.ply" if path and settings.dataset.kind == "synthetic" else None
     if mesh is not None and not mesh.is_file():
         mesh = None
-    options = MeasureOptions(settings.backend, alignment_of(settings), max_views, reading, mesh)
+    lpips = lpips_of(settings)
+    options = MeasureOptions(
+        settings.backend, alignment_of(settings), max_views, reading, mesh, lpips
+    )
     return measure_run(scene, tracked, dataset, unseen, options)
+
+
+def lpips_of(settings: RunSettings) -> Lpips | None:
+    """The network of LPIPS, or None where no weights are given.
+
+    Raises:
+        DependencyError: a .safetensors file is given and safetensors is missing.
+        FormatError: the weights cannot be read or are not those of LPIPS.
+    """
+    weights = settings.evaluation.lpips_weights
+    return Lpips.load(weights) if weights else None
 
 
 def alignment_of(settings: RunSettings) -> Literal["none", "se3"]:

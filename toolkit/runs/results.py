@@ -77,7 +77,7 @@ def write_results(
     # Before evaluation, which has memory needs of its own.
     costs = _costs(slam, scene, dataset, watch)
     _log.info("measuring the run")
-    reading = reading_of(semantics, slam.taxonomy, dataset)
+    reading = reading_of(semantics, slam.taxonomy, dataset, settings.evaluation.subset)
     metrics = cost_metrics(costs) | measured(scene, tracked, dataset, settings, reading)
     metrics |= _loop_metrics(dataset, folder, settings)
     write_metrics(folder.metrics, metrics)

@@ -32,6 +32,21 @@ class CheckpointSettings(Settings):
     every_keyframes: int = Field(50, ge=1, description="at least so often, keyframes")
 
 
+class EvaluationSettings(Settings):
+    """Which additional metrics are computed at the end of a run."""
+
+    lpips_weights: tuple[Path, ...] = Field(
+        (),
+        description="files with the weights of LPIPS: torchvision's AlexNet and the linear "
+        "weights of the lpips package; without them LPIPS is not computed",
+    )
+    subset: bool = Field(
+        False,
+        description="compute the papers' subset mIoU, for which each view is decoded among the "
+        "classes of its true labels alone",
+    )
+
+
 class RunSettings(Settings):
     """Everything that decides the outcome of a run."""
 
@@ -57,3 +72,4 @@ class RunSettings(Settings):
     submaps: SubmapSettings = SubmapSettings()
     loops: LoopClosureSettings = LoopClosureSettings()
     checkpoint: CheckpointSettings = CheckpointSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
