@@ -4,9 +4,9 @@
     SEMSPLAT_DATA=DATA python -m benchmarks.result_hashes --ring RING --compare before.json
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 450 --sensor-noise
---image-size 160 120`. Four sequences are run as processes of two threads each: RedKitchen,
-fr1_rpy, office0 and the ring. Rounding differs between processors and instruction sets, so
-hashes are compared on one machine only.
+--image-size 160 120`. Each of the sequences (RedKitchen, fr1_rpy, office0 and the ring) runs in
+a process of its own with two threads, or with OMP_NUM_THREADS. Rounding differs between processors
+and instruction sets, so hashes are compared on one machine only.
 
 Hashed are `trajectory.txt`, `map.ply`, `loops.jsonl` and the values of `metrics.json` other than
 times and memory. With `--compare`, metrics that only one side has are listed but do not count.
@@ -92,7 +92,7 @@ def _results(arguments: list[str]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out), *arguments]
-        environment = {**os.environ, "OMP_NUM_THREADS": "2"}
+        environment = {**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2")}
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL, env=environment)
         results: dict[str, Any] = {file: _hash(out / file) for file in FILES}
         metrics = json.loads((out / "metrics.json").read_text())
