@@ -30,7 +30,7 @@ from benchmarks.machine import describe_machine
 from toolkit.evaluation.segmentation import class_iou, confusion
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
-from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
@@ -103,7 +103,7 @@ def measured(path: Path, ours: Taxonomy, folder: Path, seeds: int) -> list[list[
         out = folder / f"run_{tree.stem}_{seed}"
         given = ["--poses", "given", "--hold-out", "5", "--seed", str(seed)]
         semsplat("run", *office(), *given, "--semantics.taxonomy", str(tree), "--out", str(out))
-        rows.append(figures_of(open_finished_run(out), ours))
+        rows.append(figures_of(load_run(out), ours))
     return rows
 
 

@@ -57,7 +57,7 @@ def walked(
     watch, frames_ms = StageRecorder(), []
     with tempfile.TemporaryDirectory() as made:
         folder = RunFolder.create(Path(made) / "run", dump(settings))
-        slam = build_slam(settings, dataset, watch, folder)
+        slam = build_slam(dataset, settings, folder, watch)
         if prepare is not None:
             prepare(slam)
         for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):

@@ -9,6 +9,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 import torch
+from tiny_recording import write_tiny_recording
 
 # Triton asks once, at its import, whether to run kernels in Python: they are tested so where
 # there is no GPU to compile them for.
@@ -53,3 +54,20 @@ def tiny_dinov2(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     transformers.Dinov2Model(config).save_pretrained(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of kind `folder`: six frames of 64x48 pixels with labels and poses. Read only."""
+    return write_tiny_recording(tmp_path_factory.mktemp("tiny") / "recording")
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tiny_recording: Path) -> Path:
+    """The folder of a finished run over `tiny_recording`. Read only: copy it to change it."""
+    from toolkit.cli.main import main
+
+    out = tiny_recording.with_name("run")
+    words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording)]
+    assert main(["run", *words, "--out", str(out)]) == 0
+    return out

@@ -1,3 +1,59 @@
-"""semsplat: semantic 3D Gaussian Splatting SLAM."""
+"""semsplat: semantic 3D Gaussian Splatting SLAM.
+
+The public names below are imported on first use, so that `import toolkit` takes no time and
+loads neither torch nor Open3D.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Camera",
+    "Frame",
+    "RunSettings",
+    "build_slam",
+    "evaluate",
+    "load_run",
+    "open_dataset",
+    "render",
+    "run",
+]
+
+if TYPE_CHECKING:
+    from toolkit.datasets.registry import open_dataset
+    from toolkit.frame import Frame
+    from toolkit.geometry.camera import Camera
+    from toolkit.rendering import render
+    from toolkit.runs.building import build_slam
+    from toolkit.runs.evaluation import evaluate
+    from toolkit.runs.execution import run
+    from toolkit.runs.finished import load_run
+    from toolkit.settings.run import RunSettings
+
+_MODULES = {
+    "Camera": "toolkit.geometry.camera",
+    "Frame": "toolkit.frame",
+    "RunSettings": "toolkit.settings.run",
+    "build_slam": "toolkit.runs.building",
+    "evaluate": "toolkit.runs.evaluation",
+    "load_run": "toolkit.runs.finished",
+    "open_dataset": "toolkit.datasets.registry",
+    "render": "toolkit.rendering",
+    "run": "toolkit.runs.execution",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'toolkit' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -15,7 +15,7 @@ from toolkit.geometry import se3
 from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
-from toolkit.runs.finished import open_finished_run
+from toolkit.runs.finished import load_run
 from toolkit.semantics.taxonomy import Taxonomy
 
 FAST = ["--registration.fine.views", "3", "--registration.coarse.pairs", "4"]
@@ -141,7 +141,7 @@ def test_the_final_anchors_count(b):
     T = se3.exp(np.array([0.3, 0.0, 0.0, 0.0, 0.1, 0.0]))
     frames["submaps"][0]["T_world_submap"] = T.tolist()
     (b / "frames.json").write_text(json.dumps(frames))
-    submaps = open_finished_run(b).submaps
+    submaps = load_run(b).submaps
     assert list(submaps) == [0] and np.allclose(submaps[0].T_world_submap, T)
     assert len(submaps[0].descriptors) == len(submaps[0].keyframes) > 0
 

@@ -18,7 +18,7 @@ from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
 from toolkit.runs import execution as program
-from toolkit.runs.finished import open_finished_run
+from toolkit.runs.finished import load_run
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def T_a_camera(room_runs) -> np.ndarray:
 
 
 def test_the_path_is_in_the_world_of_the_saved_map(extended, T_a_camera):
-    run = open_finished_run(extended)
+    run = load_run(extended)
     assert not run.lost and [f.index for f in run.tracked] == list(range(9))
     for frame in run.tracked:
         difference = se3.inverse(T_a_camera[frame.index]) @ frame.T_map_camera
@@ -56,7 +56,7 @@ def test_another_camera_is_found_in_the_saved_map(room_runs, tmp_path, T_a_camer
     out = tmp_path / "run"
     words = walk(room_runs.recordings[1], out, "--map", str(room_runs.a), "--max-frames", "3")
     assert main([*words, "--image-size", "72", "60"]) == 0
-    run = open_finished_run(out)
+    run = load_run(out)
     assert not run.lost and len(run.tracked) == 3
     cameras = {k.camera.size for submap in run.submaps.values() for k in submap.keyframes}
     assert cameras == {(96, 72), (72, 60)}
@@ -70,7 +70,7 @@ def test_the_map_is_the_whole(extended, room_runs):
     assert set(splats.extra["submap"].tolist()) == {0, 1}
     assert len(splats.means) > len(before.means)
     assert (splats.labels.label > 0).mean() > 0.95
-    run = open_finished_run(extended)
+    run = load_run(extended)
     assert list(run.submaps) == [0, 1] and np.array_equal(run.anchors[0], np.eye(4))
     old, new = (run.submaps[n].keyframes for n in (0, 1))
     assert max(k.index for k in old) < 0 <= min(k.index for k in new)

@@ -28,6 +28,7 @@ for module in pkgutil.walk_packages(toolkit.__path__, "toolkit."):
 
 IMPORT_TOOLKIT = """
 import sys, toolkit, toolkit.cli.main
+assert set(toolkit.__all__) <= set(dir(toolkit))
 heavy = {"torch", "numpy", "cv2", "open3d", "pydantic", "tyro", "rich", "sklearn"}
 print(sorted(heavy & set(sys.modules)))
 """

@@ -12,9 +12,9 @@ import tyro
 from toolkit.cli.arguments import parse_arguments
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
-from toolkit.gaussians.scene import WholeScene
-from toolkit.runs.finished import FinishedRun, measured, open_finished_run, reading_of
-from toolkit.settings.run import RunSettings
+from toolkit.runs.evaluation import evaluate
+from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.settings.run import EvaluationSettings
 
 _log = logging.getLogger(__name__)
 
@@ -77,46 +77,27 @@ def main(argv: Sequence[str]) -> int:
     options = parse_arguments(EvaluateOptions, argv, "evaluate")
     if options.max_views < 1:
         raise SettingsError(f"--max-views must be at least 1, got {options.max_views}")
-    run = open_finished_run(options.run)
-    path = options.dataset.path or run.dataset_path
-    dataset = run.open_dataset(path)
-    settings = _settings(run, options, path)
-    subset = settings.evaluation.subset
-    reading = reading_of(run.semantics, run.taxonomy, dataset, subset)
-    scene = WholeScene(run.gaussians)
-    figures = measured(scene, run.tracked, dataset, settings, reading, options.max_views)
-    metrics = _earlier_metrics(run) | figures | _counts(run)
+    run = load_run(options.run)
+    evaluation = _evaluation_settings(run, options)
+    figures = evaluate(run, options.dataset.path, options.max_views, evaluation)
+    metrics = _earlier_metrics(run) | figures
     write_metrics(run.folder.metrics, metrics)
-    for key in _SHOWN + _SHOWN_SUBSET * subset:
+    for key in _SHOWN + _SHOWN_SUBSET * evaluation.subset:
         print(f"{key:<28}{_shown(metrics.get(key))}")
     print(f"wrote {run.folder.metrics}")
     return 0
 
 
-def _settings(run: FinishedRun, options: EvaluateOptions, path: Path | None) -> RunSettings:
-    """The settings of the run with what the command line asks for."""
+def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> EvaluationSettings:
+    """The run's evaluation settings with the changes from the command line."""
     weights = options.lpips_weights or run.settings.evaluation.lpips_weights
     missing = [str(file) for file in weights if not file.is_file()]
     if missing and not options.lpips_weights:
         _log.warning("LPIPS is not computed: %s does not exist any more", missing[0])
         weights = ()
     evaluation = run.settings.evaluation
-    asked = {"lpips_weights": weights, "subset": options.subset or evaluation.subset}
-    return run.settings.model_copy(
-        update={
-            "dataset": run.settings.dataset.model_copy(update={"path": path}),
-            "evaluation": evaluation.model_copy(update=asked),
-        }
-    )
-
-
-def _counts(run: FinishedRun) -> Metrics:
-    return {
-        "frames": len(run.tracked) + len(run.lost),
-        "frames_lost": len(run.lost),
-        "keyframes": len(run.keyframes),
-        "gaussians": len(run.gaussians),
-    }
+    subset = options.subset or evaluation.subset
+    return evaluation.model_copy(update={"lpips_weights": weights, "subset": subset})
 
 
 def _earlier_metrics(run: FinishedRun) -> Metrics:

@@ -29,7 +29,7 @@ from toolkit.io.pictures import (
     strip,
 )
 from toolkit.loops.log import read_loop_log
-from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.finished import FinishedRun, load_run
 
 _log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: there is no finished run, its log or its data set cannot be read.
     """
     options = parse_arguments(ExplainLoopsOptions, list(argv), "explain-loops")
-    run = open_finished_run(options.run)
+    run = load_run(options.run)
     records = read_loop_log(run.folder.loops)
     suspected = [
         (place, record)

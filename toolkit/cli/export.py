@@ -15,8 +15,8 @@ from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
 from toolkit.io.splats import SUFFIXES, SplatLabels, export_splats, read_splats
-from toolkit.runs.finished import FinishedRun, open_finished_run
-from toolkit.runs.labelled import open_labelled_run
+from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.labelled import load_labelled_run
 from toolkit.runs.shapes import MeshOptions, part_mesh, surface_mesh, write_solid_points
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
@@ -118,9 +118,9 @@ def _part(options: ExportOptions) -> _Part:
         ToolkitError: they leave nothing, or the map has no labels to choose by.
     """
     if not options.keep and not options.drop:
-        run = open_finished_run(options.run)
+        run = load_run(options.run)
         return _Part(run, run.gaussians, read_splats(run.folder.map).labels)
-    labelled = open_labelled_run(options.run)
+    labelled = load_labelled_run(options.run)
     kept = np.ones(len(labelled.map), bool)
     if options.keep:
         kept = labelled.holding(options.keep)

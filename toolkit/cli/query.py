@@ -17,7 +17,7 @@ from toolkit.cli.arguments import parse_arguments
 from toolkit.errors import SettingsError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
-from toolkit.runs.labelled import LabelledRun, open_labelled_run
+from toolkit.runs.labelled import LabelledRun, load_labelled_run
 from toolkit.runs.shapes import MeshOptions, check_output, part_mesh, write_solid_points
 from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
@@ -78,7 +78,7 @@ def main(argv: Sequence[str]) -> int:
     program = parse_arguments(QueryProgram, argv, "query")
     _check_values(program)
     mesh_options = MeshOptions(program.voxel_m, program.max_depth_m, program.every)
-    labelled = open_labelled_run(program.run)
+    labelled = load_labelled_run(program.run)
     chosen = labelled.holding(program.nodes, program.least_confidence)
     reader = _reader(program, labelled)
     print("\n".join(_printed(program, reader)))

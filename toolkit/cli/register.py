@@ -30,7 +30,7 @@ from toolkit.loops.two_maps import (
 )
 from toolkit.loops.verification import VerificationOptions
 from toolkit.registration.factory import build_drawer, build_registrar
-from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
 from toolkit.settings.loop_closure import VerificationSettings
 from toolkit.settings.registration import RegistrationSettings
@@ -64,7 +64,7 @@ def main(argv: Sequence[str]) -> int:
     """
     options = parse_arguments(RegisterOptions, list(argv), "register")
     _check(options)
-    a, b = open_finished_run(options.run_a), open_finished_run(options.run_b)
+    a, b = load_run(options.run_a), load_run(options.run_b)
     submaps_a, submaps_b = a.submaps, b.submaps
     _check_descriptors(a, b, submaps_a, submaps_b)
     objection = not_one_tree(a, b)

@@ -36,7 +36,7 @@ from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
-from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import read_cloud
 from toolkit.semantics.palette import Palette
 
@@ -171,7 +171,7 @@ def _open(program: RenderProgram) -> _Map:
         raise DatasetError(
             f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"
         )
-    run = open_finished_run(path)
+    run = load_run(path)
     if labels and run.taxonomy is None:
         raise SettingsError(
             f"{path} was mapped without semantics; run it with --semantics.code.kind"

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.frame import Frame
-from toolkit.runs.execution import execute
+from toolkit.runs.execution import run
 from toolkit.settings.files import load
 from toolkit.settings.run import RunSettings
 
@@ -38,7 +38,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: bad settings, data or output folder.
     """
     program = _parse(list(argv))
-    execute(program.settings, program.out, program.resume, _with_progress)
+    run(program.settings, program.out, program.resume, _with_progress)
     return 0
 
 

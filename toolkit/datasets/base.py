@@ -6,6 +6,7 @@ taken and by which camera. Loading, undistortion and resizing happen here, once.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.resize import ImageGrid, resize_colour
 from toolkit.datasets.undistortion import Undistortion
 from toolkit.errors import DatasetError
@@ -41,6 +43,8 @@ class Dataset(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Frame: ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,10 @@ class RecordedDataset:
             depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
         return Frame(index, files.timestamp_s, rgb, depth_m, self.camera, labels)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """All frames in order, read ahead in a background thread."""
+        return prefetched(self, range(len(self)))
 
     def _load(self, files: FrameFiles) -> tuple[NDArray, NDArray, NDArray | None]:
         """Colour, depth and labels as they lie on disk, of the native camera's size."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
-from toolkit.datasets.base import Dataset
 from toolkit.frame import Frame
+
+if TYPE_CHECKING:
+    from toolkit.datasets.base import Dataset
 
 _END = object()
 # How long a blocked reader waits before it looks whether anyone still wants frames.

@@ -23,14 +23,26 @@ from toolkit.tracking.given import GivenPoses
 
 
 def build_slam(
-    settings: RunSettings, dataset: Dataset, watch: StageRecorder, folder: RunFolder | None = None
+    dataset: Dataset | None = None,
+    settings: RunSettings | None = None,
+    folder: RunFolder | None = None,
+    recorder: StageRecorder | None = None,
 ) -> Slam:
-    """The system that the settings describe.
+    """Build the SLAM system that the settings describe.
 
     Args:
-        folder: where submaps rest and loops are written down; None keeps all in memory.
+        dataset: the sequence to process. It supplies class names, and poses for `--poses given`;
+            None for frames that come from elsewhere, such as a camera driver.
+        settings: of the run; the defaults without them.
+        folder: where submaps and the loop log are stored; without it they stay in memory.
+        recorder: measures the time of each stage.
+
+    Raises:
+        ToolkitError: the settings need something that the dataset or this machine lacks.
     """
-    labeller = labeller_of(settings, dataset)
+    settings = settings or RunSettings()
+    recorder = recorder or StageRecorder()
+    labeller = build_run_labeller(settings, dataset)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
     # The papers' tracker compares pixels as they are drawn; with given poses none compares any.
     centred = settings.mapping.centred
@@ -39,13 +51,13 @@ def build_slam(
         settings.mapping.model_copy(update={"centred": centred}),
         np.random.default_rng(settings.seed),
         settings.backend,
-        watch,
+        recorder,
         build_semantic_mapping(settings.semantics, code, settings.seed),
         map_device(settings.device, settings.backend),
     )
     atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if settings.poses == "slam":
-        tracker = build_tracker(settings.tracking, settings.backend, watch, code, centred)
+        tracker = build_tracker(settings.tracking, settings.backend, recorder, code, centred)
         closer = None
         if settings.loops.use:
             taxonomy = labeller.taxonomy if labeller else None
@@ -53,24 +65,24 @@ def build_slam(
                 settings.seed, settings.backend, mapper.semantics, taxonomy, centred
             )
             log = LoopLog(folder.loops) if folder else None
-            closer = build_loop_closer(settings.loops, context, log, watch)
+            closer = build_loop_closer(settings.loops, context, log, recorder)
         # The papers' tracker is there to be compared with.
         dense = settings.tracking.kind == "dense"
         placement = build_placement(settings.placement) if dense else None
-        return Slam(tracker, mapper, watch, labeller, atlas, closer, settings.denoise, placement)
-    if dataset.ground_truth is None:
-        raise DatasetError(
-            f"--poses given needs poses, and {settings.dataset.path} has none; use --poses slam"
-        )
+        return Slam(tracker, mapper, recorder, labeller, atlas, closer, settings.denoise, placement)
+    if dataset is None or dataset.ground_truth is None:
+        name = "this sequence" if dataset is None else dataset.name
+        raise DatasetError(f"--poses given needs poses, and {name} has none; use --poses slam")
     poses = GivenPoses(dataset.ground_truth)
-    return Slam(poses, mapper, watch, labeller, atlas, denoise=settings.denoise)
+    return Slam(poses, mapper, recorder, labeller, atlas, denoise=settings.denoise)
 
 
-def labeller_of(settings: RunSettings, dataset: Dataset) -> Labeller | None:
-    """Who labels the frames of a data set, None for a map without semantics.
+def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labeller | None:
+    """Build the labeller of a run's frames, None for a map without semantics.
 
     Raises:
-        ToolkitError: the settings ask for labels that cannot be had.
+        ToolkitError: the settings ask for labels that are not available.
     """
+    names = dataset.label_names if dataset is not None else None
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    return build_labeller(settings.semantics, dataset.label_names, stems)
+    return build_labeller(settings.semantics, names, stems)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -15,7 +16,7 @@ from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.runs.building import build_slam
-from toolkit.runs.finished import lpips_of
+from toolkit.runs.evaluation import lpips_of
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.results import held_out, write_results
 from toolkit.runs.saved_map import begin_in_map, open_saved_map
@@ -33,8 +34,11 @@ def _no_progress(frames: Iterable[Frame], _total: int, _first: int) -> Iterable[
     return frames
 
 
-def execute(
-    settings: RunSettings, out: Path, resume: bool = False, progress: Progress = _no_progress
+def run(
+    settings: RunSettings,
+    out: str | os.PathLike[str],
+    resume: bool = False,
+    progress: Progress = _no_progress,
 ) -> None:
     """Track and map a dataset, evaluate the result and write the run folder.
 
@@ -48,6 +52,7 @@ def execute(
     Raises:
         ToolkitError: bad settings, data or output folder.
     """
+    out = Path(out)
     path = _dataset_path(settings, out, resume, progress)
     settings = _with_path(settings, path)
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
@@ -63,7 +68,7 @@ def execute(
         folder = RunFolder.create(out, config)
     watch = StageRecorder()
     try:
-        slam = build_slam(settings, dataset, watch, folder)
+        slam = build_slam(dataset, settings, folder, watch)
     except ToolkitError:
         if not resume:
             folder.discard()  # so that the same folder can be given again

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, RunFolderError
-from toolkit.evaluation.lpips import Lpips
-from toolkit.evaluation.metrics import Metrics
-from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
-from toolkit.evaluation.semantic_views import SemanticReading
+from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
@@ -74,12 +71,19 @@ class FinishedRun:
         return SavedSubmaps(store, self.anchors)
 
     @property
+    def trajectory(self) -> Trajectory:
+        """Poses T_map_camera of the tracked frames in the frame of the map."""
+        times = np.array([frame.timestamp_s for frame in self.tracked])
+        poses = np.array([frame.T_map_camera for frame in self.tracked]).reshape(-1, 4, 4)
+        return Trajectory(times, poses)
+
+    @property
     def dataset_path(self) -> Path | None:
         """The data set's folder as the run knew it."""
         return self.settings.dataset.path
 
     def open_dataset(
-        self, path: Path | None = None, image_size: tuple[int, int] | None = None
+        self, path: str | os.PathLike[str] | None = None, image_size: tuple[int, int] | None = None
     ) -> RecordedDataset:
         """The run's data set, from another place or at another size where one is given.
 
@@ -93,12 +97,16 @@ class FinishedRun:
         return open_dataset(self.settings.dataset.kind, path, size, self.settings.max_frames)
 
 
-def open_finished_run(path: Path) -> FinishedRun:
-    """Read a run's settings, map and poses.
+def load_run(path: str | os.PathLike[str]) -> FinishedRun:
+    """Load the settings, map and poses of a finished run.
+
+    Args:
+        path: the run folder.
 
     Raises:
-        ToolkitError: there is no run, it has not finished, or a file of it is damaged.
+        ToolkitError: there is no run, it has not finished, or one of its files is damaged.
     """
+    path = Path(path)
     folder = RunFolder.open(path)
     for file in (folder.map, folder.trajectory, folder.frames):
         if not file.is_file():
@@ -126,68 +134,6 @@ def open_finished_run(path: Path) -> FinishedRun:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
-
-
-def reading_of(
-    semantics: SemanticMapping, taxonomy: Taxonomy | None, dataset: Dataset, subset: bool = False
-) -> SemanticReading | None:
-    """How a map is scored against the data set's labels; None where there is nothing to score.
-
-    Args:
-        subset: measure the papers' subset mIoU as well.
-    """
-    names = dataset.label_names
-    if taxonomy is None or not names:
-        return None
-    return SemanticReading(semantics, taxonomy, names, subset)
-
-
-def measured(
-    scene: GaussianScene,
-    tracked: Sequence[TrackedFrame],
-    dataset: Dataset,
-    settings: RunSettings,
-    reading: SemanticReading | None = None,
-    max_views: int = MeasureOptions.max_views,
-) -> Metrics:
-    """A run's figures, measured as its settings ask for.
-
-    Args:
-        scene, tracked, dataset: as `measure_run` takes them.
-        settings: what the run was made with, with the place of its data set.
-        reading: of the map's semantics, or None.
-        max_views: most views scored of each group.
-
-    Raises:
-        DatasetError: a frame cannot be read, or truth and estimate share no time.
-        FormatError: the weights of LPIPS cannot be read.
-    """
-    path = settings.dataset.path
-    unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
-    mesh = path / "mesh.ply" if path and settings.dataset.kind == "synthetic" else None
-    if mesh is not None and not mesh.is_file():
-        mesh = None
-    lpips = lpips_of(settings)
-    options = MeasureOptions(
-        settings.backend, alignment_of(settings), max_views, reading, mesh, lpips
-    )
-    return measure_run(scene, tracked, dataset, unseen, options)
-
-
-def lpips_of(settings: RunSettings) -> Lpips | None:
-    """The network of LPIPS, or None where no weights are given.
-
-    Raises:
-        DependencyError: a .safetensors file is given and safetensors is missing.
-        FormatError: the weights cannot be read or are not those of LPIPS.
-    """
-    weights = settings.evaluation.lpips_weights
-    return Lpips.load(weights) if weights else None
-
-
-def alignment_of(settings: RunSettings) -> Literal["none", "se3"]:
-    """Given poses put the map into the world of the truth; otherwise it has its own."""
-    return "none" if settings.poses == "given" else "se3"
 
 
 def _read_frames(path: Path) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.splats import read_splats
-from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -45,14 +45,14 @@ class LabelledRun:
         return chosen
 
 
-def open_labelled_run(path: Path) -> LabelledRun:
+def load_labelled_run(path: Path) -> LabelledRun:
     """Read a run with its labels and their tree.
 
     Raises:
         ToolkitError: there is no finished run, its map has no labels, the tree is missing or
             is another one.
     """
-    run = open_finished_run(path)
+    run = load_run(path)
     labels = read_splats(run.folder.map).labels
     if labels is None:
         raise RunFolderError(

@@ -31,7 +31,7 @@ from toolkit.io.splats import SplatLabels
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
-from toolkit.runs.finished import alignment_of, measured, reading_of
+from toolkit.runs.evaluation import alignment_of, measured, reading_of
 from toolkit.runs.folder import RunFolder
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.palette import Palette

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from toolkit.datasets.base import Dataset
 from toolkit.errors import SettingsError
-from toolkit.runs.building import labeller_of
-from toolkit.runs.finished import FinishedRun, open_finished_run
+from toolkit.runs.building import build_run_labeller
+from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.submap import Submap
@@ -32,7 +32,7 @@ def open_saved_map(settings: RunSettings, dataset: Dataset) -> FinishedRun | Non
         raise SettingsError(
             "--map looks for the camera in the saved map: it needs --poses slam and --loops.use"
         )
-    saved = open_finished_run(settings.map)
+    saved = load_run(settings.map)
     _check_descriptors(saved, settings)
     _check_semantics(saved, settings, dataset)
     return saved
@@ -54,7 +54,7 @@ def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
 
 
 def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset) -> None:
-    labeller = labeller_of(settings, dataset)
+    labeller = build_run_labeller(settings, dataset)
     tree = None if labeller is None else labeller.taxonomy
     if (tree is None) != (saved.taxonomy is None):
         which, what = ("it has", "have none") if saved.taxonomy else ("it has no", "ask for them")
