@@ -32,11 +32,14 @@ from tqdm import tqdm
 
 from benchmarks.machine import describe_machine
 from benchmarks.registration_pairs import Pair, draw_pairs, kitchen, pool, room
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.loops.verification import VerificationOptions, objection
 from toolkit.registration.coarse import CoarseOptions, CoarseRegistration
 from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
 from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.fine_first_order import FirstOrderFineOptions
 from toolkit.registration.result import Registrar, RegistrationResult
 from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.two_way import TwoWayRegistration
@@ -173,6 +176,9 @@ class Methods:
             "SGR, first-order fine (G-6)": lambda: self._both(
                 self._sgr(FineOptions(optimiser="first-order"))
             ),
+            "SGR, first-order fine, no feature term": lambda: self._both(
+                self._sgr(_without_features())
+            ),
             "FPFH, fast global, ICP": lambda: self._alone(self._clouds(CloudOptions("fast"))),
             "FPFH, RANSAC, coloured ICP": lambda: self._alone(
                 self._clouds(CloudOptions(icp="coloured"))
@@ -183,7 +189,8 @@ class Methods:
         return ViewDrawer(semantics=self._pair.semantics)
 
     def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
-        return SemanticGuidedRegistration(SgrOptions(fine=fine, seed=self._seed), self._drawer())
+        options = SgrOptions(fine=fine, seed=self._seed)
+        return SemanticGuidedRegistration(options, self._drawer(), ViewDescriber(BuiltinEncoder()))
 
     def _two_way(self) -> SemanticGuidedRegistration:
         drawer = self._drawer()
@@ -221,6 +228,11 @@ class Methods:
         begin = time.perf_counter()
         result = registrar.register(self._pair.target, self._pair.source, start)
         return Timed(result, 0.0, time.perf_counter() - begin)
+
+
+def _without_features() -> FineOptions:
+    """The papers' fine stage on colour and semantics alone."""
+    return FineOptions("first-order", first_order=FirstOrderFineOptions(feature=0.0))
 
 
 def judged(name: str, pair: Pair, timed: Timed) -> Trial:

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+import numpy as np
 import pytest
+import torch
+from registered_room import motion
 
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.factory import build_describer
 from toolkit.registration.coarse import CoarseOptions
-from toolkit.registration.factory import build_drawer, build_registrar
+from toolkit.registration.factory import build_drawer, build_registrar, needs_describer
 from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
 from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.result import RegistrationResult
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration
 from toolkit.registration.two_way import TwoWayRegistration
+from toolkit.settings.features import FeatureSettings
 from toolkit.settings.registration import (
     CloudSettings,
     CoarseSettings,
@@ -41,6 +48,40 @@ def test_two_way_takes_the_place_of_the_fine_stage():
     assert isinstance(registrar, SemanticGuidedRegistration)
     assert isinstance(registrar.refiner, TwoWayRegistration)
     assert registrar.refiner.drawer is registrar.drawer
+
+
+@pytest.mark.parametrize("kind", ["sgr", "fine", "two-way"])
+def test_the_feature_term_describes_views_with_the_given_encoder(kind, room, monkeypatch):
+    """G-6 has a feature term; without an encoder it would be left out in silence."""
+    described = []
+
+    def describe(encoder: BuiltinEncoder, images: torch.Tensor) -> torch.Tensor:
+        described.append(images.requires_grad)
+        return plain(encoder, images)
+
+    plain = BuiltinEncoder.describe
+    monkeypatch.setattr(BuiltinEncoder, "describe", describe)
+    few = {"optimiser": "first-order", "views": 1, "first_order": {"iterations": 1}}
+    settings = RegistrationSettings.model_validate({"kind": kind, "fine": few})
+    assert needs_describer(settings)
+    describer = build_describer(FeatureSettings())
+    registrar = build_registrar(settings, 3, build_drawer(settings), describer)
+    registrar.register(room.target, room.source, room.T_target_source)
+    assert True in described and False in described  # of the target, and of the frozen source
+
+
+def test_the_feature_term_has_a_weight(room):
+    def found(feature: float) -> RegistrationResult:
+        few = {"iterations": 2, "feature": feature}
+        values = {"optimiser": "first-order", "views": 1, "first_order": few}
+        settings = RegistrationSettings.model_validate({"kind": "fine", "fine": values})
+        assert needs_describer(settings) is (feature > 0)
+        describer = build_describer(FeatureSettings())
+        start = room.T_target_source @ motion(1, 0.02, 1.0)
+        registrar = build_registrar(settings, 3, build_drawer(settings), describer)
+        return registrar.register(room.target, room.source, start)
+
+    assert not np.array_equal(found(0.0).T_target_source, found(5.0).T_target_source)
 
 
 def test_settings_arrive():

@@ -9,11 +9,13 @@ import pytest
 import torch
 from registered_room import Scene, error, motion, moved
 
+from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.registration import fine
 from toolkit.registration.fine import FineOptions, FineRegistration, classes_clash
 from toolkit.registration.fine_first_order import FirstOrderFineOptions, _Objective
 from toolkit.registration.joint_alignment import align
+from toolkit.registration.view_features import ViewFeatures
 from toolkit.registration.views import ViewDrawer
 from toolkit.rendering import render
 
@@ -95,13 +97,17 @@ def test_the_papers_optimiser_comes_near(room: Scene, drawer):
     assert result.inliers > 0.9
 
 
-def thumbnails(image: torch.Tensor) -> torch.Tensor:
-    """A smooth stand-in for an image descriptor."""
-    return torch.nn.functional.avg_pool2d(image[None], 20).reshape(-1)
+class Thumbnails:
+    """A smooth stand-in for an image encoder."""
+
+    name, dimensions, threshold = "thumbnails", 3, 0.2
+
+    def describe(self, images: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.avg_pool2d(images, 20).flatten(1)
 
 
-@pytest.mark.parametrize("encoder", [None, thumbnails])
-def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, encoder):
+@pytest.mark.parametrize("source", [None, "rgb", "semantic", "both"])
+def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, semantics, source):
     scene = labelled_room
     T_new_source = motion(6, 1.0, 80.0)
     source = moved(scene.source, T_new_source)
@@ -114,9 +120,12 @@ def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, encoder)
         features=source.gaussians.features,
     )
     # All pixels: where the mask's border moves, the loss jumps.
-    options = FirstOrderFineOptions(least_silhouette=-1.0)
+    options = FirstOrderFineOptions(least_silhouette=-1.0, feature=5.0)
+    view_features = None
+    if source is not None:
+        view_features = ViewFeatures(ViewDescriber(Thumbnails(), source), semantics)
     views = [camera], [T_source_camera]
-    objective = _Objective(scene.target.gaussians, *views, [shown], options, "auto", encoder)
+    objective = _Objective(scene.target.gaussians, *views, [shown], options, "auto", view_features)
     T = scene.T_target_source @ motion(2, 0.03, 1.5) @ se3.inverse(T_new_source)
     _, gradient = objective(T)
     direction = gradient / np.linalg.norm(gradient)

@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.errors import RunFolderError, SettingsError, ToolkitError
+from toolkit.features.factory import build_describer
 from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
@@ -29,7 +30,7 @@ from toolkit.loops.two_maps import (
     register_at,
 )
 from toolkit.loops.verification import VerificationOptions
-from toolkit.registration.factory import build_drawer, build_registrar
+from toolkit.registration.factory import build_drawer, build_registrar, needs_describer
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
 from toolkit.settings.loop_closure import VerificationSettings
@@ -148,7 +149,10 @@ def _registered(
 ) -> list[MapRegistration]:
     backend = a.settings.backend
     drawer = build_drawer(options.registration, shared_reading(a, b), backend, centred=False)
-    registrar = build_registrar(options.registration, a.settings.seed, drawer)
+    describer = None
+    if needs_describer(options.registration):
+        describer = build_describer(a.settings.loops.features)
+    registrar = build_registrar(options.registration, a.settings.seed, drawer, describer)
     verification = VerificationOptions(**options.verification.model_dump())
     pairs = alike_submaps(*submaps, options.pairs)
     return [

@@ -86,8 +86,8 @@ def build_loop_closer(
     matching = matching_options(settings.registration.coarse.matching)
     relocalisation = RelocalisationOptions(**settings.relocalisation.model_dump())
     parts = ClosingParts(
-        registrar=build_registrar(settings.registration, context.seed, drawer),
-        nearby=FineRegistration(fine_options(settings.registration.fine), drawer),
+        registrar=build_registrar(settings.registration, context.seed, drawer, describer),
+        nearby=FineRegistration(fine_options(settings.registration.fine), drawer, describer),
         matching=matching,
         relocaliser=Relocaliser(detector, matching, relocalisation),
         verification=VerificationOptions(**settings.verification.model_dump()),

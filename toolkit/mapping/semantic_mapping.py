@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Literal
 
 import numpy as np
@@ -11,9 +12,10 @@ from torch import Tensor
 
 from toolkit.io.arrays import arrays_below
 from toolkit.losses.semantic import SemanticLoss
-from toolkit.rendering import SurfaceView
-from toolkit.rendering.output import BASE_CHANNELS
+from toolkit.rendering import RenderOutput, SurfaceView
+from toolkit.rendering.output import BASE_CHANNELS, FEATURES
 from toolkit.semantics.decoding import Decoding, decode
+from toolkit.semantics.palette import Palette
 
 # Pixels thinner than this are read as void.
 _LEAST_SILHOUETTE = 0.5
@@ -138,6 +140,37 @@ class SemanticMapping:
         logits = self._loss.code.logits(view.features.reshape(self.channels, -1) / safe)
         told = self._told.nonzero().squeeze(1)
         return told.numpy() + 1, logits.index_select(0, told.to(logits.device)).softmax(0)
+
+    def picture(self, output: RenderOutput) -> Tensor:
+        """Return the classes of a view in their palette's colours, [3, H, W]; differentiable.
+
+        A pixel has the mean colour of the classes by their probabilities; the colour code has its
+        own colour. Pixels without a label, or with too thin a map, are black.
+        """
+        assert self._loss is not None, "a map without semantics has no classes to paint"
+        silhouette = output.silhouette.reshape(-1)
+        seen = silhouette >= _LEAST_SILHOUETTE
+        safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
+        values = output.images[FEATURES].reshape(self.channels, -1) / safe
+        code = self._loss.code
+        labelled = seen & code.told(values.detach())
+        colours = values if code.is_colour else self._palette.T.to(values) @ self._softmax(values)
+        return (colours * labelled).reshape(3, *output.silhouette.shape)
+
+    @functools.cached_property
+    def _palette(self) -> Tensor:
+        """Colours [C, 3] of the classes in [0, 1]."""
+        assert self._loss is not None
+        colours = Palette(self._loss.code.taxonomy).classes[1:]
+        return torch.from_numpy(colours.astype(np.float32) / 255.0)
+
+    def _softmax(self, values: Tensor) -> Tensor:
+        """Probabilities [C, P] of the classes, for values [S, P]; zero for classes never seen."""
+        assert self._loss is not None
+        logits = self._loss.code.logits(values)
+        if self._told.any():
+            logits = logits.masked_fill(~self._told.to(values.device)[:, None], -torch.inf)
+        return logits.softmax(0)
 
     def decode_gaussians(self, features: Tensor) -> Decoding:
         """What each Gaussian of features [N, S] is; those that never had a label are void."""

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.registration.fine_first_order import (
-    Encoder,
     FirstOrderFineOptions,
     descend,
 )
@@ -30,6 +30,7 @@ from toolkit.registration.joint_alignment import (
 )
 from toolkit.registration.quality import AlignmentCheck, compare
 from toolkit.registration.result import RegistrationResult, failed
+from toolkit.registration.view_features import ViewFeatures
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.alignment import ModelLevel, model_level, pyramid
@@ -104,18 +105,21 @@ class FineRegistration:
     """Registers submaps that nearly fit; a Registrar that needs a start.
 
     Args:
-        encoder: image descriptor of the papers' feature term; None leaves the term out.
+        describer: of views, for the feature term of the first-order optimiser (G-6); None
+            leaves the term out.
     """
 
     def __init__(
         self,
         options: FineOptions | None = None,
         drawer: ViewDrawer | None = None,
-        encoder: Encoder | None = None,
+        describer: ViewDescriber | None = None,
     ) -> None:
         self.options = options or FineOptions()
         self.drawer = drawer or ViewDrawer()
-        self._encoder = encoder
+        self.view_features = None
+        if describer is not None:
+            self.view_features = ViewFeatures(describer, self.drawer.semantics)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -227,7 +231,7 @@ class FineRegistration:
             start,
             self.options.first_order,
             self.drawer.backend_name,
-            self._encoder,
+            self.view_features,
         )
         self.drawer.renders += found.renders
         targets = self._drawn(target, sources, found.T_target_source)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +12,11 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.registration.view_features import ViewFeatures
 from toolkit.rendering import RenderOutput, render
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
 Array = NDArray[np.float64]
-
-# A differentiable descriptor [D] of an image [3, H, W].
-Encoder = Callable[[Tensor], Tensor]
 
 # A view with fewer common pixels does not count.
 _FEWEST_PIXELS = 50
@@ -68,15 +65,15 @@ def descend(
     start: Array,
     options: FirstOrderFineOptions,
     backend_name: str = "auto",
-    encoder: Encoder | None = None,
+    view_features: ViewFeatures | None = None,
 ) -> Descent:
-    """Least G-6 over one motion, both maps frozen.
+    """Minimise G-6 over one motion, both maps frozen.
 
     Args:
         gaussians: of the target and of the source.
         views: cameras, and their poses T_source_camera [4, 4].
         start: T_target_source [4, 4].
-        encoder: of the feature term, left out without one.
+        view_features: describes the views for the feature term; None leaves the term out.
     """
     target, source = gaussians[0].detached(), gaussians[1].detached()
     cameras, T_source_camera = views
@@ -87,7 +84,9 @@ def descend(
             )
             for camera, T in zip(cameras, T_source_camera, strict=True)
         ]
-    objective = _Objective(target, cameras, T_source_camera, shown, options, backend_name, encoder)
+    objective = _Objective(
+        target, cameras, T_source_camera, shown, options, backend_name, view_features
+    )
     best, best_T, steps, judged = float("inf"), start.copy(), 0, 0
     for round_ in range(options.rounds):
         share = options.rate_decay**round_
@@ -120,15 +119,18 @@ class _Objective:
         shown: list[RenderOutput],
         options: FirstOrderFineOptions,
         backend_name: str,
-        encoder: Encoder | None,
+        view_features: ViewFeatures | None,
     ) -> None:
         self._target, self._cameras, self._poses = target, cameras, T_source_camera
         self._shown, self._options = shown, options
-        self._backend_name, self._encoder = backend_name, encoder
-        self._words: list[Tensor | None] = [None] * len(shown)
-        if encoder is not None:
+        self._backend_name = backend_name
+        self._view_features = view_features if options.feature > 0 else None
+        self._pictures: list[Tensor] = []
+        self._descriptors: list[Tensor] = []
+        if self._view_features is not None:
             with torch.no_grad():
-                self._words = [encoder(output.images[:3]) for output in shown]
+                self._pictures = [self._view_features.pictures(output) for output in shown]
+                self._descriptors = [self._view_features.describe(p) for p in self._pictures]
 
     def __call__(self, T_target_source: Array) -> tuple[float, Array]:
         """Mean loss of the views that overlap, infinite where none does; derivative [6]."""
@@ -169,8 +171,12 @@ class _Objective:
         loss = (drawn.colour - shown.colour)[mask].abs().mean()
         if options.semantic > 0 and drawn.features.shape[-1] > 0:
             loss = loss + options.semantic * (drawn.features - shown.features)[mask].abs().mean()
-        words = self._words[number]
-        if options.feature > 0 and self._encoder is not None and words is not None:
-            masked = torch.where(mask, drawn.images[:3], shown.images[:3])
-            loss = loss + options.feature * ((self._encoder(masked) - words) ** 2).sum()
+        if self._view_features is not None:
+            # Where either map is missing, the pictures are equal: the encoder sees no difference.
+            pictures = self._view_features.pictures(drawn)
+            described = self._view_features.describe(
+                torch.where(mask, pictures, self._pictures[number])
+            )
+            error = described - self._descriptors[number]
+            loss = loss + options.feature * (error**2).sum()
         return loss

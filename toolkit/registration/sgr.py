@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.features.sources import ViewDescriber
 from toolkit.registration.coarse import CoarseOptions, CoarseRegistration, register_coarse
 from toolkit.registration.fine import FineOptions, FineRegistration
-from toolkit.registration.fine_first_order import Encoder
 from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult
 from toolkit.registration.views import ViewDrawer, views_of_overlap
@@ -47,7 +47,7 @@ class SemanticGuidedRegistration:
     """Registers submaps from nothing or from a start.
 
     Args:
-        encoder: of the papers' feature term.
+        describer: of views, for the feature term of the first-order optimiser (G-6).
         refiner: another second stage, to be compared with.
     """
 
@@ -55,12 +55,12 @@ class SemanticGuidedRegistration:
         self,
         options: SgrOptions | None = None,
         drawer: ViewDrawer | None = None,
-        encoder: Encoder | None = None,
+        describer: ViewDescriber | None = None,
         refiner: Refiner | None = None,
     ) -> None:
         self.options = options or SgrOptions()
         self.drawer = drawer or ViewDrawer()
-        self.refiner = refiner or FineRegistration(self.options.fine, self.drawer, encoder)
+        self.refiner = refiner or FineRegistration(self.options.fine, self.drawer, describer)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
@@ -29,10 +30,11 @@ class TwoWayRegistration:
         options: FineOptions | None = None,
         drawer: ViewDrawer | None = None,
         average: AverageOptions | None = None,
+        describer: ViewDescriber | None = None,
     ) -> None:
         self.options = options or FineOptions()
         self.drawer = drawer or ViewDrawer()
-        self._fine = FineRegistration(self.options, self.drawer)
+        self._fine = FineRegistration(self.options, self.drawer, describer)
         self._average = average or AverageOptions()
 
     def register(

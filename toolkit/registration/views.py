@@ -68,6 +68,11 @@ class ViewDrawer:
         self._centred = centred
 
     @property
+    def semantics(self) -> SemanticMapping | None:
+        """What reads the features of the submaps; None without classes."""
+        return self._semantics
+
+    @property
     def backend_name(self) -> str:
         """As `render` takes it."""
         return self._backend.name

@@ -77,7 +77,9 @@ class FirstOrderFineSettings(Settings):
     """The papers' optimiser of the fine stage (G-6)."""
 
     semantic: float = Field(1.0, ge=0, description="weight of the semantic term")
-    feature: float = Field(0.5, ge=0, description="weight of the feature term")
+    feature: float = Field(
+        0.5, ge=0, description="weight of the feature term, by the encoder of --loops.features"
+    )
     iterations: int = Field(150, ge=1, description="most Adam steps")
     translation_rate: float = Field(0.005, gt=0, description="learning rate, m")
     rotation_rate: float = Field(0.003, gt=0, description="learning rate, rad")
@@ -91,7 +93,9 @@ class FirstOrderFineSettings(Settings):
 class FineSettings(Settings):
     """Fine registration by rendering (G-6)."""
 
-    optimiser: Literal["dense", "first-order"] = Field("dense", description="ours, or the papers'")
+    optimiser: Literal["dense", "first-order"] = Field(
+        "dense", description="Gauss-Newton, or Adam on colour, semantics, features (G-6)"
+    )
     views: int = Field(10, ge=1, description="most views of the source (G: k)")
     renders: int = Field(6, ge=1, description="drawings of the target from each view, most")
     rerender_distance: float = Field(0.01, gt=0, description="motion that asks for a drawing")
