@@ -24,6 +24,9 @@ from benchmarks.gpu_scene import (
     trajectory,
     walk,
 )
+from toolkit.alignment import reference
+from toolkit.alignment.data import INITIAL_SCALES, FrameLevel, ModelLevel
+from toolkit.alignment.levels import finest_level, model_level
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.trajectory import absolute_trajectory_error
@@ -42,14 +45,6 @@ from toolkit.semantics.codes import SemanticCode, binary_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam import Slam
-from toolkit.tracking import alignment_numpy
-from toolkit.tracking.alignment import (
-    START_SCALES,
-    FrameLevel,
-    ModelLevel,
-    finest_level,
-    model_level,
-)
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 
@@ -264,14 +259,14 @@ def recording_table(plan: Plan, recordings: Sequence[tuple[str, str]]) -> None:
 
 def check_alignment(plan: Plan) -> bool:
     """The sums of a Gauss-Newton step against float64 in numpy; whether they are within bounds."""
-    from toolkit.tracking.cuda.aligner import linearised
+    from toolkit.alignment.cuda.aligner import linearise
 
     camera = camera_of(*((320, 180) if plan.timed else (24, 16)))
     frames = walk(backend("cuda"), camera, 2, plan.device, 2)
     view, frame = (finest_level(frame, torch.device("cpu")) for frame in frames)
     model, pose, exposure, gate = model_level(view), pose_of(1), (1.02, -0.01), 0.1
-    scalars = (*exposure, START_SCALES.intensity, START_SCALES.depth_m, gate, 1.0)
-    sums = alignment_numpy.accumulate(
+    scalars = (*exposure, INITIAL_SCALES.intensity, INITIAL_SCALES.depth_m, gate, 1.0)
+    sums = reference.accumulate(
         (model.texture.numpy(), model.surface.numpy()),
         (frame.intensity.numpy(), frame.depth_m.numpy()),
         (camera, camera),
@@ -280,7 +275,7 @@ def check_alignment(plan: Plan) -> bool:
     )
     there = ModelLevel(camera, model.texture.to(plan.device), model.surface.to(plan.device))
     frame_there = FrameLevel(camera, frame.intensity.to(plan.device), frame.depth_m.to(plan.device))
-    linear = linearised(there, frame_there, pose, START_SCALES, exposure, gate)
+    linear = linearise(there, frame_there, pose, INITIAL_SCALES, exposure, gate)
     actual = np.concatenate([linear.H[np.triu_indices(8)], linear.g])
     error = float(np.linalg.norm(actual - sums[:44]) / np.linalg.norm(sums[:44]))
     good = error <= _BOUND

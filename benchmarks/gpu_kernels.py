@@ -17,9 +17,9 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
+from toolkit.alignment.cuda import accumulation, stepping
 from toolkit.rendering.cuda import compositing, differentiation, projection, reduction
 from toolkit.rendering.cuda.backend import Tuning, block_of
-from toolkit.tracking.cuda import accumulation, stepping
 
 _FLOAT, _INT, _LONG = "*fp32", "*i32", "*i64"
 # Types by argument; what is not named here is a 32-bit integer, and capitals are constants.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.alignment.data import ResidualScales
 from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
@@ -30,7 +31,6 @@ from toolkit.registration.matching import MatchingOptions, Offset
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.allocation import Allocation, AllocationOptions
 from toolkit.submaps.atlas import Atlas, BoundaryOptions
-from toolkit.tracking.alignment import Scales
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(
@@ -62,7 +62,16 @@ class TrueRegistrar:
         if "wrong" in self.changes:
             T = T @ se3.exp(np.array([2.0, 0.0, 1.0, 0.0, 0.5, 0.0]))
         result = RegistrationResult(
-            T, True, 0.95, Scales(0.02, 0.003), 0.7, float("nan"), np.eye(6) * 1e8, 1, 1, "test"
+            T,
+            True,
+            0.95,
+            ResidualScales(0.02, 0.003),
+            0.7,
+            float("nan"),
+            np.eye(6) * 1e8,
+            1,
+            1,
+            "test",
         )
         return replace(result, **{k: v for k, v in self.changes.items() if hasattr(result, k)})
 
@@ -199,7 +208,7 @@ class TestWithin:
         self, frames, tmp_path, monkeypatch
     ):
         # Two views of one submap agree to the pixel, and the camera walked metres in between.
-        same = Offset(np.eye(4), 50, 0.9, Scales(0.02, 0.003), np.eye(6) * 1e8)
+        same = Offset(np.eye(4), 50, 0.9, ResidualScales(0.02, 0.003), np.eye(6) * 1e8)
         monkeypatch.setattr(keyframe_loops, "measure_offset", lambda *_: same)
         away = np.eye(4)
         away[0, 3] = 4.0
@@ -328,7 +337,7 @@ class TestState:
 
 def test_objections_name_what_is_wrong():
     good = RegistrationResult(
-        np.eye(4), True, 0.9, Scales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"
+        np.eye(4), True, 0.9, ResidualScales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"
     )
     options = VerificationOptions()
     assert objection(good, options) == ""
@@ -338,9 +347,9 @@ def test_objections_name_what_is_wrong():
         ({"overlap": 0.1}, "overlap"),
         ({"inliers": 0.5}, "surfaces"),
         ({"class_agreement": 0.5}, "classes"),
-        ({"residual": Scales(0.02, 0.1)}, "depth"),
-        ({"residual": Scales(0.5, 0.005)}, "intensity"),
-        ({"residual": Scales(float("nan"), float("nan"))}, "depth"),
+        ({"residual": ResidualScales(0.02, 0.1)}, "depth"),
+        ({"residual": ResidualScales(0.5, 0.005)}, "intensity"),
+        ({"residual": ResidualScales(float("nan"), float("nan"))}, "depth"),
         ({"information": np.zeros((6, 6))}, "information"),
     ):
         assert word in objection(replace(good, **change), options)

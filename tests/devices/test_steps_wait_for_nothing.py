@@ -16,6 +16,8 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from toolkit.alignment.data import FrameLevel
+from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss_torch
@@ -25,7 +27,6 @@ from toolkit.rendering.surface import SurfaceView, surface_depth
 from toolkit.rendering.texture import at_centres
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.tracking.alignment import FrameLevel, model_level, pyramid, view_of
 
 META = torch.device("meta")
 CAMERA = Camera(50.0, 52.0, 23.5, 17.5, 48, 36)
@@ -77,7 +78,7 @@ def test_the_mapping_loss_and_its_derivative() -> None:
 def test_where_the_colours_of_a_view_belong() -> None:
     view = SurfaceView(SimpleNamespace(images=image(8)), image(), CAMERA, np.eye(4))
     assert at_centres(image(3), view).shape == (3, 36, 48)
-    assert view_of(view, 0.9).intensity.device == META
+    assert view_level(view, 0.9).intensity.device == META
 
 
 @pytest.mark.parametrize("code", [flat_code, one_hot_code, binary_code])

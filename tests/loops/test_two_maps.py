@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toolkit.alignment.data import ResidualScales
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.loops.two_maps import (
@@ -17,7 +18,6 @@ from toolkit.loops.two_maps import (
 from toolkit.loops.verification import VerificationOptions
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import Scales
 
 
 def submap(number, rows, T_world_submap=None):
@@ -48,7 +48,7 @@ def test_submaps_without_descriptors_are_left_out():
 
 
 def result(T, overlap=0.7):
-    scales = Scales(0.02, 0.003)
+    scales = ResidualScales(0.02, 0.003)
     information = np.eye(6) * 1e8
     return RegistrationResult(
         T, True, 0.95, scales, overlap, float("nan"), information, 1, 1, "test"

@@ -9,12 +9,12 @@ import pytest
 import torch
 from registered_room import Scene, error, motion, moved
 
+from toolkit.alignment.joint import align
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.registration import fine
 from toolkit.registration.fine import FineOptions, FineRegistration, classes_clash
 from toolkit.registration.fine_first_order import FirstOrderFineOptions, _Objective
-from toolkit.registration.joint_alignment import align
 from toolkit.registration.view_features import ViewFeatures
 from toolkit.registration.views import ViewDrawer
 from toolkit.rendering import render

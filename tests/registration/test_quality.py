@@ -7,6 +7,7 @@ import pytest
 import torch
 from registered_room import Scene, motion
 
+from toolkit.alignment.data import FrameLevel
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -15,7 +16,6 @@ from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.quality import check_alignment, check_keyframe, compare
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import FrameLevel
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
 

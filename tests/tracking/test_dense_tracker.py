@@ -18,10 +18,10 @@ from tracked_room import (
     small_motion,
 )
 
+from toolkit.alignment import backend as alignment_backend
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import surface, texture
-from toolkit.tracking import alignment
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.result import Health
 
@@ -184,7 +184,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
 
 
 def test_it_works_without_compiled_kernels(room, gaussians, monkeypatch):
-    for module in (surface, texture, alignment):
+    for module in (surface, texture, alignment_backend):
         monkeypatch.setattr(module, "kernels_for", lambda tensor: None)
     tracker = DenseTracker(backend_name="reference")
     tracker.first_pose(room.frames[0])

@@ -21,19 +21,14 @@ from tracked_room import (
     small_motion,
 )
 
+from toolkit.alignment.data import FrameLevel, ModelLevel
+from toolkit.alignment.levels import intensity_of, model_level, view_level
 from toolkit.errors import DependencyError
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking import dense, odometry
-from toolkit.tracking.alignment import (
-    FrameLevel,
-    ModelLevel,
-    intensity_of,
-    model_level,
-    view_of,
-)
 from toolkit.tracking.dense import DenseOptions, DenseTracker
 from toolkit.tracking.odometry import frame_to_model
 
@@ -50,7 +45,7 @@ def level_of(frame: Frame) -> FrameLevel:
 def drawn(gaussians: GaussianCloud, camera: Camera) -> ModelLevel:
     """The map as the first camera sees it."""
     return model_level(
-        view_of(draw_surface(backend(), gaussians, camera, np.eye(4), DrawOptions(0.9)), 0.9)
+        view_level(draw_surface(backend(), gaussians, camera, np.eye(4), DrawOptions(0.9)), 0.9)
     )
 
 
@@ -111,11 +106,11 @@ class TestOdometry:
         """In a process of its own, where Open3D has not chosen its threads yet."""
         program = (
             "import sys\n"
-            f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+            f"sys.path[:0] = {[str(folder) for folder in Path(__file__).parents[:2]]!r}\n"
             "import numpy as np\n"
             "from test_odometry_start import level_of\n"
             "from tracked_room import first_steps\n"
-            "from toolkit.tracking.alignment import model_level\n"
+            "from toolkit.alignment.levels import model_level\n"
             "from toolkit.tracking.odometry import frame_to_model\n"
             "a, b = (level_of(f) for f in first_steps(2).frames)\n"
             "view = model_level(a)\n"

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.tracking.tones import Tones, exposure_between
+from toolkit.alignment.exposure import IntensityStatistics, exposure_between
 
 # Fewer common voxels say nothing about a pair.
 _FEWEST = 100
@@ -74,13 +74,14 @@ def _link(a: int, b: int, first: Array, second: Array) -> _Link:
     for _ in range(_ROUNDS):
         residual = first - (gain * second + bias)
         weight = 1.0 / (1.0 + (residual / _SCALE) ** 2)
-        gain, bias = exposure_between(_tones(second, weight), _tones(first, weight))
+        gain, bias = exposure_between(_statistics(second, weight), _statistics(first, weight))
     return _Link(a, b, gain, bias, float(weight.sum()))
 
 
-def _tones(colours: Array, weight: Array) -> Tones:
+def _statistics(colours: Array, weight: Array) -> IntensityStatistics:
     mean = float(np.average(colours, weights=weight))
-    return Tones(mean, float(np.average((colours - mean) ** 2, weights=weight)) ** 0.5)
+    variance = float(np.average((colours - mean) ** 2, weights=weight))
+    return IntensityStatistics(mean, variance**0.5)
 
 
 def _potentials(count: int, links: list[_Link], differences: list[float]) -> Array:

@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import ResidualScales
 from toolkit.registration.matching import MatchingOptions, Offset, measure_offset
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
 from toolkit.registration.pooled import pooled_motion
 from toolkit.registration.result import UNKNOWN, RegistrationResult, failed
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import Scales
 
 Array = NDArray[np.float64]
 
@@ -192,7 +192,7 @@ def _result(
         T_target_source=agreement.T_target_source,
         converged=enough and agreement.converged,
         inliers=agreeing / tried,
-        residual=Scales(
+        residual=ResidualScales(
             _median([offset.residual.intensity for offset in kept]),
             _median([offset.residual.depth_m for offset in kept]),
         ),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from toolkit.alignment.joint import JointOptions
 from toolkit.features.sources import ViewDescriber
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.coarse import CoarseOptions
 from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
 from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.fine_first_order import FirstOrderFineOptions
-from toolkit.registration.joint_alignment import JointOptions
 from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions
 from toolkit.registration.placement import KeyframePlacement, PlacementOptions

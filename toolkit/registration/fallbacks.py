@@ -13,13 +13,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import ViewDrawer
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import Scales
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class CloudRegistration:
             T_target_source=T,
             converged=bool(enough),
             inliers=check.inliers,
-            residual=Scales(float("nan"), float(found.inlier_rmse)),
+            residual=ResidualScales(float("nan"), float(found.inlier_rmse)),
             overlap=check.overlap,
             class_agreement=check.class_agreement,
             information=information,

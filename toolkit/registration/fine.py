@@ -15,25 +15,26 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import ModelLevel
+from toolkit.alignment.joint import (
+    MIN_PIXELS,
+    Estimate,
+    JointOptions,
+    Pair,
+    align,
+)
+from toolkit.alignment.levels import model_level, pyramid
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.registration.fine_first_order import (
     FirstOrderFineOptions,
     descend,
 )
-from toolkit.registration.joint_alignment import (
-    FEWEST_PIXELS,
-    Estimate,
-    JointOptions,
-    Pair,
-    align,
-)
 from toolkit.registration.quality import AlignmentCheck, compare
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.view_features import ViewFeatures
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import ModelLevel, model_level, pyramid
 
 Array = NDArray[np.float64]
 
@@ -190,7 +191,7 @@ class FineRegistration:
             near = moved <= self.options.rerender_distance
             # Steps may swing about an answer, by less than anyone asks of it, and never be small.
             swings = moved <= _AT_REST * self.options.rerender_distance
-            at_rest = estimate.converged or (swings and estimate.pixels.sum() >= FEWEST_PIXELS)
+            at_rest = estimate.converged or (swings and estimate.pixels.sum() >= MIN_PIXELS)
             # Far from the last drawing, an answer was never seen to be right.
             estimate = replace(estimate, converged=bool(at_rest and near))
             if estimate.converged or round_ + 1 == self.options.renders:
@@ -239,7 +240,7 @@ class FineRegistration:
         return replace(judged, iterations=found.iterations, converged=found.converged), targets
 
     def _judged(self, pairs: list[Pair], T_target_source: Array) -> Estimate:
-        """Scales and information at a motion that stays as it is."""
+        """ResidualScales and information at a motion that stays as it is."""
         still = replace(self.options.dense, iterations=1, exposure=False)
         estimate = Estimate(T_target_source)
         for _ in range(_ROUNDS):

@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import ResidualScales
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.alignment.levels import limited_to_width, model_level, pyramid
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.keyframes import Keyframe
-from toolkit.registration.joint_alignment import Estimate, JointOptions, Pair, align
-from toolkit.registration.views import observed_level, shrunk
-from toolkit.tracking.alignment import Scales, model_level, pyramid
+from toolkit.registration.views import observed_level
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.result import Health
 
@@ -76,7 +77,7 @@ class Offset:
     T_first_second: Array
     matches: int
     visible: float
-    residual: Scales
+    residual: ResidualScales
     information: Array = field(repr=False)
     iterations: int = 0
 
@@ -114,9 +115,9 @@ def _refined(
     levels = options.dense.levels
     model = [
         model_level(level)
-        for level in pyramid(shrunk(observed_level(first), options.largest_width), levels)
+        for level in pyramid(limited_to_width(observed_level(first), options.largest_width), levels)
     ]
-    frame = pyramid(shrunk(observed_level(second), options.largest_width), levels)
+    frame = pyramid(limited_to_width(observed_level(second), options.largest_width), levels)
     pair = Pair(model, frame, np.eye(4), np.eye(4))
     estimate = align([pair], Estimate(start), options.dense)
     measured = float((frame[0].depth_m > 0).sum())

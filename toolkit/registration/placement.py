@@ -16,12 +16,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import FrameLevel, ModelLevel
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.alignment.levels import limited_to_width, model_level, pyramid
 from toolkit.geometry import se3
 from toolkit.mapping.keyframes import Keyframe
-from toolkit.registration.joint_alignment import Estimate, JointOptions, Pair, align
 from toolkit.registration.matching import parted
-from toolkit.registration.views import observed_level, shrunk
-from toolkit.tracking.alignment import FrameLevel, ModelLevel, model_level, pyramid
+from toolkit.registration.views import observed_level
 
 Array = NDArray[np.float64]
 
@@ -109,7 +110,7 @@ class KeyframePlacement:
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.gain, keyframe.bias)
         if key not in self._held:
-            finest = shrunk(observed_level(keyframe), self.options.largest_width)
+            finest = limited_to_width(observed_level(keyframe), self.options.largest_width)
             frame = pyramid(finest, self.options.dense.levels)
             self._held[key] = _Levels([model_level(level) for level in frame], frame)
             while len(self._held) > _HELD:

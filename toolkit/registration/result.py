@@ -8,11 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import Scales
 
-UNKNOWN = Scales(float("nan"), float("nan"))
+UNKNOWN = ResidualScales(float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RegistrationResult:
     T_target_source: NDArray[np.float64]
     converged: bool
     inliers: float
-    residual: Scales
+    residual: ResidualScales
     overlap: float
     class_agreement: float
     information: NDArray[np.float64] = field(repr=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import ResidualScales
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.registration.fine import FineOptions, FineRegistration
@@ -17,7 +18,6 @@ from toolkit.registration.motion_average import Agreement, AverageOptions, avera
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import Scales
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class TwoWayRegistration:
             T_target_source=agreement.T_target_source,
             converged=agreement.converged and enough,
             inliers=_median([part.inliers for part in parts]),
-            residual=Scales(
+            residual=ResidualScales(
                 _median([part.residual.intensity for part in parts]),
                 _median([part.residual.depth_m for part in parts]),
             ),

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import FrameLevel
+from toolkit.alignment.levels import halved, intensity_of, view_level
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.alignment import FrameLevel, halved, intensity_of, view_of
 
 # A view that shares less than this is not looked from.
 _LEAST_SHARE = 0.1
@@ -49,7 +50,7 @@ class ViewDrawer:
         semantics: reads the features of the submaps; None leaves classes out.
         least_silhouette: thinner pixels have no surface.
         largest_width: images are halved until they are no wider.
-        centred: as `view_of` takes it.
+        centred: as `view_level` takes it.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class ViewDrawer:
         options = DrawOptions(self._least_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
         surface = draw_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
-        level = view_of(surface, self._least_silhouette, self._centred)
+        level = view_level(surface, self._least_silhouette, self._centred)
         if self._semantics is None:
             return View(level)
         class_ids = self._semantics.decode_view(surface).class_ids
@@ -113,13 +114,6 @@ def observed_level(keyframe: Keyframe) -> FrameLevel:
     """A keyframe's own image at the map's exposure, and its depth."""
     rgb = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
     return FrameLevel(keyframe.camera, intensity_of(rgb), keyframe.depth_m)
-
-
-def shrunk(level: FrameLevel, largest_width: int) -> FrameLevel:
-    """A level halved until it is no wider."""
-    while level.camera.width > largest_width:
-        level = halved(level)
-    return level
 
 
 def views_of_overlap(

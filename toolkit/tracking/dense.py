@@ -15,22 +15,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.backend import align, linearise
+from toolkit.alignment.data import (
+    INITIAL_SCALES,
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    ModelLevel,
+    ResidualScales,
+)
+from toolkit.alignment.exposure import estimate_exposure
+from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.errors import DependencyError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
-from toolkit.tracking.alignment import (
-    START_SCALES,
-    FrameLevel,
-    ModelLevel,
-    Scales,
-    linearise,
-    model_level,
-    pyramid,
-    view_of,
-)
-from toolkit.tracking.gauss_newton import Alignment, Rules, align
 from toolkit.tracking.health import (
     HealthLimits,
     believable,
@@ -43,7 +43,6 @@ from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.prepared import FramesAhead, PreparedFrame
 from toolkit.tracking.result import Health, TrackingResult
-from toolkit.tracking.tones import told_exposure
 
 _log = logging.getLogger(__name__)
 
@@ -144,8 +143,8 @@ class DenseTracker(MovingTracker):
         self._centred = centred
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
-        self._scales = START_SCALES
-        self._fit = START_SCALES
+        self._scales = INITIAL_SCALES
+        self._fit = INITIAL_SCALES
         self._exposure = (1.0, 0.0)
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
@@ -165,9 +164,9 @@ class DenseTracker(MovingTracker):
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take over an earlier `state`."""
         super().restore(state)
-        self._scales = Scales(*(float(s) for s in state["scales"]))
+        self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         # Earlier checkpoints have no "fit".
-        self._fit = Scales(*(float(s) for s in state.get("fit", state["scales"])))
+        self._fit = ResidualScales(*(float(s) for s in state.get("fit", state["scales"])))
         gain, bias = state["exposure"]
         self._exposure = (float(gain), float(bias))
 
@@ -178,7 +177,7 @@ class DenseTracker(MovingTracker):
         if last is not None:
             starts.append(last)
         result = self.locate(frame, gaussians, *starts)
-        found = Scales(result.intensity_residual, result.depth_residual_m)
+        found = ResidualScales(result.intensity_residual, result.depth_residual_m)
         known = believable(self._scales, self._fit)
         astray = "" if result.lost else gone_astray(self.limits, found, known)
         if astray:
@@ -221,7 +220,7 @@ class DenseTracker(MovingTracker):
         with self._recorder.timed("tracking render"):
             options = DrawOptions(thin)
             surface = draw_surface(self._backend, task.gaussians, camera, T_view_map, options)
-            levels = pyramid(view_of(surface, thin, self._centred), self.options.levels)
+            levels = pyramid(view_level(surface, thin, self._centred), self.options.levels)
             return _View(T_map_view.copy(), [model_level(level) for level in levels])
 
     def _best_start(
@@ -286,16 +285,16 @@ class DenseTracker(MovingTracker):
             renders, levels = renders + 1, 1
 
     @property
-    def _rules(self) -> Rules:
+    def _rules(self) -> GaussNewtonOptions:
         options = self.options
-        return Rules(
+        return GaussNewtonOptions(
             iterations=options.iterations,
             max_distance=options.max_distance,
             photometric_weight=options.photometric_weight,
             exposure=self._exposure if options.exposure else None,
-            fewest_pixels=_FEWEST_PIXELS,
-            small_m=_SMALL_TRANSLATION_M,
-            small_rad=_SMALL_ROTATION_RAD,
+            min_pixels=_FEWEST_PIXELS,
+            min_translation_m=_SMALL_TRANSLATION_M,
+            min_rotation_rad=_SMALL_ROTATION_RAD,
         )
 
     def _far(self, T_view_camera: NDArray[np.float64], reach_m: float) -> bool:
@@ -311,7 +310,7 @@ class DenseTracker(MovingTracker):
             return fitted
         levels = list(zip(view.levels, task.levels, strict=True))
         gate = self.options.max_distance
-        return told_exposure(levels, found.T_view_camera, found.scales, fitted, gate)
+        return estimate_exposure(levels, found.T_view_camera, found.scales, fitted, gate)
 
     def _result(self, task: _Task, view: _View, found: Alignment, renders: int) -> TrackingResult:
         measured, linear = float(task.ready.measured), found.last

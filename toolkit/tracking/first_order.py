@@ -12,6 +12,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.alignment.backend import linearise
+from toolkit.alignment.data import (
+    INITIAL_SCALES,
+    FrameLevel,
+    Linearisation,
+    ResidualScales,
+    rescaled,
+)
+from toolkit.alignment.levels import finest_level, intensity_of, model_level
 from toolkit.errors import SettingsError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -22,17 +31,6 @@ from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
 from toolkit.rendering import RenderOutput, backend
 from toolkit.rendering.output import FEATURES, SILHOUETTE
 from toolkit.semantics.codes import SemanticCode
-from toolkit.tracking.alignment import (
-    START_SCALES,
-    FrameLevel,
-    Linearisation,
-    Scales,
-    finest_level,
-    intensity_of,
-    linearise,
-    model_level,
-    rescaled,
-)
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
@@ -201,11 +199,11 @@ class FirstOrderTracker(MovingTracker):
         )
 
 
-def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, Scales]:
+def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, ResidualScales]:
     """Normal equations at the pose that was drawn, and the scales of its residuals."""
     model = model_level(view)
     own = finest_level(frame, view.depth_m.device)
-    scales = START_SCALES
+    scales = INITIAL_SCALES
     for _ in range(_ROUNDS):
         linear = linearise(model, own, np.eye(4), scales, (1.0, 0.0), _MAX_DISTANCE)
         scales = rescaled(scales, linear)

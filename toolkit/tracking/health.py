@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import INITIAL_SCALES, ResidualScales
 from toolkit.frame import Frame
-from toolkit.tracking.alignment import START_SCALES, Scales
 from toolkit.tracking.result import Health
 
 _log = logging.getLogger(__name__)
@@ -36,9 +36,9 @@ class HealthLimits:
     most_misfit: float = 4.0
 
 
-# Scales below these are no measure of the next frame's: of ideal images the fit may well become
-# several times worse where the map is young.
-_USUAL_SCALES = Scales(intensity=0.01, depth_m=0.0015)
+# Smaller scales do not predict those of the next frame: on ideal images the fit can become
+# several times worse where the map is new.
+_USUAL_SCALES = ResidualScales(intensity=0.01, depth_m=0.0015)
 # By so much the scales grow with each lost frame, up to those of a first frame, since alignment
 # from farther off begins with larger errors.
 _FORGETTING = 1.25
@@ -63,7 +63,7 @@ def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
 
 def verdict(
     limits: HealthLimits,
-    scales: Scales,
+    scales: ResidualScales,
     visible_fraction: float,
     information: NDArray[np.float64],
     measured: float,
@@ -85,7 +85,7 @@ def verdict(
     return Health.GOOD, ""
 
 
-def gone_astray(limits: HealthLimits, found: Scales, before: Scales) -> str:
+def gone_astray(limits: HealthLimits, found: ResidualScales, before: ResidualScales) -> str:
     """Why a frame that looks tracked is not, by the fit of the frame before; empty if it is.
 
     Alignment that slides into another place of similar shape ends with a small step and a fair
@@ -105,22 +105,22 @@ def shows_something(frame: Frame) -> bool:
     return bool((frame.depth_m > 0).any())
 
 
-def believable(scales: Scales, fit: Scales) -> Scales:
+def believable(scales: ResidualScales, fit: ResidualScales) -> ResidualScales:
     """What to hold a frame's scales against: the last tracked frame's, wider after lost ones.
 
     Args:
         scales: after `forgetting`. fit: of the last tracked frame.
     """
     usual = _USUAL_SCALES
-    return Scales(
+    return ResidualScales(
         min(scales.intensity, _MOST_FORGOTTEN * max(fit.intensity, usual.intensity)),
         min(scales.depth_m, _MOST_FORGOTTEN * max(fit.depth_m, usual.depth_m)),
     )
 
 
-def forgetting(scales: Scales) -> Scales:
+def forgetting(scales: ResidualScales) -> ResidualScales:
     """The scales that alignment of the next frame begins with after a lost one."""
-    return Scales(
-        max(scales.intensity, min(_FORGETTING * scales.intensity, START_SCALES.intensity)),
-        max(scales.depth_m, min(_FORGETTING * scales.depth_m, START_SCALES.depth_m)),
+    return ResidualScales(
+        max(scales.intensity, min(_FORGETTING * scales.intensity, INITIAL_SCALES.intensity)),
+        max(scales.depth_m, min(_FORGETTING * scales.depth_m, INITIAL_SCALES.depth_m)),
     )

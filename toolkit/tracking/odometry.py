@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.tracking.alignment import FrameLevel, ModelLevel
 
 # Its three levels from coarse to fine. Open3D's defaults stop far from the optimum.
 _ITERATIONS = (30, 20, 10)

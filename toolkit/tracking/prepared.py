@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from toolkit.alignment.data import FrameLevel
+from toolkit.alignment.levels import finest_level, pyramid
 from toolkit.frame import Frame
-from toolkit.tracking.alignment import FrameLevel, finest_level, pyramid
 
 # Frames held at most; each that is asked for lets go of all before it.
 _MOST = 8

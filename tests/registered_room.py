@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -31,9 +32,10 @@ class Scene:
     T_target_source: NDArray[np.float64]
 
 
+@functools.cache
 def scene(
-    target: Sequence[int] = (0, 4, 8, 12),
-    source: Sequence[int] = (14, 10, 6),
+    target: tuple[int, ...] = (0, 4, 8, 12),
+    source: tuple[int, ...] = (14, 10, 6),
     semantics: SemanticMapping | None = None,
 ) -> Scene:
     """Two submaps of the frames of these numbers."""

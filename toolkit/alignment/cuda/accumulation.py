@@ -1,12 +1,9 @@
-"""Kernel: the sums of one Gauss-Newton step, whose equations are those of `alignment_numpy`."""
+"""Kernel: the sums of one Gauss-Newton step, whose equations are those of `reference`."""
 
 import triton
 import triton.language as tl
 
-from toolkit.rendering.surface import EDGE as _EDGE
-from toolkit.tracking.alignment_numpy import NEAR_M as _NEAR_M
-from toolkit.tracking.alignment_numpy import NU as _NU
-from toolkit.tracking.cuda.layout import (
+from toolkit.alignment.cuda.layout import (
     BIAS,
     GAIN,
     PART,
@@ -18,6 +15,9 @@ from toolkit.tracking.cuda.layout import (
     TAIL,
     WIDE,
 )
+from toolkit.alignment.reference import NEAR_M as _NEAR_M
+from toolkit.alignment.reference import NU as _NU
+from toolkit.rendering.surface import EDGE as _EDGE
 
 NU = tl.constexpr(_NU)
 EDGE = tl.constexpr(_EDGE)

@@ -1,4 +1,4 @@
-"""The alignment kernels against numpy, and both against what they claim to compute."""
+"""The C++ kernels of alignment against numpy, and both against their definitions."""
 
 from __future__ import annotations
 
@@ -11,26 +11,17 @@ import pytest
 import torch
 from tracked_room import Room
 
+from toolkit.alignment import backend
+from toolkit.alignment.backend import linearise
+from toolkit.alignment.data import FrameLevel, Linearisation, ModelLevel, ResidualScales
+from toolkit.alignment.levels import halved, intensity_of, model_level, pyramid, view_level
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import SurfaceView
-from toolkit.tracking import alignment
-from toolkit.tracking.alignment import (
-    FrameLevel,
-    Linearisation,
-    ModelLevel,
-    Scales,
-    halved,
-    intensity_of,
-    linearise,
-    model_level,
-    pyramid,
-    view_of,
-)
 
-SCALES = Scales(intensity=0.03, depth_m=0.005)
+SCALES = ResidualScales(intensity=0.03, depth_m=0.005)
 LIGHT = replace(SCALES, photometric_weight=0.3)
-WIDE = Scales(intensity=1e3, depth_m=1e3)  # so wide that every residual has the same weight
+WIDE = ResidualScales(intensity=1e3, depth_m=1e3)  # so wide that every residual has the same weight
 
 
 @pytest.fixture(autouse=True)
@@ -42,10 +33,10 @@ def restored_threads() -> Iterator[None]:
 
 @pytest.fixture
 def use(monkeypatch: pytest.MonkeyPatch):
-    """Choose the kernels of `alignment`: a compiled module, or None for numpy."""
+    """Choose the compiled kernels, or numpy with None."""
 
     def choose(module: ModuleType | None) -> None:
-        monkeypatch.setattr(alignment, "kernels_for", lambda tensor: module)
+        monkeypatch.setattr(backend, "kernels_for", lambda tensor: module)
 
     return choose
 
@@ -86,7 +77,7 @@ def assert_same_sums(actual: Linearisation, expected: Linearisation, tolerance: 
 
 
 class TestAgainstNumpy:
-    """Every compiled instruction set computes what the numpy equations say."""
+    """Every compiled instruction set agrees with numpy."""
 
     def test_sums(self, room, module, use):
         frame, view = level_of(room, 1), level_of(room, 0)
@@ -114,9 +105,9 @@ class TestAgainstNumpy:
         images = torch.rand(5, 33, 45, generator=torch.Generator().manual_seed(0))
         drawn = surface_view(images, Camera(40.0, 41.0, 20.0, 17.0, 45, 33))
         use(None)
-        expected = view_of(drawn, 0.6, centred=False)
+        expected = view_level(drawn, 0.6, centred=False)
         use(module)
-        actual = view_of(drawn, 0.6, centred=False)
+        actual = view_level(drawn, 0.6, centred=False)
         assert_close(actual.intensity[..., None], expected.intensity[..., None])
         assert_close(actual.depth_m[..., None], expected.depth_m[..., None])
 
@@ -201,7 +192,7 @@ def test_gradient_is_the_derivative_of_the_cost(use, parameter):
     inner = torch.zeros_like(frame.depth_m)
     inner[6:-6, 6:-6] = frame.depth_m[6:-6, 6:-6]
     frame = FrameLevel(CAMERA, frame.intensity, inner)
-    scales = Scales(intensity=10.0, depth_m=1.0)
+    scales = ResidualScales(intensity=10.0, depth_m=1.0)
     base = se3.exp(np.array([0.003, 0.002, 0.0, 0.001, -0.002, 0.003]))
 
     def at(step: float) -> Linearisation:
@@ -358,7 +349,7 @@ def test_views_show_the_colour_as_composited(use):
     images = 0.6 * torch.ones(5, 4, 4)
     images[4, :, :2] = 0.95
     images[:3, :, :2] = 0.57
-    view = view_of(surface_view(images, Camera(4, 4, 2, 2, 4, 4)), 0.9, centred=False)
+    view = view_level(surface_view(images, Camera(4, 4, 2, 2, 4, 4)), 0.9, centred=False)
     assert torch.allclose(view.intensity[:, :2], torch.tensor(0.57))
     assert (view.intensity[:, 2:] == 0).all()
 

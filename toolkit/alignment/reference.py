@@ -1,10 +1,14 @@
-"""The alignment kernels' equations in numpy: the reference, and what runs without a compiler."""
+"""The equations of alignment in numpy: the reference of all backends, and the CPU fallback."""
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
+from toolkit.alignment.data import FrameLevel, Image, Linearisation, ModelLevel, ResidualScales
+from toolkit.alignment.gauss_newton import HostGaussNewton
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.surface import EDGE
 
@@ -12,19 +16,56 @@ NU = 5.0  # degrees of freedom of Student's t
 NEAR_M = 0.01
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
-Image = NDArray[np.float32]
+
+class NumpyBackend(HostGaussNewton):
+    """See AlignmentBackend."""
+
+    def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:
+        """See AlignmentBackend."""
+        return torch.from_numpy(intensity_of(images.numpy(), min_silhouette))
+
+    def halve(self, level: FrameLevel, max_difference: float) -> FrameLevel:
+        """See AlignmentBackend."""
+        images = halve(level.intensity.numpy(), level.depth_m.numpy(), max_difference)
+        return FrameLevel(level.camera.halved(), *(torch.from_numpy(image) for image in images))
+
+    def model(self, level: FrameLevel) -> ModelLevel:
+        """See AlignmentBackend."""
+        images = model(level.camera, level.intensity.numpy(), level.depth_m.numpy())
+        return ModelLevel(level.camera, *(torch.from_numpy(image) for image in images))
+
+    def linearise(
+        self,
+        model: ModelLevel,
+        frame: FrameLevel,
+        T_model_frame: NDArray[np.float64],
+        scales: ResidualScales,
+        exposure: tuple[float, float],
+        max_distance: float,
+    ) -> Linearisation:
+        """See AlignmentBackend."""
+        sigmas = scales.intensity, scales.depth_m
+        sums = accumulate(
+            (model.texture.numpy(), model.surface.numpy()),
+            (frame.intensity.numpy(), frame.depth_m.numpy()),
+            (model.camera, frame.camera),
+            T_model_frame,
+            (*exposure, *sigmas, max_distance, scales.photometric_weight),
+        )
+        return Linearisation.from_sums(sums)
 
 
-def intensity_of(images: Image, least_silhouette: float) -> Image:
-    """Intensity [H, W] of a rendering [5, H, W], 0 where it is too thin."""
-    return np.tensordot(LUMA, images[:3], 1) * (images[4] >= least_silhouette)
+def intensity_of(images: Image, min_silhouette: float) -> Image:
+    """Intensity [H, W] of a rendering [5, H, W], 0 where its silhouette is below a minimum."""
+    return np.tensordot(LUMA, images[:3], 1) * (images[4] >= min_silhouette)
 
 
-def halve(intensity: Image, depth: Image, edge: float) -> tuple[Image, Image]:
+def halve(intensity: Image, depth: Image, max_difference: float) -> tuple[Image, Image]:
     """Mean intensity and depth of the nearest surface in each 2x2 cell.
 
     Args:
-        edge: depth differences beyond this share of the depth are another surface.
+        max_difference: depth differences beyond this fraction of the depth belong to another
+            surface.
     """
     height, width = intensity.shape
     rows = np.minimum(2 * np.arange(max(1, height // 2))[:, None] + [0, 1], height - 1)
@@ -32,17 +73,17 @@ def halve(intensity: Image, depth: Image, edge: float) -> tuple[Image, Image]:
     taps = np.stack([depth[np.ix_(rows[:, a], columns[:, b])] for a in (0, 1) for b in (0, 1)])
     grey = np.stack([intensity[np.ix_(rows[:, a], columns[:, b])] for a in (0, 1) for b in (0, 1)])
     nearest = np.where(taps > 0, taps, 1e30).min(axis=0)
-    same = (taps > 0) & (taps - nearest <= edge * nearest)
+    same = (taps > 0) & (taps - nearest <= max_difference * nearest)
     count = same.sum(axis=0)
     inverse = (same / np.where(same, taps, 1.0)).sum(axis=0)
     depth = np.where(count > 0, count / np.maximum(inverse, 1e-9), 0.0)
-    of_surface = (grey * same).sum(axis=0) / np.maximum(count, 1)
-    intensity = np.where(count > 0, of_surface, grey.mean(axis=0))
+    surface_mean = (grey * same).sum(axis=0) / np.maximum(count, 1)
+    intensity = np.where(count > 0, surface_mean, grey.mean(axis=0))
     return intensity.astype(np.float32), depth.astype(np.float32)
 
 
 def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]:
-    """Texture and surface [H, W, 4] of a view; see ModelLevel."""
+    """Texture and surface [H, W, 4] of one level; see ModelLevel."""
     texture = np.zeros((*depth.shape, 4), dtype=np.float32)
     surface = np.zeros_like(texture)
     if min(depth.shape) < 3:
@@ -73,9 +114,10 @@ def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]
 
 
 def _same_surface(a: Image, z: Image, b: Image) -> NDArray[np.bool_]:
-    """Whether neighbours on both sides lie on the surface of a pixel with depth z.
+    """Whether neighbours a and b on both sides of a pixel with depth z lie on its surface.
 
-    Near it, or on one plane with it, however steep: there inverse depth is linear.
+    They do if their depths are close, or if all three lie on one plane: inverse depth is linear
+    in the image of a plane, however steep it is.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = abs(z / a + z / b - 2.0)
@@ -120,7 +162,8 @@ def accumulate(
     tail[4] = len(Y)
     flat = close & plane[:, :3].any(axis=1)
     n = plane[flat, :3]
-    # Weight and lever from the view: with the frame's own depth they would go with its noise.
+    # Weight and lever arm come from the model's depth. With the frame's depth they would follow
+    # its noise, nearer points would weigh more, and the pose would be biased.
     scale = 1.0 / (sigma_depth * np.maximum(seen[flat] ** 2, 0.25))
     X = Y[flat] * (seen[flat] / Y[flat, 2])[:, None]
     residual = (n * Y[flat]).sum(axis=1) - plane[flat, 3]
@@ -140,7 +183,7 @@ def accumulate(
 
 
 def _jacobian(direction: NDArray, Y: NDArray) -> NDArray:
-    """Derivative [n, 8] of direction . Y by a left perturbation; no exposure."""
+    """Derivative [n, 8] of direction . Y by a left tangent; the exposure's columns are 0."""
     return np.concatenate([direction, np.cross(Y, direction), np.zeros((len(Y), 2))], axis=1)
 
 
@@ -152,7 +195,7 @@ def _add(
     residuals: tuple[NDArray, ...],
     share: float,
 ) -> None:
-    """Add weighted residuals (J, r, 1 / scale) to the sums in place."""
+    """Add weighted residuals (J, r, 1 / scale) to the sums, in place."""
     J, r, inverse = residuals
     q2 = (r * inverse) ** 2
     robust = (NU + 1.0) / (NU + q2)
@@ -166,10 +209,11 @@ def _add(
 def _bilinear(
     texture: Image, smooth: NDArray[np.bool_], uv: NDArray
 ) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Interpolated texture [n, 4], and whether all taps lie on one surface [n].
+    """Interpolated texture [n, 4], and whether the four taps lie on one surface [n].
 
     Args:
-        smooth: [H, W] pixels that lie on planes with their neighbours: opposite ones join four.
+        smooth: [H, W] pixels that lie on planes with their neighbours. Two opposite ones among
+            the taps put all four on one surface.
     """
     x, y = uv[:, 0].astype(int), uv[:, 1].astype(int)
     a, b = (uv[:, 0] - x)[:, None], (uv[:, 1] - y)[:, None]

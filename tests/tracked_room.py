@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ class Room:
     T_map_camera: NDArray[np.float64]
 
 
+@functools.cache
 def first_steps(count: int = 6, width: int = 160, height: int = 120) -> Room:
     frames, truth = tiny_room(count, width, height)
     T_map_world = se3.inverse(truth.T_world_camera[0])

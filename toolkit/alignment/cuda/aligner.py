@@ -1,4 +1,4 @@
-"""Launches the alignment's kernels, level by level, and reads the answer once at the end."""
+"""Launches the Triton kernels of alignment, level by level, and reads the result at the end."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ import triton
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.geometry import se3
-from toolkit.rendering.cuda.backend import on
-from toolkit.tracking import exposure
-from toolkit.tracking.alignment import (
-    LEAST_SCALES,
-    MOST_SCALES,
+from toolkit.alignment.cuda import accumulation, layout, stepping
+from toolkit.alignment.data import (
+    MAX_SCALES,
+    MIN_SCALES,
+    Alignment,
     FrameLevel,
+    GaussNewtonOptions,
     Linearisation,
     ModelLevel,
-    Scales,
+    ResidualScales,
 )
-from toolkit.tracking.cuda import accumulation, layout, stepping
-from toolkit.tracking.gauss_newton import Alignment, Rules
+from toolkit.alignment.normal_equations import EXPOSURE_PRIOR
+from toolkit.geometry import se3
+from toolkit.rendering.cuda.backend import on
 
-_BLOCK, _WARPS = 64, 2  # pixels at once, by so many warps: more would not fit the registers
-_PARTS = 512  # partial sums at most, so that their order does not depend on the GPU
+_BLOCK, _WARPS = 64, 2  # pixels per block and warps; more pixels would not fit the registers
+_PARTS = 512  # maximum number of partial sums; fixed, so that their order is that of any GPU
 _ADDED = 32  # partial sums read at once
 _WIDE = int(layout.WIDE.value)
 _PART = int(layout.PART.value)
@@ -32,15 +33,18 @@ _SOLVABLE, _CONVERGED = 1.5, 1.0
 
 
 def align(
-    models: list[ModelLevel], frames: list[FrameLevel], start: Alignment, rules: Rules
+    models: list[ModelLevel],
+    frames: list[FrameLevel],
+    start: Alignment,
+    options: GaussNewtonOptions,
 ) -> Alignment:
-    """Gauss-Newton from coarse to fine; nothing is copied to the host before the end.
+    """Gauss-Newton from coarse to fine. Nothing is copied to the host before the end.
 
     Args:
         models, frames: levels from fine to coarse, on one device.
     """
     device = frames[0].depth_m.device
-    weight = rules.photometric_weight
+    weight = options.photometric_weight
     state = _state_of(start, device)
     parts = torch.empty(_PARTS, _PART, device=device)
     last = torch.zeros(_WIDE, _WIDE, dtype=torch.float64, device=device)
@@ -49,24 +53,24 @@ def align(
             state[_PHASE].mul_(state[_PHASE] > _SOLVABLE)
             images = models[level], frames[level]
             cameras = _intrinsics(*images)
-            gate = rules.max_distance * 2**level
-            for _ in range(rules.iterations):
+            gate = options.max_distance * 2**level
+            for _ in range(options.iterations):
                 count = _accumulate(*images, cameras, (state, parts), gate, weight)
-                _advance((parts, state, last), count, rules, level)
+                _advance((parts, state, last), count, options, level)
     return _read(state, last)
 
 
-def linearised(
+def linearise(
     model: ModelLevel,
     frame: FrameLevel,
     T_model_frame: NDArray[np.float64],
-    scales: Scales,
-    gain_and_bias: tuple[float, float],
+    scales: ResidualScales,
+    exposure: tuple[float, float],
     max_distance: float,
 ) -> Linearisation:
-    """See alignment.linearise."""
+    """See AlignmentBackend."""
     device = frame.depth_m.device
-    state = _state_of(Alignment(T_model_frame, scales, *gain_and_bias), device)
+    state = _state_of(Alignment(T_model_frame, scales, *exposure), device)
     parts = torch.empty(_PARTS, _PART, device=device)
     cameras = _intrinsics(model, frame)
     with on(device):
@@ -96,7 +100,7 @@ def _accumulate(
     gate: float,
     photometric_weight: float,
 ) -> int:
-    """Launch the sums of one step; the number of partial results."""
+    """Launch the sums of one step; returns the number of partial sums."""
     state, parts = state_and_parts
     width, height = frame.camera.size
     chunks = triton.cdiv(width * height, _BLOCK)
@@ -120,39 +124,41 @@ def _accumulate(
     return count
 
 
-def _advance(tensors: tuple[Tensor, Tensor, Tensor], count: int, rules: Rules, level: int) -> None:
+def _advance(
+    tensors: tuple[Tensor, Tensor, Tensor], count: int, options: GaussNewtonOptions, level: int
+) -> None:
+    """Launch one step from its partial sums."""
     parts, state, last = tensors
-    adjust = rules.exposure is not None and level == 0
     stepping.advance[(1,)](
         parts,
         state,
         last,
         count,
-        *(rules.exposure or (1.0, 0.0)),
-        rules.photometric_weight,
-        exposure.PRIOR,
-        rules.fewest_pixels,
-        rules.small_m * 4**level,
-        rules.small_rad * 4**level,
-        LEAST_SCALES.intensity,
-        MOST_SCALES.intensity,
-        LEAST_SCALES.depth_m,
-        MOST_SCALES.depth_m,
+        *(options.exposure or (1.0, 0.0)),
+        options.photometric_weight,
+        EXPOSURE_PRIOR,
+        options.min_pixels,
+        options.min_translation_m * 4**level,
+        options.min_rotation_rad * 4**level,
+        MIN_SCALES.intensity,
+        MAX_SCALES.intensity,
+        MIN_SCALES.depth_m,
+        MAX_SCALES.depth_m,
         ROWS=_ADDED,
-        EXPOSURE=adjust,
+        EXPOSURE=options.exposure is not None and level == 0,
         num_warps=8,
     )
 
 
 def _read(state: Tensor, last: Tensor) -> Alignment:
-    """The one copy to the host."""
+    """Copy the result to the host, once."""
     numbers = torch.cat([state, last.view(-1)]).cpu().numpy()
     T = np.eye(4)
     T[:3] = numbers[:12].reshape(3, 4)
     gain, bias, intensity, depth_m, steps, phase = (float(x) for x in numbers[12:18])
     return Alignment(
         se3.orthonormalise(T),
-        Scales(intensity, depth_m),
+        ResidualScales(intensity, depth_m),
         gain,
         bias,
         int(steps),
@@ -162,13 +168,4 @@ def _read(state: Tensor, last: Tensor) -> Alignment:
 
 
 def _unpack(sums: NDArray[np.float64]) -> Linearisation:
-    bright, flat, bright_square, flat_square, inside = (float(x) for x in sums[-1, :5])
-    return Linearisation(
-        H=sums[:8, :8].copy(),
-        g=sums[:8, 8].copy(),
-        intensity_pixels=bright,
-        depth_pixels=flat,
-        intensity_variance=bright_square / max(bright, 1.0),
-        depth_variance=flat_square / max(flat, 1.0),
-        frame_pixels=inside,
-    )
+    return Linearisation.from_squares(sums[:8, :8].copy(), sums[:8, 8].copy(), sums[-1, :5])

@@ -1,48 +1,45 @@
-"""Pyramids and model levels in plain torch, on the device of their inputs.
-
-The equations of `alignment_numpy`, which the two are tested to share.
-"""
+"""Pyramid and model levels in torch, on the device of their inputs; see `reference`."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
+from toolkit.alignment.reference import LUMA
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.surface import same_surface
-from toolkit.tracking.alignment_numpy import LUMA
 
 
-def intensity_of(images: Tensor, least_silhouette: float) -> Tensor:
-    """Intensity [H, W] of a rendering [5, H, W], 0 where it is too thin."""
+def intensity_of(images: Tensor, min_silhouette: float) -> Tensor:
+    """Intensity [H, W] of a rendering [5, H, W], 0 where its silhouette is below a minimum."""
     red, green, blue = (float(x) for x in LUMA)
     luma = images[0] * red + images[1] * green + images[2] * blue
-    return torch.where(images[4] >= least_silhouette, luma, torch.zeros_like(luma))
+    return torch.where(images[4] >= min_silhouette, luma, torch.zeros_like(luma))
 
 
-def halve(intensity: Tensor, depth: Tensor, edge: float) -> tuple[Tensor, Tensor]:
+def halve(intensity: Tensor, depth: Tensor, max_difference: float) -> tuple[Tensor, Tensor]:
     """Mean intensity and depth of the nearest surface in each 2x2 cell."""
     taps, grey = _taps(depth), _taps(intensity)
     nearest = torch.where(taps > 0, taps, torch.full_like(taps, 1e30)).amin(0)
-    same = (taps > 0) & (taps - nearest <= edge * nearest)
+    same = (taps > 0) & (taps - nearest <= max_difference * nearest)
     count = same.sum(0)
     inverse = torch.where(same, 1.0 / taps, torch.zeros_like(taps)).sum(0)
     mean = torch.where(count > 0, count / inverse.clamp(min=1e-9), torch.zeros_like(inverse))
-    of_surface = (grey * same).sum(0) / count.clamp(min=1)
-    return torch.where(count > 0, of_surface, grey.mean(0)), mean
+    surface_mean = (grey * same).sum(0) / count.clamp(min=1)
+    return torch.where(count > 0, surface_mean, grey.mean(0)), mean
 
 
 def _taps(image: Tensor) -> Tensor:
     """The four pixels [4, H / 2, W / 2] under each pixel of the next level."""
     height, width = image.shape
     rows, columns = max(1, height // 2), max(1, width // 2)
-    # A side of one pixel is its own neighbour.
+    # In an image of one row or column, that one is its own neighbour.
     right, below = min(1, width - 1), min(1, height - 1)
     return torch.stack([image[y::2, x::2][:rows, :columns] for y in (0, below) for x in (0, right)])
 
 
 def model(camera: Camera, intensity: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """Texture and surface [H, W, 4] of a view; see ModelLevel."""
+    """Texture and surface [H, W, 4] of one level; see ModelLevel."""
     texture = depth.new_zeros(*depth.shape, 4)
     surface = torch.zeros_like(texture)
     if min(depth.shape) < 3:

@@ -1,9 +1,9 @@
-"""Kernel: one Gauss-Newton step from its sums; the exposure's prior is that of `exposure`."""
+"""Kernel: one Gauss-Newton step from its partial sums; see `normal_equations`."""
 
 import triton
 import triton.language as tl
 
-from toolkit.tracking.cuda.layout import (
+from toolkit.alignment.cuda.layout import (
     BIAS,
     GAIN,
     PARAMETERS,
@@ -37,7 +37,7 @@ def _solved(A, rows, columns):
 
 @triton.jit
 def _added(parts, count, rows, columns, ROWS: tl.constexpr):
-    """Sum [16, 16] of the partial results, in their order."""
+    """Sum [16, 16] of the partial sums, in order."""
     A = tl.zeros([WIDE, WIDE], dtype=tl.float64)
     for start in range(0, count, ROWS):
         part = start + tl.arange(0, ROWS)[:, None, None]
@@ -48,7 +48,7 @@ def _added(parts, count, rows, columns, ROWS: tl.constexpr):
 
 @triton.jit
 def _with_prior(A, rows, columns, held, gain_change, bias_change):
-    """[H | g] with the prior that draws exposure back to the last frame's; see `exposure.hold`."""
+    """[H | g] with the prior on the exposure; see `normal_equations.add_exposure_prior`."""
     A += tl.where((rows == columns) & (rows >= 6) & (rows < PARAMETERS), held, 0.0)
     A += tl.where((rows == 6) & (columns == RESIDUAL), held * gain_change, 0.0)
     A += tl.where((rows == 7) & (columns == RESIDUAL), held * bias_change, 0.0)
@@ -57,21 +57,21 @@ def _with_prior(A, rows, columns, held, gain_change, bias_change):
 
 @triton.jit
 def _without_exposure(A, rows, columns):
-    """[H | g] in which gain and bias stay; see `exposure.fix`."""
+    """[H | g] without gain and bias; see `normal_equations.fix_exposure`."""
     exposed = ((rows >= 6) | ((columns >= 6) & (columns < PARAMETERS))) & (rows < PARAMETERS)
     return tl.where(exposed, tl.where(rows == columns, 1.0, 0.0), A)
 
 
 @triton.jit
 def _step(A, rows, columns, place: tl.constexpr):
-    """Two numbers of the step, from a place on, of the solved equations."""
+    """Two consecutive components of the step from the solved equations."""
     first = -_entry(A, rows, columns, place, RESIDUAL)
     return first, -_entry(A, rows, columns, place + 1, RESIDUAL)
 
 
 @triton.jit
 def _move(state, shift, turn, squared, angle):
-    """The pose multiplied from the left by the exponential of a step; see `se3.exp`."""
+    """Multiply the pose from the left by the exponential of a step; see `se3.exp`."""
     s0, s1, s2 = shift
     s3, s4, s5 = turn
     tiny = angle < 1e-4
@@ -100,7 +100,7 @@ def _move(state, shift, turn, squared, angle):
 
 @triton.jit
 def _rescaled(scale, count, squares, least, most):
-    """A scale after one step of the fixed point of Student's t, in bounds."""
+    """A scale after one fixed-point iteration of Student's t distribution, within bounds."""
     found = scale * tl.sqrt(squares / tl.maximum(count, 1.0))
     return tl.minimum(tl.maximum(found, least), most)
 
@@ -115,7 +115,7 @@ def advance(
     last_bias,
     photometric_weight,
     prior,
-    fewest,
+    min_pixels,
     small_m,
     small_rad,
     least_intensity,
@@ -125,7 +125,7 @@ def advance(
     ROWS: tl.constexpr,
     EXPOSURE: tl.constexpr,
 ):
-    """Add the parts up in their order, keep them in `last` [16, 16], and take the step."""
+    """Sum the parts in order, store the sum in `last` [16, 16], and take the step."""
     if tl.load(state + PHASE) > 0.5:
         return
     rows, columns = tl.arange(0, WIDE)[:, None], tl.arange(0, WIDE)[None, :]
@@ -151,8 +151,8 @@ def advance(
     s4, s5 = _step(A, rows, columns, 4)
     s6, s7 = _step(A, rows, columns, 6)
     every = s0 + s1 + s2 + s3 + s4 + s5 + s6 + s7
-    # Infinities and NaN alike differ from themselves once multiplied by 0.
-    if (bright + flat < fewest) | (every * 0.0 != 0.0):
+    # An infinity or NaN times 0 is NaN.
+    if (bright + flat < min_pixels) | (every * 0.0 != 0.0):
         tl.store(state + PHASE, 2.0)
         return
 

@@ -8,24 +8,23 @@ import numpy as np
 import pytest
 import torch
 from painted_box import box_frame
-from test_alignment import assert_same_sums
+from test_backends import assert_same_sums
 from tracked_room import angle_deg, distance_mm
 
+from toolkit.alignment import backend as backend_selection
+from toolkit.alignment.backend import align, linearise
+from toolkit.alignment.data import (
+    INITIAL_SCALES,
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    ModelLevel,
+    ResidualScales,
+)
+from toolkit.alignment.levels import finest_level, model_level, pyramid
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.tracking import alignment
-from toolkit.tracking.alignment import (
-    START_SCALES,
-    FrameLevel,
-    ModelLevel,
-    Scales,
-    finest_level,
-    linearise,
-    model_level,
-    pyramid,
-)
-from toolkit.tracking.gauss_newton import Alignment, Rules, align
 from toolkit.tracking.odometry import frame_to_model
 
 WIDE = Camera(60.0, 58.0, 40.5, 28.0, 80, 60)
@@ -37,8 +36,10 @@ PAIRS = {
     "a larger model": (LARGE, WIDE),
 }
 T_MODEL_FRAME = se3.exp(np.array([0.03, -0.02, 0.025, 0.012, -0.01, 0.015]))
-SCALES = Scales(intensity=0.03, depth_m=0.005)
-RULES = Rules(12, 0.05, 1.0, (1.0, 0.0), fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
+SCALES = ResidualScales(intensity=0.03, depth_m=0.005)
+RULES = GaussNewtonOptions(
+    12, 0.05, 1.0, (1.0, 0.0), min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
+)
 
 both_orders = pytest.mark.parametrize("cameras", PAIRS.values(), ids=PAIRS.keys())
 
@@ -72,14 +73,14 @@ def guarded_frame(frame: FrameLevel) -> FrameLevel:
 def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Alignment by the native kernels, and by numpy."""
     if request.param == "numpy":
-        monkeypatch.setattr(alignment, "kernels_for", lambda tensor: None)
+        monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
 
 
 @both_orders
 @pytest.mark.usefixtures("backend")
 def test_the_pose_is_unbiased(cameras):
     models, frames = levels_of(cameras)
-    found = align(models, frames, Alignment(np.eye(4), START_SCALES, 1.0, 0.0), RULES)
+    found = align(models, frames, Alignment(np.eye(4), INITIAL_SCALES, 1.0, 0.0), RULES)
     assert found.converged
     assert distance_mm(found.T_view_camera, T_MODEL_FRAME) < 1.0
     assert angle_deg(found.T_view_camera, T_MODEL_FRAME) < 0.03
@@ -88,7 +89,7 @@ def test_the_pose_is_unbiased(cameras):
 @both_orders
 def test_residuals_vanish_at_the_true_pose(cameras, monkeypatch):
     """Every pixel of the frame whose point lies in the model's image has a residual."""
-    monkeypatch.setattr(alignment, "kernels_for", lambda tensor: None)
+    monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
     models, frames = levels_of(cameras)
     linear = linearise(models[0], frames[0], T_MODEL_FRAME, SCALES, (1.0, 0.0), 0.05)
     points = frames[0].camera.unproject(frames[0].depth_m.numpy()).reshape(-1, 3)
@@ -105,10 +106,10 @@ def test_native_sums_are_those_of_numpy(cameras, module, monkeypatch):
     models, frames = levels_of(cameras)
     T = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ T_MODEL_FRAME
     arguments = (T, SCALES, (1.1, -0.02), 0.05)
-    monkeypatch.setattr(alignment, "kernels_for", lambda tensor: None)
+    monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
     expected = linearise(models[0], frames[0], *arguments)
     assert expected.depth_pixels > 500 and expected.intensity_pixels > 500
-    monkeypatch.setattr(alignment, "kernels_for", lambda tensor: module)
+    monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: module)
     actual = linearise(guarded_model(models[0]), guarded_frame(frames[0]), *arguments)
     assert_same_sums(actual, expected, 2e-3)
 

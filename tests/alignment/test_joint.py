@@ -8,44 +8,44 @@ import numpy as np
 import pytest
 from registered_room import Scene, error, motion
 
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.alignment.levels import model_level, pyramid
 from toolkit.geometry import se3
-from toolkit.registration.joint_alignment import Estimate, JointOptions, Pair, align
 from toolkit.registration.views import observed_level
-from toolkit.tracking.alignment import model_level, pyramid
 
 LEVELS = 3
 
 
-def pair_of(room: Scene, i: int, j: int) -> Pair:
+def pair_of(submaps: Scene, i: int, j: int) -> Pair:
     """Observed keyframe i of the target against observed keyframe j of the source."""
-    first, second = room.target.keyframes[i], room.source.keyframes[j]
+    first, second = submaps.target.keyframes[i], submaps.source.keyframes[j]
     model = [model_level(level) for level in pyramid(observed_level(first), LEVELS)]
     frame = pyramid(observed_level(second), LEVELS)
     return Pair(model, frame, se3.inverse(first.T_map_camera), second.T_map_camera)
 
 
 @pytest.fixture(scope="module")
-def pairs(room: Scene) -> list[Pair]:
-    return [pair_of(room, 3, 0), pair_of(room, 2, 1), pair_of(room, 1, 2)]
+def pairs(submaps: Scene) -> list[Pair]:
+    return [pair_of(submaps, 3, 0), pair_of(submaps, 2, 1), pair_of(submaps, 1, 2)]
 
 
 OPTIONS = JointOptions(levels=LEVELS)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pairs_together_find_the_motion_they_share(room: Scene, pairs, seed):
-    start = room.T_target_source @ motion(seed, 0.04, 2.0)
+def test_pairs_together_find_the_motion_they_share(submaps: Scene, pairs, seed):
+    start = submaps.T_target_source @ motion(seed, 0.04, 2.0)
     found = align(pairs, Estimate(start), OPTIONS)
-    mm, deg = error(found.T_target_source, room.T_target_source)
+    mm, deg = error(found.T_target_source, submaps.T_target_source)
     assert found.converged
     assert mm < 0.5
     assert deg < 0.02
 
 
-def test_the_motion_does_not_depend_on_the_submaps_frames(room: Scene, pairs):
+def test_the_motion_does_not_depend_on_the_submaps_frames(submaps: Scene, pairs):
     T_new_source, T_other_target = motion(5, 3.0, 100.0), motion(6, 2.0, 80.0)
     T_target_other = se3.inverse(T_other_target)
-    start = room.T_target_source @ motion(1, 0.03, 1.0)
+    start = submaps.T_target_source @ motion(1, 0.03, 1.0)
     once = replace(OPTIONS, iterations=1)
     found = align(pairs, Estimate(start), once)
     told = [
@@ -67,25 +67,25 @@ def test_the_motion_does_not_depend_on_the_submaps_frames(room: Scene, pairs):
     )
 
 
-def test_every_pair_has_an_exposure_of_its_own(room: Scene, pairs):
+def test_every_pair_has_an_exposure_of_its_own(submaps: Scene, pairs):
     dim = [replace(level, intensity=0.8 * level.intensity + 0.05) for level in pairs[1].frame]
     changed = [pairs[0], replace(pairs[1], frame=dim), pairs[2]]
-    start = room.T_target_source @ motion(1, 0.02, 1.0)
+    start = submaps.T_target_source @ motion(1, 0.02, 1.0)
     found = align(changed, Estimate(start), OPTIONS)
-    assert error(found.T_target_source, room.T_target_source)[0] < 0.5
+    assert error(found.T_target_source, submaps.T_target_source)[0] < 0.5
     assert found.exposures[1] == pytest.approx([1.25, -0.0625], abs=0.03)
     assert found.exposures[0] == pytest.approx([1.0, 0.0], abs=0.02)
 
 
-def test_no_step_is_longer_than_allowed(room: Scene, pairs):
-    start = room.T_target_source @ motion(1, 0.1, 4.0)
+def test_no_step_is_longer_than_allowed(submaps: Scene, pairs):
+    start = submaps.T_target_source @ motion(1, 0.1, 4.0)
     short = replace(OPTIONS, levels=1, iterations=1, most_translation_m=0.01)
     found = align(pairs, Estimate(start), short)
     assert error(found.T_target_source, start)[0] <= 10.0 + 1e-6
 
 
-def test_views_of_nothing_move_nothing(room: Scene, pairs):
+def test_views_of_nothing_move_nothing(submaps: Scene, pairs):
     empty = [replace(level, depth_m=0 * level.depth_m) for level in pairs[0].frame]
-    found = align([replace(pairs[0], frame=empty)], Estimate(room.T_target_source), OPTIONS)
+    found = align([replace(pairs[0], frame=empty)], Estimate(submaps.T_target_source), OPTIONS)
     assert not found.converged
-    np.testing.assert_array_equal(found.T_target_source, room.T_target_source)
+    np.testing.assert_array_equal(found.T_target_source, submaps.T_target_source)

@@ -1,7 +1,7 @@
-"""One rigid motion from many pairs of views: joint dense Gauss-Newton.
+"""Joint alignment: one rigid motion from many pairs of views, by dense Gauss-Newton.
 
-The tracker's normal equations, summed over pairs that share `T_target_source`. Each pair has
-an exposure of its own, which is eliminated before the sum.
+The normal equations of all pairs that share `T_target_source` are summed. Each pair has its own
+exposure, which is eliminated before the sum.
 """
 
 from __future__ import annotations
@@ -12,35 +12,35 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
-from toolkit.tracking import exposure
-from toolkit.tracking.alignment import (
-    START_SCALES,
+from toolkit.alignment.backend import linearise
+from toolkit.alignment.data import (
+    INITIAL_SCALES,
     FrameLevel,
     Linearisation,
     ModelLevel,
-    Scales,
-    linearise,
+    ResidualScales,
     rescaled,
 )
-from toolkit.tracking.gauss_newton import damped_step
+from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
+from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
 
-# Fewer residuals than this fix no pose.
-FEWEST_PIXELS = 50
-# Steps of gain and bias that end the finest level.
-_SMALL_EXPOSURE = 0.004
+# Minimum number of residuals.
+MIN_PIXELS = 50
+# A smaller change of gain and bias ends the finest level.
+_MIN_EXPOSURE_STEP = 0.004
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two views of one place, fine to coarse.
+    """Two views of the same surfaces, one of the target and one of the source.
 
     Attributes:
-        model: the target's view. frame: the source's.
-        T_model_target: [4, 4], the target's frame in the model view's camera.
-        T_source_frame: [4, 4], pose of the source view's camera.
+        model: levels of the target's view, from fine to coarse.
+        frame: levels of the source's view, from fine to coarse.
+        T_model_target: [4, 4] the target's coordinates in those of the model view's camera.
+        T_source_frame: [4, 4] pose of the source view's camera.
     """
 
     model: list[ModelLevel]
@@ -75,19 +75,20 @@ class JointOptions:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The state of an alignment.
+    """The estimate of a joint alignment.
 
     Attributes:
         T_target_source: [4, 4].
         scales: of the residuals of all pairs.
         exposures: [K, 2] gain and bias of each pair.
         information: [6, 6] of x in T_target_source exp(x).
-        pixels: [K] depth residuals of each pair that took part.
-        iterations: steps so far. converged: the last one was small.
+        pixels: [K] number of depth residuals of each pair.
+        iterations: number of iterations so far.
+        converged: the last step was small.
     """
 
     T_target_source: Array
-    scales: Scales = START_SCALES
+    scales: ResidualScales = INITIAL_SCALES
     exposures: Array = field(default_factory=lambda: np.zeros((0, 2)))
     information: Array = field(default_factory=lambda: np.zeros((6, 6)))
     pixels: Array = field(default_factory=lambda: np.zeros(0))
@@ -98,10 +99,10 @@ class Estimate:
 def align(
     pairs: Sequence[Pair], start: Estimate, options: JointOptions, finest_only: bool = False
 ) -> Estimate:
-    """Move T_target_source to where the pairs agree, coarse to fine.
+    """Estimate T_target_source from all pairs, from coarse to fine.
 
     Args:
-        finest_only: leave the coarse levels out; for pairs drawn anew near the answer.
+        finest_only: skip the coarse levels, for pairs rendered close to the solution.
     """
     estimate = start
     if len(start.exposures) != len(pairs):
@@ -121,7 +122,7 @@ def align(
 def _stepped(
     pairs: Sequence[Pair], level: int, estimate: Estimate, options: JointOptions
 ) -> tuple[Estimate, bool]:
-    """One Gauss-Newton step, and whether the equations could be solved."""
+    """One Gauss-Newton iteration, and whether the equations could be solved."""
     linears = _linearised(pairs, level, estimate, options)
     with_exposure = options.exposure and level == 0
     parts = [
@@ -133,14 +134,14 @@ def _stepped(
     pixels = np.array([linear.depth_pixels for linear in linears])
     estimate = replace(estimate, information=H, pixels=pixels, iterations=estimate.iterations + 1)
     step = damped_step(H, g)
-    if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < FEWEST_PIXELS:
+    if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < MIN_PIXELS:
         return replace(estimate, converged=False), False
     step = _limited(step, options)
-    # Levels differ in what a pixel is, and so in what is a small step.
+    # Pixels of coarser levels are larger, and so are small steps.
     small = np.linalg.norm(step[:3]) < options.small_translation_m * 4**level
     small &= np.linalg.norm(step[3:]) < options.small_rotation_rad * 4**level
     exposure_steps = np.array([part.exposure_step(step) for part in parts])
-    small &= np.abs(exposure_steps).max() < _SMALL_EXPOSURE
+    small &= np.abs(exposure_steps).max() < _MIN_EXPOSURE_STEP
     return replace(
         estimate,
         T_target_source=se3.orthonormalise(estimate.T_target_source @ se3.exp(step)),
@@ -169,7 +170,7 @@ def _linearised(
 
 @dataclass(frozen=True)
 class _Eliminated:
-    """A pair's equations in x of T_target_source exp(x), its exposure eliminated.
+    """Normal equations of a pair in x of T_target_source exp(x), with its exposure eliminated.
 
     T_model_frame = T_model_target T T_source_frame, so x on the right of T is
     Ad(T_model_target T) x on the left of T_model_frame, where `linearise` perturbs.
@@ -188,10 +189,10 @@ class _Eliminated:
         H, g = linear.H.copy(), linear.g.copy()
         if with_exposure and linear.intensity_pixels > 0:
             information = linear.intensity_pixels / estimate.scales.intensity**2
-            # Two maps may differ in exposure by any amount: only the step is held.
-            exposure.hold(H, g, information, np.zeros(2))
+            # The exposure of two maps may differ by any amount: the prior holds only the step.
+            add_exposure_prior(H, g, information, np.zeros(2))
         else:
-            exposure.fix(H, g)
+            fix_exposure(H, g)
         cross = H[6:, :6] @ A
         solved: Array = np.asarray(
             np.linalg.solve(H[6:, 6:], np.column_stack([cross, g[6:]])), float
@@ -205,12 +206,12 @@ class _Eliminated:
         )
 
     def exposure_step(self, x: Array) -> Array:
-        """Change [2] of gain and bias that goes with a step x."""
+        """Change [2] of gain and bias for a step x."""
         return self.constant - self.by_exposure @ x
 
 
 def _limited(step: Array, options: JointOptions) -> Array:
-    """The step, shortened as a whole where it is too long."""
+    """The step, scaled down if its translation or its rotation is too large."""
     longest = max(
         float(np.linalg.norm(step[:3])) / options.most_translation_m,
         float(np.linalg.norm(step[3:])) / options.most_rotation_rad,
@@ -219,8 +220,8 @@ def _limited(step: Array, options: JointOptions) -> Array:
     return step / longest
 
 
-def _rescaled(scales: Scales, linears: Sequence[Linearisation]) -> Scales:
-    """The scales after a step, from the residuals of all pairs together."""
+def _rescaled(scales: ResidualScales, linears: Sequence[Linearisation]) -> ResidualScales:
+    """Re-estimate the scales from the residuals of all pairs."""
     intensities = np.array([n.intensity_pixels for n in linears])
     depths = np.array([n.depth_pixels for n in linears])
     intensity_squares = intensities @ [n.intensity_variance for n in linears]

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 import torch
 from painted_box import box_frame, box_frames, path
-from test_alignment import SCALES, assert_close, assert_same_sums, level_of
+from test_backends import SCALES, assert_close, assert_same_sums, level_of
 from tracked_room import Room, angle_deg, distance_mm
 
+from toolkit.alignment import reference
+from toolkit.alignment.backend import align, linearise
+from toolkit.alignment.cuda import images as torch_images
+from toolkit.alignment.data import (
+    INITIAL_SCALES,
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    ModelLevel,
+)
+from toolkit.alignment.levels import finest_level, model_level, pyramid
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import kernels_for
-from toolkit.tracking import alignment_numpy, alignment_torch
-from toolkit.tracking.alignment import (
-    START_SCALES,
-    FrameLevel,
-    ModelLevel,
-    finest_level,
-    linearise,
-    model_level,
-    pyramid,
-)
-from toolkit.tracking.gauss_newton import Alignment, Rules, align
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -43,7 +43,7 @@ def aligner():
     backend = pytest.importorskip("toolkit.rendering.cuda.backend")
     if DEVICE == "cpu" and not backend.interpreted():
         pytest.skip("no GPU, and triton was imported to compile")
-    from toolkit.tracking.cuda import aligner
+    from toolkit.alignment.cuda import aligner
 
     torch.set_deterministic_debug_mode("warn")
     yield aligner
@@ -65,26 +65,26 @@ def skewed(level: FrameLevel) -> FrameLevel:
 
 
 def test_sums(room, aligner):
-    frame, view = skewed(level_of(room, 1, 63, 45)), skewed(level_of(room, 0, 63, 45))
+    frame, view = skewed(level_of(room, 1, 45, 33)), skewed(level_of(room, 0, 45, 33))
     pose = se3.inverse(room.T_map_camera[0]) @ room.T_map_camera[1]
     pose = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ pose
     model = model_level(view)
     arguments = (pose, SCALES, (1.1, -0.02), 0.05)
     expected = linearise(model, frame, *arguments)
     assert expected.depth_pixels > 500 and expected.intensity_pixels > 500
-    actual = aligner.linearised(model_there(model), there(frame), *arguments)
+    actual = aligner.linearise(model_there(model), there(frame), *arguments)
     assert_same_sums(actual, expected, 2e-3)
 
 
 @pytest.mark.parametrize(("levels", "exposure"), [(2, True), (1, False)])
 def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     """Level by level, with exposure and scales, as often, to a hundredth of a millimetre."""
-    tones = (1.0, 0.0) if exposure else None
-    rules = Rules(5, 0.05, 0.4, tones, fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
-    view = [model_level(level) for level in pyramid(level_of(room, 0, 48, 36), levels)]
-    frames = pyramid(level_of(room, 1, 48, 36), levels)
+    previous = (1.0, 0.0) if exposure else None
+    rules = GaussNewtonOptions(5, 0.05, 0.4, previous, 50, 2e-5, 1e-5)
+    view = [model_level(level) for level in pyramid(level_of(room, 0, 32, 24), levels)]
+    frames = pyramid(level_of(room, 1, 32, 24), levels)
     offset = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004]))
-    start = Alignment(offset, START_SCALES, 1.0, 0.0)
+    start = Alignment(offset, INITIAL_SCALES, 1.0, 0.0)
     expected = align(view, frames, start, rules)
     views_there, frames_there = [model_there(v) for v in view], [there(f) for f in frames]
     actual = aligner.align(views_there, frames_there, start, rules)
@@ -103,8 +103,8 @@ def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
 def test_too_few_pixels_change_nothing(room, aligner):
     frame, view = level_of(room, 1, 20, 16), level_of(room, 0, 20, 16)
     frame.depth_m[:] = 0.0
-    start = Alignment(np.eye(4), START_SCALES, 1.0, 0.0)
-    rules = Rules(3, 0.05, 1.0, (1.0, 0.0), 50, 1e-5, 1e-5)
+    start = Alignment(np.eye(4), INITIAL_SCALES, 1.0, 0.0)
+    rules = GaussNewtonOptions(3, 0.05, 1.0, (1.0, 0.0), 50, 1e-5, 1e-5)
     found = aligner.align([model_there(model_level(view))], [there(frame)], start, rules)
     assert np.array_equal(found.T_view_camera, np.eye(4))
     assert (found.iterations, found.converged, found.gain) == (1, False, 1.0)
@@ -115,16 +115,16 @@ def test_torch_computes_what_numpy_does(room, size):
     """Pyramids and models, which a GPU makes with torch."""
     level = level_of(room, 0, *size)
     arrays = level.intensity.numpy(), level.depth_m.numpy()
-    half = alignment_torch.halve(*(t.to(DEVICE) for t in (level.intensity, level.depth_m)), 0.1)
-    for actual, expected in zip(half, alignment_numpy.halve(*arrays, 0.1), strict=True):
+    half = torch_images.halve(*(t.to(DEVICE) for t in (level.intensity, level.depth_m)), 0.1)
+    for actual, expected in zip(half, reference.halve(*arrays, 0.1), strict=True):
         assert_close(actual.cpu()[..., None], torch.from_numpy(expected)[..., None], few=2)
-    made = alignment_torch.model(level.camera, level.intensity, level.depth_m)
-    for actual, expected in zip(made, alignment_numpy.model(level.camera, *arrays), strict=True):
+    made = torch_images.model(level.camera, level.intensity, level.depth_m)
+    for actual, expected in zip(made, reference.model(level.camera, *arrays), strict=True):
         assert_close(actual, torch.from_numpy(expected), few=2)
     images = torch.rand(5, *reversed(size), generator=torch.Generator().manual_seed(0))
-    expected = alignment_numpy.intensity_of(images.numpy(), 0.6)
+    expected = reference.intensity_of(images.numpy(), 0.6)
     assert_close(
-        alignment_torch.intensity_of(images, 0.6)[..., None], torch.from_numpy(expected)[..., None]
+        torch_images.intensity_of(images, 0.6)[..., None], torch.from_numpy(expected)[..., None]
     )
 
 
@@ -149,10 +149,12 @@ def test_cameras_of_model_and_frame_may_differ(aligner, widths):
     arguments = (se3.exp(np.full(6, 0.003)) @ T, SCALES, (1.1, -0.02), 0.05)
     expected = linearise(models[0], frames[0], *arguments)
     assert expected.depth_pixels > 100 and expected.intensity_pixels > 100
-    actual = aligner.linearised(models_there[0], frames_there[0], *arguments)
+    actual = aligner.linearise(models_there[0], frames_there[0], *arguments)
     assert_same_sums(actual, expected, 2e-3)
-    rules = Rules(1, 0.05, 1.0, (1.0, 0.0), fewest_pixels=50, small_m=2e-5, small_rad=1e-5)
-    start = Alignment(np.eye(4), START_SCALES, 1.0, 0.0)
+    rules = GaussNewtonOptions(
+        1, 0.05, 1.0, (1.0, 0.0), min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
+    )
+    start = Alignment(np.eye(4), INITIAL_SCALES, 1.0, 0.0)
     found = aligner.align(models_there, frames_there, start, rules)
     assert (
         distance_mm(found.T_view_camera, align(models, frames, start, rules).T_view_camera) < 0.01

@@ -1,0 +1,27 @@
+"""Frames of a small room, two submaps of it, and every compiled instruction set."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import pytest
+from registered_room import Scene, scene
+from tracked_room import Room, first_steps
+
+from toolkit.native import available_instruction_sets, load_variant
+
+
+@pytest.fixture(scope="session")
+def room() -> Room:
+    return first_steps()
+
+
+@pytest.fixture(scope="session")
+def submaps() -> Scene:
+    return scene()
+
+
+@pytest.fixture(params=available_instruction_sets())
+def module(request: pytest.FixtureRequest) -> ModuleType:
+    """The compiled kernels, once for each instruction set."""
+    return load_variant(request.param)

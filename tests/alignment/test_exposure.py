@@ -1,0 +1,104 @@
+"""Exposure from mean and deviation: noise and smoothness do not reduce the contrast."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toolkit.alignment.data import FrameLevel, ResidualScales
+from toolkit.alignment.exposure import (
+    IntensityStatistics,
+    estimate_exposure,
+    exposure_between,
+    intensity_statistics,
+)
+from toolkit.alignment.levels import model_level, pyramid
+from toolkit.alignment.normal_equations import BIAS, GAIN
+from toolkit.geometry.camera import Camera
+
+
+@pytest.fixture
+def image():
+    return np.random.default_rng(0).uniform(0.1, 0.9, 4000)
+
+
+def blurred(image, contrast=0.97):
+    return image.mean() + contrast * (image - image.mean())
+
+
+def estimated(frame, model, at=(1.0, 0.0)):
+    """Exposure from the normal equations of a fit at some exposure."""
+    J = np.zeros((len(frame), 8))
+    J[:, GAIN], J[:, BIAS] = -frame, -1.0
+    residual = model - (at[0] * frame + at[1])
+    weight = 1.0 / 0.05**2
+    H, g = weight * J.T @ J, weight * J.T @ residual
+    return exposure_between(*intensity_statistics(H, g, weight * float(residual @ residual), at))
+
+
+@pytest.mark.parametrize("at", [(1.0, 0.0), (0.8, 0.1)])
+def test_statistics_do_not_depend_on_the_linearisation_point(image, at):
+    model = 1.2 * image - 0.05
+    frame, view = (
+        IntensityStatistics(image.mean(), image.std()),
+        IntensityStatistics(model.mean(), model.std()),
+    )
+    assert estimated(image, model, at) == pytest.approx(exposure_between(frame, view))
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
+def test_a_smooth_map_and_a_noisy_image_do_not_reduce_the_contrast(image, factor):
+    noisy = image + 0.02 * np.random.default_rng(1).normal(size=image.shape)
+    gain, bias = estimated(noisy, factor * blurred(image))
+    fitted = np.polyfit(noisy, factor * blurred(image), 1)
+    assert fitted[0] < 0.97 * factor, "least squares is biased"
+    assert (gain, bias) == (pytest.approx(factor, rel=0.01), 0.0)
+
+
+@pytest.mark.parametrize(("gain", "bias"), [(1.2, 0.1), (0.8, 0.1), (0.75, -0.05)])
+def test_changes_of_contrast_are_estimated(image, gain, bias):
+    assert estimated(image, gain * image + bias) == pytest.approx((gain, bias), abs=1e-6)
+
+
+def test_a_flat_view_gives_a_gain_and_a_black_one_no_exposure(image):
+    flat = np.full_like(image, 0.5)
+    assert estimated(0.8 * flat, flat) == (pytest.approx(1.25), 0.0)
+    assert estimated(0.01 * image, image) == (1.0, 0.0)
+    nothing = intensity_statistics(np.zeros((8, 8)), np.zeros(8), 0.0, (1.0, 0.0))
+    assert exposure_between(*nothing) == (1.0, 0.0)
+
+
+class TestFrame:
+    """A slanted wall against a view of it at another exposure."""
+
+    CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)
+
+    def levels(self, gain, bias, holes=None):
+        picture = np.random.default_rng(3).uniform(0.2, 0.7, (12, 16))
+        intensity = torch.from_numpy(np.kron(picture, np.ones((8, 8))).astype(np.float32))
+        depth = torch.full_like(intensity, 2.0)
+        frame = FrameLevel(self.CAMERA, intensity, depth)
+        rendered, measured = gain * intensity + bias, depth.clone()
+        if holes is not None:
+            rendered[holes], measured[holes] = 0.0, 0.0
+        view = pyramid(FrameLevel(self.CAMERA, rendered, measured), 3)
+        return list(zip([model_level(v) for v in view], pyramid(frame, 3), strict=True))
+
+    def estimated(self, levels, fitted=(1.0, 0.0)):
+        return estimate_exposure(levels, np.eye(4), ResidualScales(0.05, 0.01), fitted, 0.05)
+
+    @pytest.mark.parametrize("exposure", [(1.2, 0.0), (0.85, 0.0), (0.7, 0.15), (1.3, -0.05)])
+    def test_the_exposure_is_estimated(self, exposure):
+        assert self.estimated(self.levels(*exposure)) == pytest.approx(exposure, abs=0.01)
+
+    def test_small_changes_are_ignored(self):
+        assert self.estimated(self.levels(1.01, 0.0)) == (1.0, 0.0)
+
+    def test_holes_of_the_view_do_not_matter(self):
+        holes = torch.from_numpy(np.random.default_rng(4).random((96, 128)) < 0.15)
+        assert self.estimated(self.levels(1.2, 0.0, holes)) == pytest.approx((1.2, 0.0), abs=0.02)
+
+    def test_without_common_pixels_there_is_no_exposure(self):
+        everywhere = torch.ones(96, 128, dtype=torch.bool)
+        assert self.estimated(self.levels(1.2, 0.0, everywhere), (0.9, 0.1)) == (1.0, 0.0)

@@ -1,0 +1,123 @@
+"""What computes alignment, selected by where the images are.
+
+Images on the CPU go to the C++ kernels, or to the same equations in numpy if none were compiled;
+images on a GPU to torch and Triton. The backends are tested against each other.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.alignment.data import (
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    Linearisation,
+    ModelLevel,
+    ResidualScales,
+)
+from toolkit.native import kernels_for
+
+
+class AlignmentBackend(Protocol):
+    """Computes pyramids, models and normal equations of images on one kind of device."""
+
+    def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:
+        """Intensity [H, W] of a rendering [5, H, W], 0 where its silhouette is below a minimum.
+
+        The intensity is not divided by the silhouette: mapping fits colours as composited, and
+        the difference would turn into an exposure that grows with every keyframe.
+        """
+        ...
+
+    def halve(self, level: FrameLevel, max_difference: float) -> FrameLevel:
+        """The next level: intensity and depth of the nearest surface in each 2x2 cell.
+
+        Args:
+            max_difference: depth differences beyond this fraction of the depth belong to another
+                surface.
+        """
+        ...
+
+    def model(self, level: FrameLevel) -> ModelLevel:
+        """Derivatives of the intensity and planes of the depth of one level."""
+        ...
+
+    def linearise(
+        self,
+        model: ModelLevel,
+        frame: FrameLevel,
+        T_model_frame: NDArray[np.float64],
+        scales: ResidualScales,
+        exposure: tuple[float, float],
+        max_distance: float,
+    ) -> Linearisation:
+        """See `linearise`."""
+        ...
+
+    def align(
+        self,
+        models: list[ModelLevel],
+        frames: list[FrameLevel],
+        start: Alignment,
+        options: GaussNewtonOptions,
+    ) -> Alignment:
+        """See `align`."""
+        ...
+
+
+def backend_for(tensor: Tensor) -> AlignmentBackend:
+    """The backend for images on a tensor's device."""
+    if tensor.device.type != "cpu":
+        from toolkit.alignment.cuda.backend import CudaBackend
+
+        return CudaBackend()
+    module = kernels_for(tensor)
+    if module is None:
+        from toolkit.alignment.reference import NumpyBackend
+
+        return NumpyBackend()
+    from toolkit.alignment.native import NativeBackend
+
+    return NativeBackend(module)
+
+
+def linearise(
+    model: ModelLevel,
+    frame: FrameLevel,
+    T_model_frame: NDArray[np.float64],
+    scales: ResidualScales,
+    exposure: tuple[float, float],
+    max_distance: float,
+) -> Linearisation:
+    """Linearise the alignment of a frame to a model at a pose. Their cameras may differ.
+
+    Args:
+        T_model_frame: [4, 4]. The tangent multiplies from the left.
+        scales: of the residuals.
+        exposure: gain and bias, model intensity = gain * frame intensity + bias.
+        max_distance: maximum depth difference of corresponding pixels, as a fraction of depth.
+    """
+    backend = backend_for(frame.depth_m)
+    return backend.linearise(model, frame, T_model_frame, scales, exposure, max_distance)
+
+
+def align(
+    models: list[ModelLevel],
+    frames: list[FrameLevel],
+    start: Alignment,
+    options: GaussNewtonOptions,
+) -> Alignment:
+    """Align a frame to a view by Gauss-Newton, from coarse to fine.
+
+    The estimate returned is not converged if too few pixels are left or the equations are
+    singular.
+
+    Args:
+        models, frames: levels from fine to coarse, on one device.
+    """
+    return backend_for(frames[0].depth_m).align(models, frames, start, options)

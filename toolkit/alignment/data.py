@@ -1,0 +1,213 @@
+"""The values of dense alignment: pyramid levels, residual scales, normal equations, estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.geometry.camera import Camera
+
+# A numpy image [H, W] or [H, W, C] of one level.
+Image = NDArray[np.float32]
+
+# Number of sums that one linearisation accumulates: the upper triangle of H [36], g [8], and
+# five counts, see `Linearisation.from_sums`.
+SUMS = 49
+
+
+@dataclass(frozen=True)
+class FrameLevel:
+    """One pyramid level of a frame.
+
+    Attributes:
+        camera: intrinsics of this level's images.
+        intensity: [H, W] float32 in [0, 1].
+        depth_m: [H, W] float32 z-depth in metres, 0 where missing.
+
+    Raises:
+        ValueError: an image does not have the camera's size.
+    """
+
+    camera: Camera
+    intensity: Tensor
+    depth_m: Tensor
+
+    def __post_init__(self) -> None:
+        for name in ("intensity", "depth_m"):
+            _check_shape(name, getattr(self, name), (self.camera.height, self.camera.width))
+
+
+@dataclass(frozen=True)
+class ModelLevel:
+    """One pyramid level of the view that frames are aligned to.
+
+    Attributes:
+        camera: intrinsics of this level's images.
+        texture: [H, W, 4] float32 intensity, its x and y derivatives per pixel, depth (m); all 0
+            where unusable.
+        surface: [H, W, 4] float32 unit normal in the view's frame and plane offset (m); all 0
+            where unusable.
+
+    Raises:
+        ValueError: an image does not have the camera's size.
+    """
+
+    camera: Camera
+    texture: Tensor
+    surface: Tensor
+
+    def __post_init__(self) -> None:
+        for name in ("texture", "surface"):
+            _check_shape(name, getattr(self, name), (self.camera.height, self.camera.width, 4))
+
+
+def _check_shape(name: str, image: Tensor, expected: tuple[int, ...]) -> None:
+    """Reject an image whose size is not its camera's: kernels index it by the camera's size."""
+    if image.shape != expected:
+        raise ValueError(f"{name} must have shape {list(expected)}, got {list(image.shape)}")
+
+
+@dataclass(frozen=True)
+class ResidualScales:
+    """Standard deviations of the residuals.
+
+    Attributes:
+        intensity: of the photometric residual, for intensities in [0, 1].
+        depth_m: of the point-to-plane residual at a depth of 1 m, in metres. The sensor's noise
+            grows with the squared depth.
+        photometric_weight: weight of the photometric term relative to the geometric term.
+    """
+
+    intensity: float
+    depth_m: float
+    photometric_weight: float = 1.0
+
+
+# Initial scales, and the range of the re-estimated ones.
+INITIAL_SCALES = ResidualScales(intensity=0.05, depth_m=0.01)
+MIN_SCALES = ResidualScales(intensity=0.002, depth_m=0.0001)
+MAX_SCALES = ResidualScales(intensity=0.2, depth_m=0.05)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Normal equations at a pose, and statistics of the residuals.
+
+    Attributes:
+        H: [8, 8] float64 over (translation, rotation, gain, bias). g: [8] float64.
+        intensity_pixels, depth_pixels: number of photometric and of geometric residuals.
+        intensity_variance, depth_variance: robust mean squared residuals in units of the scales.
+        frame_pixels: number of frame pixels with depth that project into the model's image.
+    """
+
+    H: NDArray[np.float64]
+    g: NDArray[np.float64]
+    intensity_pixels: float
+    depth_pixels: float
+    intensity_variance: float
+    depth_variance: float
+    frame_pixels: float
+
+    @classmethod
+    def from_sums(cls, sums: NDArray[np.float64]) -> Linearisation:
+        """Unpack the sums [49] of the native and numpy kernels.
+
+        They are the upper triangle of H row by row, g, the numbers of photometric and geometric
+        residuals, their weighted sums of squares, and the number of frame pixels.
+        """
+        H = np.zeros((8, 8))
+        H[np.triu_indices(8)] = sums[:36]
+        H = H + np.triu(H, 1).T
+        return cls.from_squares(H, sums[36:44].copy(), sums[44:49])
+
+    @classmethod
+    def from_squares(
+        cls, H: NDArray[np.float64], g: NDArray[np.float64], counts: NDArray[np.float64]
+    ) -> Linearisation:
+        """Normal equations with the five counts of `from_sums`."""
+        intensity_pixels, depth_pixels, intensity_squares, depth_squares, frame_pixels = (
+            float(count) for count in counts
+        )
+        return cls(
+            H=H,
+            g=g,
+            intensity_pixels=intensity_pixels,
+            depth_pixels=depth_pixels,
+            intensity_variance=intensity_squares / max(intensity_pixels, 1.0),
+            depth_variance=depth_squares / max(depth_pixels, 1.0),
+            frame_pixels=frame_pixels,
+        )
+
+    @property
+    def cost(self) -> float:
+        """Mean robust squared residual; comparable between poses at equal scales."""
+        pixels = self.intensity_pixels + self.depth_pixels
+        if pixels < 1:
+            return float("inf")
+        total = self.intensity_variance * self.intensity_pixels
+        total += self.depth_variance * self.depth_pixels
+        return total / pixels
+
+
+def rescaled(scales: ResidualScales, linear: Linearisation) -> ResidualScales:
+    """Re-estimate the scales of Student's t distribution: one fixed-point iteration."""
+    intensity = scales.intensity * np.sqrt(linear.intensity_variance)
+    depth_m = scales.depth_m * np.sqrt(linear.depth_variance)
+    if linear.intensity_pixels:
+        clipped = np.clip(intensity, MIN_SCALES.intensity, MAX_SCALES.intensity)
+        scales = replace(scales, intensity=float(clipped))
+    if linear.depth_pixels:
+        clipped = np.clip(depth_m, MIN_SCALES.depth_m, MAX_SCALES.depth_m)
+        scales = replace(scales, depth_m=float(clipped))
+    return scales
+
+
+@dataclass(frozen=True)
+class GaussNewtonOptions:
+    """Parameters of one frame's alignment.
+
+    Attributes:
+        iterations: maximum number of iterations per pyramid level.
+        max_distance: maximum depth difference of corresponding pixels at the finest level, as a
+            fraction of depth; doubled at every coarser level.
+        photometric_weight: weight of the photometric term relative to the geometric term.
+        exposure: gain and bias of the previous frame, or None to keep the exposure fixed. Only
+            the finest level adjusts it: a coarse view may be far from the frame, and its pose is
+            fitted at the previous exposure.
+        min_pixels: minimum number of residuals.
+        min_translation_m, min_rotation_rad: a step below both ends the finest level; four times
+            as much ends each coarser level.
+    """
+
+    iterations: int
+    max_distance: float
+    photometric_weight: float
+    exposure: tuple[float, float] | None
+    min_pixels: int
+    min_translation_m: float
+    min_rotation_rad: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The estimate of one frame's alignment to one view.
+
+    Attributes:
+        T_view_camera: [4, 4] float64.
+        scales: of the residuals.
+        gain, bias: exposure of the frame, view = gain * frame + bias.
+        iterations: number of iterations so far.
+        converged: the last step at the finest level was small.
+        last: normal equations of the last iteration, or None before the first.
+    """
+
+    T_view_camera: NDArray[np.float64]
+    scales: ResidualScales
+    gain: float
+    bias: float
+    iterations: int = 0
+    converged: bool = False
+    last: Linearisation | None = None

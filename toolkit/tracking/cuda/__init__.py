@@ -1,1 +1,0 @@
-"""Dense alignment on a GPU: all steps of a frame without asking the host."""
