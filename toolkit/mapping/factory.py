@@ -53,6 +53,7 @@ def build_semantic_mapping(
             settings.network.hidden,
             settings.network.learning_rate,
             torch.Generator().manual_seed(seed),
+            settings.network.replay,
         )
     weights = SemanticLossWeights(**settings.loss.model_dump())
     loss = SemanticLoss(code, weights, network, seed)

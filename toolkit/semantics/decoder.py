@@ -1,4 +1,8 @@
-"""The small network that reads codes as flat classes (H-12, H-13)."""
+"""The small network that reads codes as flat classes (H-12, H-13).
+
+One network reads all submaps of a run. Submaps that are not mapped any more do not train it, so it
+would forget their classes: each step therefore rehearses samples of all classes seen so far.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from toolkit.io.arrays import arrays_below
+from toolkit.semantics.replay import ReplayMemory
 
 
 class NetworkDecoder:
@@ -16,6 +23,7 @@ class NetworkDecoder:
     Args:
         channels: S of the code. classes: C. hidden: units between.
         generator: of the start weights.
+        replay: samples of each class that every step rehearses; 0 trains on the newest views alone.
 
     Attributes:
         steps: taken so far.
@@ -28,6 +36,7 @@ class NetworkDecoder:
         hidden: int = 64,
         learning_rate: float = 5e-3,
         generator: torch.Generator | None = None,
+        replay: int = 16,
     ) -> None:
         self._rate = learning_rate
         shapes = {"in": (hidden, channels), "out": (classes, hidden)}
@@ -38,6 +47,7 @@ class NetworkDecoder:
             self._parameters[f"{name}_bias"] = torch.zeros(rows, 1)
         self._first = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
         self._second = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
+        self._memory = ReplayMemory(channels, classes, replay)
         self.steps = 0
 
     def logits(self, values: Tensor) -> Tensor:
@@ -60,13 +70,22 @@ class NetworkDecoder:
         values = values.detach().requires_grad_()
         with torch.enable_grad():
             self._parameters = leaves
-            logits = self.logits(values)
-            guess = float(np.log(len(logits)))
-            loss = torch.nn.functional.cross_entropy(logits.T, class_ids - 1) / guess
-            by_values, *by_parameters = torch.autograd.grad(loss, [values, *leaves.values()])
+            loss = self._loss(values, class_ids)
+            total, rehearsed = loss, self._memory.samples()
+            if len(rehearsed[1]):
+                total = loss + self._loss(*rehearsed).to(loss)
+            by_values, *by_parameters = torch.autograd.grad(total, [values, *leaves.values()])
         self._parameters = {n: p.detach() for n, p in leaves.items()}
+        self._memory.add(values, class_ids, np.random.default_rng(self.steps))
         self._step(dict(zip(leaves, by_parameters, strict=True)))
         return float(loss.detach()), by_values * values.shape[1]
+
+    def _loss(self, values: Tensor, class_ids: Tensor) -> Tensor:
+        """Mean cross-entropy as a share of that of a blind guess."""
+        logits = self.logits(values)
+        return torch.nn.functional.cross_entropy(logits.T, class_ids - 1) / float(
+            np.log(len(logits))
+        )
 
     def _step(self, gradients: dict[str, Tensor], beta1: float = 0.9, beta2: float = 0.99) -> None:
         self.steps += 1
@@ -81,6 +100,7 @@ class NetworkDecoder:
         arrays = {"steps": np.array(self.steps)}
         for kind, tensors in self._groups():
             arrays |= {f"{kind}_{name}": t.numpy().copy() for name, t in tensors.items()}
+        arrays |= {f"replay/{name}": array for name, array in self._memory.state().items()}
         return arrays
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
@@ -89,6 +109,9 @@ class NetworkDecoder:
         for kind, tensors in self._groups():
             for name in tensors:
                 tensors[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
+        replay = arrays_below(arrays, "replay/")
+        if replay:  # runs of older versions kept none
+            self._memory.restore(replay)
 
     def _groups(self) -> tuple[tuple[str, dict[str, Tensor]], ...]:
         return (

@@ -80,6 +80,9 @@ class NetworkSettings(Settings):
     use: bool = Field(False, description="train it, and with it the inter-level term")
     hidden: int = Field(64, ge=1, description="units between its two layers")
     learning_rate: float = Field(5e-3, gt=0, description="of its optimiser")
+    replay: int = Field(
+        16, ge=0, description="samples of each class that every step rehearses, of all submaps"
+    )
 
 
 class SemanticsSettings(Settings):
