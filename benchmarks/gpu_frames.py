@@ -116,10 +116,10 @@ def run(
     by_index = {frame.index: frame for frame in frames}
     places = zip(slam.tracked_indices, slam.trajectory.T_world_camera, slam.exposures, strict=True)
     found = []
-    for index, T, (gain, bias) in places:
+    for index, T, exposure in places:
         frame = by_index[index]
         colour = slam.mapper.draw(gaussians, frame.camera, T).output.colour
-        shown = ((colour - bias) / gain).clamp(0.0, 1.0).cpu().numpy()
+        shown = exposure.undo(colour).clamp(0.0, 1.0).cpu().numpy()
         found.append(psnr_db(shown, frame.rgb))
     ate = absolute_trajectory_error(slam.trajectory, truth)
     return Walked(

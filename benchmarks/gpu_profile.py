@@ -13,6 +13,7 @@ from benchmarks.gpu_frames import TAXONOMY
 from benchmarks.gpu_render import OurContest
 from benchmarks.gpu_report import Plan, row, table
 from benchmarks.gpu_scene import camera_of, pose_of, surface_cloud, walk
+from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -42,11 +43,14 @@ def profile_table(plan: Plan) -> None:
     mapper = Mapper(MapperOptions(), None, "cuda", None, semantics, plan.device)
     tracker = DenseTracker(DenseOptions(start="velocity"), backend_name="cuda")
     tracker.first_pose(frames[0])
-    mapper.add_keyframe(frames[0], np.eye(4))
+    mapper.add_keyframe(Keyframe.from_frame(frames[0], np.eye(4)))
     _profiled("One tracked frame", lambda: tracker.track(frames[1], mapper.gaussians))
-    mapper.add_keyframe(frames[1], pose_of(1))
+    mapper.add_keyframe(Keyframe.from_frame(frames[1], pose_of(1)))
     mapper.options = replace(mapper.options, iterations=10)
-    _profiled("A keyframe of ten steps", lambda: mapper.add_keyframe(frames[2], pose_of(2)))
+    _profiled(
+        "A keyframe of ten steps",
+        lambda: mapper.add_keyframe(Keyframe.from_frame(frames[2], pose_of(2))),
+    )
 
 
 def _profiled(title: str, step: Callable[[], object]) -> None:

@@ -23,6 +23,7 @@ from toolkit.features.factory import build_describer
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.semantics.factory import build_code, choose_taxonomy
@@ -120,7 +121,9 @@ def piece(
     for i in numbers:
         frame = recording.frames[i]
         frame = replace(frame, depth_m=denoised(frame.depth_m))
-        mapper.add_keyframe(frame, T_submap_world @ recording.T_world_camera[i])
+        mapper.add_keyframe(
+            Keyframe.from_frame(frame, T_submap_world @ recording.T_world_camera[i])
+        )
     pictures = torch.stack([keyframe.rgb for keyframe in mapper.keyframes]) / 255.0
     words = describer.describe(pictures).numpy()
     submap = Submap(0, np.eye(4), mapper.gaussians, mapper.keyframes, descriptors=words)

@@ -49,7 +49,7 @@ def main() -> None:
             lost += 1
             continue
         drawn = render(gaussians, frame.camera, se3.inverse(result.T_map_camera))
-        values.append(psnr_db((drawn.colour - result.bias) / result.gain, frame.rgb))
+        values.append(psnr_db(result.exposure.undo(drawn.colour), frame.rgb))
     print(f"returning frames: {len(values)} located, {lost} lost, PSNR {np.mean(values):.2f} dB")
 
 

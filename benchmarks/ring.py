@@ -34,7 +34,6 @@ from benchmarks.machine import describe_machine
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
-from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.runs.results import tracked_frames
 from toolkit.settings.run import RunSettings
@@ -135,8 +134,8 @@ def let_drift(atlas: Atlas, metres: float, seed: int) -> None:
     """Put each new submap somewhat elsewhere than the camera is."""
     begin_next, generator = atlas.begin_next, np.random.default_rng(seed)
 
-    def begin_elsewhere(frame: Frame) -> NDArray[np.float64]:
-        T_new_old = begin_next(frame)
+    def begin_elsewhere() -> NDArray[np.float64]:
+        T_new_old = begin_next()
         directions = generator.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         error = se3.exp(metres * np.concatenate([directions[0], RADIANS_A_METRE * directions[1]]))

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from benchmarks.machine import describe_machine
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.consensus import segments_of
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
@@ -267,7 +268,7 @@ class Subject:
             }
         )
         self._mapper = self._build(settings, taxonomy)
-        self._mapper.add_keyframe(dataset[0], np.eye(4))
+        self._mapper.add_keyframe(Keyframe.from_frame(dataset[0], np.eye(4)))
         self.channels = 4 + self._mapper.semantics.channels
         cloud = self._mapper.gaussians
         self.map_mb = len(cloud) * (8 + self._mapper.semantics.channels) * 4 / 1e6

@@ -14,7 +14,7 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.submaps.submap import Submap
@@ -60,7 +60,7 @@ def submap_of(
     mapper = Mapper(QUICK, np.random.default_rng(number), semantics=semantics)
     T_submap_world = se3.inverse(poses[numbers[0]])
     for place in numbers:
-        mapper.add_keyframe(frames[place], T_submap_world @ poses[place])
+        mapper.add_keyframe(Keyframe.from_frame(frames[place], T_submap_world @ poses[place]))
     return Submap(
         number=number,
         T_world_submap=np.eye(4),
@@ -87,7 +87,7 @@ def seen_by(keyframe: Keyframe, camera: Camera) -> Keyframe:
     rgb = cv2.remap(rgb, u, v, cv2.INTER_LINEAR).clip(0.0, 1.0)
     depth_m = cv2.remap(keyframe.depth_m.numpy(), u, v, cv2.INTER_NEAREST)
     frame = Frame(keyframe.index, keyframe.timestamp_s, rgb, depth_m, camera)
-    return Keyframe.from_frame(frame, keyframe.T_map_camera, keyframe.gain, keyframe.bias)
+    return Keyframe.from_frame(frame, keyframe.T_map_camera, keyframe.exposure)
 
 
 def thumbnail(keyframe: Keyframe) -> NDArray[np.float32]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -30,8 +32,7 @@ class _TrackedFrame:
     timestamp_s: float
     submap: int
     keyframe: int
-    gain: float
-    bias: float
+    exposure: Exposure
 
 
 class CameraPath:
@@ -53,9 +54,10 @@ class CameraPath:
             T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
         """
         last = atlas.mapper.keyframes[-1]
-        gain, bias = exposure_of(tracking)
         self._frames.append(
-            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, gain, bias)
+            _TrackedFrame(
+                frame.index, frame.timestamp_s, atlas.active, last.index, exposure_of(tracking)
+            )
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
 
@@ -91,17 +93,13 @@ class CameraPath:
             for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
         ]
 
-    def exposures(self, of_submaps: dict[int, tuple[float, float]]) -> Array:
-        """(gain, bias) [M, 2] of each frame: map = gain * observed + bias.
+    def exposures(self, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
+        """Exposure of each frame against the map.
 
         Args:
-            of_submaps: gain and bias of submaps against the whole map, 1 and 0 where missing.
+            of_submaps: exposures of submaps against the whole map; the identity where missing.
         """
-        rows = []
-        for f in self._frames:
-            gain, bias = of_submaps.get(f.submap, (1.0, 0.0))
-            rows.append((gain * f.gain, gain * f.bias + bias))
-        return np.array(rows).reshape(-1, 2)
+        return [of_submaps.get(f.submap, IDENTITY).after(f.exposure) for f in self._frames]
 
     def trajectory(self, atlas: Atlas) -> Trajectory:
         """Poses in the world."""
@@ -120,5 +118,7 @@ class CameraPath:
 
     def restore(self, T_keyframe_camera: Array, values: list[dict[str, Any]]) -> None:
         """Take over an earlier `state`."""
-        self._frames = [_TrackedFrame(**f) for f in values]
+        self._frames = [
+            _TrackedFrame(**{**f, "exposure": Exposure(**f["exposure"])}) for f in values
+        ]
         self._T_keyframe_camera = [np.array(T) for T in T_keyframe_camera]

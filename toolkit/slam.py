@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from toolkit.camera_path import CameraPath
 from toolkit.closing.closer import LoopCloser
+from toolkit.exposure import Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Found
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.refinement.fusion import FusedMap, fuse
@@ -155,15 +156,15 @@ class Slam:
         self._lost_in_a_row = 0
         mapping = None
         if may_map and self.mapper.wants(frame, T_map_camera):
-            exposure = exposure_of(tracking)
             if self._labeller is not None and not self._labels_first:
                 frame = self._labelled(frame, T_map_camera)
-            T_map_camera = self._placed(frame, T_map_camera, exposure)
+            keyframe = Keyframe.from_frame(frame, T_map_camera, exposure_of(tracking))
+            self._place(keyframe)
             with self._recorder.timed("mapping"):
-                mapping = self.mapper.add_keyframe(frame, T_map_camera, *exposure)
+                mapping = self.mapper.add_keyframe(keyframe)
             if self._closer is not None:
                 self._closer.observe(self.atlas)
-            T_map_camera = self._allocate(frame, tracking)
+            T_map_camera = self._allocate(tracking)
 
         self._path.add(frame, self.atlas, T_map_camera, tracking)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
@@ -217,10 +218,11 @@ class Slam:
         self._close_within()
         with self._recorder.timed("mapping"):
             if found is None:
-                atlas.begin_at(frame, *self._path.last_place(atlas), inherit=False)
+                anchor = Keyframe.from_frame(frame, np.eye(4))
+                atlas.begin_at(anchor, *self._path.last_place(atlas), inherit=False)
             else:
-                exposure = (found.result.gain, found.result.bias)
-                atlas.begin_at(frame, found.submap, found.T_submap_camera, exposure)
+                anchor = Keyframe.from_frame(frame, np.eye(4), found.result.exposure)
+                atlas.begin_at(anchor, found.submap, found.T_submap_camera)
         self._closer.join(atlas, found)
         self._closer.close_between(atlas, atlas.active - 1)
         self._closer.observe(atlas)
@@ -233,27 +235,27 @@ class Slam:
             else "joined to nothing until a loop is found",
         )
 
-    def _placed(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], exposure: tuple[float, float]
-    ) -> NDArray[np.float64]:
-        """Where a tracked frame stands once it is a keyframe; the tracker goes on from there."""
+    def _place(self, keyframe: Keyframe) -> None:
+        """Refine the pose of a new keyframe against earlier ones; the tracker continues there."""
         if self._placement is None or not self.mapper.keyframes:
-            return T_map_camera
+            return
+        T_tracked = keyframe.T_map_camera
         with self._recorder.timed("placing"):
-            keyframe = Keyframe.from_frame(frame, T_map_camera, *exposure)
-            T_placed = self._placement.place(self.mapper.keyframes, keyframe)
-        self.tracker.change_frame(T_placed @ se3.inverse(T_map_camera))
-        return T_placed
+            keyframe.T_map_camera = self._placement.place(self.mapper.keyframes, keyframe)
+        self.tracker.change_frame(keyframe.T_map_camera @ se3.inverse(T_tracked))
 
-    def _allocate(self, frame: Frame, tracking: TrackingResult | None) -> NDArray[np.float64]:
-        """Begin the next submap where it is time; the newest keyframe's pose in the active one."""
+    def _allocate(self, tracking: TrackingResult | None) -> NDArray[np.float64]:
+        """Start the next submap if it is due; the newest keyframe's pose in the active submap."""
         verdict = self.atlas.judge()
         if verdict is not None and verdict.begins:
             self._close_within()
             with self._recorder.timed("mapping"):
-                self.tracker.change_frame(self.atlas.begin_next(frame))
+                self.tracker.change_frame(self.atlas.begin_next())
             _log.info(
-                "submap %d begins at frame %d: %s", self.atlas.active, frame.index, verdict.reason
+                "Started submap %d at frame %d: %s",
+                self.atlas.active,
+                verdict.index,
+                verdict.reason,
             )
             if self._closer is not None:
                 information = np.zeros((6, 6)) if tracking is None else tracking.information
@@ -333,11 +335,8 @@ class Slam:
         return self._path.indices
 
     @property
-    def exposures(self) -> NDArray[np.float64]:
-        """(gain, bias) [M, 2] of the tracked frames: map = gain * observed + bias.
-
-        The map is the frame's submap, or once finished the whole one.
-        """
+    def exposures(self) -> list[Exposure]:
+        """Exposure of each tracked frame against its submap; once finished, against the map."""
         return self._path.exposures({} if self.fused is None else self.fused.exposures)
 
     @property

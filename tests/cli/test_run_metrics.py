@@ -12,6 +12,7 @@ from toolkit.evaluation.run_metrics import (
     measure_run,
     open_unseen,
 )
+from toolkit.exposure import Exposure
 from toolkit.frame import Frame
 from toolkit.gaussians.scene import WholeScene
 from toolkit.geometry import se3
@@ -76,7 +77,9 @@ def test_exposure_is_taken_back_before_views_are_compared(gaussians):
     frames = frames_at(gaussians, T_map_camera)
     dark = [Frame(f.index, f.timestamp_s, 0.5 * f.rgb, f.depth_m, f.camera) for f in frames]
     dataset = RenderedDataset(dark, None)
-    as_tracked = measure_run(WholeScene(gaussians), tracked(T_map_camera, gain=2.0), dataset)
+    as_tracked = measure_run(
+        WholeScene(gaussians), tracked(T_map_camera, exposure=Exposure(2.0)), dataset
+    )
     ignored = measure_run(WholeScene(gaussians), tracked(T_map_camera), dataset)
     assert as_tracked["psnr_db"] > 60.0
     assert ignored["psnr_db"] < 20.0

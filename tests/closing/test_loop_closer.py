@@ -18,6 +18,7 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import CandidateFinder, CandidateOptions
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
@@ -113,10 +114,10 @@ def closed(
     for frame, T_world_camera in frames:
         drift = DRIFT if frame.index >= 20 else np.eye(4)
         mapper = atlas.mapper
-        mapper.add_keyframe(frame, T_map_world @ drift @ T_world_camera)
+        mapper.add_keyframe(Keyframe.from_frame(frame, T_map_world @ drift @ T_world_camera))
         closer.observe(atlas)
         if atlas.judge().begins:
-            atlas.begin_next(frame)
+            atlas.begin_next()
             closer.link(atlas, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import map_device
 from toolkit.tracking.dense import DenseOptions, DenseTracker
@@ -42,7 +43,7 @@ def mapped(device: str, walk) -> Mapper:
     )
     mapper, again = (Mapper(options, np.random.default_rng(0), device=device) for _ in range(2))
     for frame, pose in zip(*walk, strict=True):
-        mapper.add_keyframe(frame, pose)
+        mapper.add_keyframe(Keyframe.from_frame(frame, pose))
     mapper.refine()
     again.restore(*mapper.state())
     again.settle(1)
@@ -82,7 +83,7 @@ def one_view(walk):
     """A map of the first frame, and where trackers on the CPU find the second."""
     frames, poses = walk
     mapper = Mapper(MapperOptions(first_iterations=10))
-    mapper.add_keyframe(frames[0], poses[0])
+    mapper.add_keyframe(Keyframe.from_frame(frames[0], poses[0]))
     return mapper.gaussians, {kind: tracked(kind, frames, mapper.gaussians) for kind in KINDS}
 
 

@@ -18,10 +18,11 @@ from torch.utils._pytree import tree_leaves
 
 from toolkit.alignment.data import FrameLevel
 from toolkit.alignment.levels import model_level, pyramid, view_level
+from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe, Observed
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss_torch
-from toolkit.mapping.keyframes import Keyframe, Observed
 from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
 from toolkit.rendering.surface import SurfaceView, surface_depth
 from toolkit.rendering.texture import at_centres
@@ -30,6 +31,7 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 META = torch.device("meta")
 CAMERA = Camera(50.0, 52.0, 23.5, 17.5, 48, 36)
+POINTS = np.zeros((0, 3), np.float32)
 MOST_BROUGHT = 64  # numbers: a pose, intrinsics, a table of a few classes
 
 
@@ -92,7 +94,7 @@ def test_the_semantic_loss_of_some_pixels(code) -> None:
 def test_what_a_keyframe_observed() -> None:
     images = Observed(image(3, dtype=torch.uint8), image(), image(dtype=torch.int16))
     keyframe = Keyframe(
-        0, 0.0, np.eye(4), torch.empty(0), torch.empty(0), CAMERA, 1.1, 0.02, np.zeros((0, 3))
+        0, 0.0, np.eye(4), torch.empty(0), torch.empty(0), CAMERA, Exposure(1.1, 0.02), POINTS
     )
     rgb, depth_m, labels = keyframe.observed(images)
     assert labels is not None

@@ -9,11 +9,12 @@ import torch
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
+from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe
 from toolkit.loops.class_counts import LabelledPixels, ObservedGaussians
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import backend
@@ -61,8 +62,7 @@ def keyframe(labels: np.ndarray | None = None) -> Keyframe:
         rgb=torch.zeros(3, 30, 40, dtype=torch.uint8),
         depth_m=torch.full((30, 40), 2.0),
         camera=CAMERA,
-        gain=1.0,
-        bias=0.0,
+        exposure=IDENTITY,
         points=np.zeros((0, 3), np.float32),
         class_ids=None if labels is None else torch.from_numpy(labels.astype(np.int16)),
     )
@@ -98,7 +98,7 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
     taxonomy = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
     mapper = Mapper(MapperOptions(first_iterations=1), semantics=reading)
     atlas = Atlas(mapper)
-    mapper.add_keyframe(labelled_frame, np.eye(4))
+    mapper.add_keyframe(Keyframe.from_frame(labelled_frame, np.eye(4)))
     settings = LoopClosureSettings(landmarks=LandmarkSettings(counted=counted))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
     closer.observe(atlas)

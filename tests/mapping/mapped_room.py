@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import render
 
@@ -17,7 +18,7 @@ from toolkit.rendering import render
 def fed(mapper: Mapper, room: Any, numbers: Iterable[int]) -> Mapper:
     """The mapper after these frames of a room."""
     for number in numbers:
-        mapper.add_keyframe(room.frames[number], room.T_map_camera[number])
+        mapper.add_keyframe(Keyframe.from_frame(room.frames[number], room.T_map_camera[number]))
     return mapper
 
 

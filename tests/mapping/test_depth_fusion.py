@@ -11,8 +11,8 @@ import torch
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.depth_fusion import MeasuredCentres, measured_centres
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=19.5, cy=14.5)
@@ -118,7 +118,7 @@ def test_a_noisy_wall_becomes_thinner(room):
         for index in range(8):
             noise = generator.normal(0.0, 0.004, like.depth_m.shape).astype(np.float32)
             flat = np.where(like.depth_m > 0, 2.0 + noise, 0.0).astype(np.float32)
-            mapper.add_keyframe(replace(like, index=index, depth_m=flat), pose)
+            mapper.add_keyframe(Keyframe.from_frame(replace(like, index=index, depth_m=flat), pose))
         thickness_m[fuse] = float(mapper.gaussians.means[:, 2].std())
     assert thickness_m[True] < 0.6 * thickness_m[False]
 
@@ -127,11 +127,11 @@ def test_gaussians_measured_anew_belong_to_the_newest_keyframe(room):
     frame, nearer = room.frames[0], np.eye(4)
     nearer[2, 3] = 1.0
     mapper = Mapper(MapperOptions(first_iterations=0, iterations=0))
-    mapper.add_keyframe(frame, np.eye(4))
+    mapper.add_keyframe(Keyframe.from_frame(frame, np.eye(4)))
     assert (mapper.seeded_by == frame.index).all()
     closer = replace(frame, index=9, depth_m=np.maximum(frame.depth_m - 1.0, 0.0))
     count = len(mapper.gaussians)
-    mapper.add_keyframe(closer, nearer)
+    mapper.add_keyframe(Keyframe.from_frame(closer, nearer))
     seeded_by = mapper.seeded_by[:count]
     assert (seeded_by == 9).any()
     assert (seeded_by == frame.index).any()

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toolkit.exposure import Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.keyframes import KeyframePolicy, choose_window
 
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
 
@@ -60,7 +62,7 @@ class TestKeyframe:
 
     def test_the_target_has_the_exposure_of_the_map(self):
         plain = keyframe()
-        bright = replace(plain, gain=1.5, bias=-0.1)
+        bright = replace(plain, exposure=Exposure(1.5, -0.1))
         expected = (1.5 * plain.target_rgb() - 0.1).clamp(0, 1)
         assert (bright.target_rgb() - expected).abs().max() < 1e-6
 
@@ -124,3 +126,11 @@ class TestWindow:
         still = [keyframe(i) for i in range(4)]
         window = choose_window(still, 8, 0.5, np.random.default_rng(0))
         assert sorted(k.index for k in window) == [0, 1, 2, 3]
+
+
+def test_exposures_compose_and_invert():
+    image = np.linspace(0.0, 1.0, 7, dtype=np.float32)
+    inner, outer = Exposure(1.4, -0.1), Exposure(0.7, 0.05)
+    both = outer.after(inner)
+    assert np.allclose(both.apply(image), outer.apply(inner.apply(image)))
+    assert np.allclose(both.undo(both.apply(image)), image, atol=1e-6)

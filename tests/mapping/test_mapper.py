@@ -9,8 +9,10 @@ import pytest
 import torch
 from mapped_room import depth_error_m, fed, psnr_db, same_bits
 
+from toolkit.exposure import Exposure
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.keyframe import Keyframe
 from toolkit.losses import photometric
 from toolkit.mapping import sparse_adam
 from toolkit.mapping.factory import build_mapper
@@ -91,9 +93,11 @@ def test_seeds_show_the_surface_without_bias(room):
 
 def test_known_surfaces_are_not_seeded_again(room):
     mapper = Mapper(FEW)
-    first = mapper.add_keyframe(room.frames[0], room.T_map_camera[0])
-    again = mapper.add_keyframe(replace(room.frames[0], index=1), room.T_map_camera[0])
-    further = mapper.add_keyframe(room.frames[8], room.T_map_camera[8])
+    first = mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
+    again = mapper.add_keyframe(
+        Keyframe.from_frame(replace(room.frames[0], index=1), room.T_map_camera[0])
+    )
+    further = mapper.add_keyframe(Keyframe.from_frame(room.frames[8], room.T_map_camera[8]))
     assert first.seeded > 1000
     assert again.seeded < 0.02 * first.seeded
     assert again.seeded < further.seeded < 0.6 * first.seeded
@@ -105,7 +109,7 @@ def test_a_new_surface_before_the_map_is_seeded(room):
     nearer = room.frames[0].depth_m.copy()
     nearer[20:40, 30:50] *= 0.7
     frame = replace(room.frames[0], index=1, depth_m=nearer)
-    result = mapper.add_keyframe(frame, room.T_map_camera[0])
+    result = mapper.add_keyframe(Keyframe.from_frame(frame, room.T_map_camera[0]))
     assert 100 <= result.seeded <= 500
 
 
@@ -136,7 +140,7 @@ def test_exposure_is_taken_out_of_the_map(room):
     frame = room.frames[0]
     darker = replace(frame, rgb=frame.rgb * np.float32(0.5))
     mapper = Mapper(replace(FEW, first_iterations=20))
-    mapper.add_keyframe(darker, room.T_map_camera[0], gain=2.0)
+    mapper.add_keyframe(Keyframe.from_frame(darker, room.T_map_camera[0], Exposure(2.0)))
     assert psnr_db(mapper, frame, room.T_map_camera[0]) > 25.0
 
 
@@ -144,7 +148,7 @@ def test_a_frame_without_depth_changes_no_shape(room):
     mapper = fed(Mapper(UNTOUCHED), room, [0])
     before = len(mapper.gaussians)
     blind = replace(room.frames[4], depth_m=np.zeros_like(room.frames[4].depth_m))
-    result = mapper.add_keyframe(blind, room.T_map_camera[4])
+    result = mapper.add_keyframe(Keyframe.from_frame(blind, room.T_map_camera[4]))
     assert result.seeded == 0 and len(mapper.gaussians) == before
 
 
@@ -213,7 +217,7 @@ def test_bundle_adjustment_draws_a_wrong_pose_back(room):
     mapper = fed(Mapper(options), room, [0])
     wrong = room.T_map_camera[4].copy()
     wrong[:3, 3] += [0.005, 0.0, 0.0]
-    mapper.add_keyframe(room.frames[4], wrong)
+    mapper.add_keyframe(Keyframe.from_frame(room.frames[4], wrong))
     mapper.refine()
     first, second = (keyframe.T_map_camera for keyframe in mapper.keyframes)
     assert np.array_equal(first, room.T_map_camera[0])

@@ -11,6 +11,7 @@ from mapped_room import fed, same_bits
 
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -91,7 +92,7 @@ def test_wrong_labels_are_voted_out(room):
         if number == 0:
             labels = np.where(frame.labels == floor, sofa, frame.labels).astype(np.int32)
             frame = replace(frame, labels=labels)
-        mapper.add_keyframe(frame, room.T_map_camera[number])
+        mapper.add_keyframe(Keyframe.from_frame(frame, room.T_map_camera[number]))
     assert floor_share(mapper) < 0.9
     mapper.refine()
     assert floor_share(mapper) > 0.95
@@ -150,7 +151,7 @@ def test_frames_without_labels_leave_features_alone(room):
     mapper = fed(mapper_with(), room, [0])
     before = mapper.gaussians.features.clone()
     bare = replace(room.frames[1], labels=None)
-    mapper.add_keyframe(bare, room.T_map_camera[1])
+    mapper.add_keyframe(Keyframe.from_frame(bare, room.T_map_camera[1]))
     answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
     assert (answer.class_ids[: len(before)] > 0).mean() > 0.99
 

@@ -11,10 +11,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.pose_graph.correction import (
     PoseCorrection,
     correct_keyframes,
@@ -43,8 +44,7 @@ def keyframe(index: int, T_map_camera: np.ndarray) -> Keyframe:
         rgb=torch.zeros(3, 6, 8, dtype=torch.uint8),
         depth_m=torch.ones(6, 8),
         camera=CAMERA,
-        gain=1.0,
-        bias=0.0,
+        exposure=IDENTITY,
         points=np.zeros((0, 3), np.float32),
     )
 

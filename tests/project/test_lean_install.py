@@ -10,6 +10,7 @@ for name in (
     sys.modules[name] = None  # an import of it now fails
 import numpy as np
 import torch
+from toolkit.keyframe import Keyframe
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -40,7 +41,7 @@ for index in range(3):
         found = tracker.first_pose(frame)
     else:
         found = tracker.track(frame, mapper.gaussians).T_map_camera
-    mapper.add_keyframe(frame, found)
+    mapper.add_keyframe(Keyframe.from_frame(frame, found))
     print(1000.0 * np.linalg.norm((found - truth)[:3, 3]))
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -51,7 +52,7 @@ def test_colours_come_to_the_first_ones_exposure():
     means, colours = fused.gaussians.means.numpy(), fused.gaussians.colours.numpy()
     truth = 0.4 * (1.0 + 0.2 * means)
     assert np.abs(colours - truth).max() < 0.02
-    assert fused.exposures[0] == (1.0, 0.0)
+    assert fused.exposures[0] == IDENTITY
 
 
 def test_a_view_is_drawn_from_the_parts_that_reach_into_it():

@@ -8,8 +8,8 @@ from registered_room import Scene, motion, scene
 
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
+from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.views import ViewDrawer
 from toolkit.semantics.codes import flat_code

@@ -14,7 +14,7 @@ from registered_room import Scene, error, motion, seen_by
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.matching import (
     Matched,
     MatchingOptions,

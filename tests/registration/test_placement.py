@@ -10,7 +10,7 @@ import torch
 from registered_room import Scene, error, motion, seen_by
 
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.placement import KeyframePlacement, PlacementOptions
 
 

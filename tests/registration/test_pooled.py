@@ -8,7 +8,7 @@ import numpy as np
 from registered_room import Scene, error, motion, moved
 
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.coarse import CoarseOptions, register_coarse
 from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions

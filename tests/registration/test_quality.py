@@ -12,7 +12,7 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.quality import check_alignment, check_keyframe, compare
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap

@@ -11,6 +11,7 @@ import pytest
 from slam_room import FEW, blind_frames, fed, fingerprint, first_steps
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
+from toolkit.exposure import IDENTITY
 from toolkit.geometry import se3
 from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper
@@ -93,7 +94,7 @@ def test_the_saved_map_stays_as_it_is_and_is_told_with_the_new_one(room, saved):
         now = slam.atlas.submap(old.number)
         assert np.array_equal(now.T_world_submap, old.T_world_submap)
         assert np.array_equal(now.gaussians.means, old.gaussians.means)
-    assert slam.fused.exposures[0] == (1.0, 0.0)
+    assert slam.fused.exposures[0] == IDENTITY
     assert {0, len(saved)} <= set(slam.fused.submap.tolist())
 
 

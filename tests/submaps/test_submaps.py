@@ -14,7 +14,7 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import render
 from toolkit.semantics.labeller import Labeller

@@ -10,6 +10,7 @@ from tracked_room import Room, first_steps
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.native import available_instruction_sets, load_variant
 
@@ -23,7 +24,7 @@ def room() -> Room:
 def gaussians(room: Room) -> GaussianCloud:
     """A map of the first frame alone."""
     mapper = Mapper()
-    mapper.add_keyframe(room.frames[0], room.T_map_camera[0])
+    mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
     return mapper.gaussians
 
 

@@ -19,6 +19,7 @@ from tracked_room import (
 )
 
 from toolkit.alignment import backend as alignment_backend
+from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import surface, texture
@@ -84,16 +85,17 @@ def test_exposure_is_recovered_and_leaves_the_pose_alone(room, gaussians):
         result = tracker.track(darker, gaussians)
         assert_same_place(result.T_map_camera, pose, mm=3.0, deg=0.1)
     # A prior lets it follow a sudden change over some frames only.
-    middle = float(darker.rgb.mean())
-    assert result.gain == pytest.approx(1.25, abs=0.12)
-    assert result.gain * middle + result.bias == pytest.approx(float(frame.rgb.mean()), abs=0.02)
+    middle = darker.rgb.mean(keepdims=True)
+    exposure = result.exposure
+    assert exposure.gain == pytest.approx(1.25, abs=0.12)
+    assert exposure.apply(middle) == pytest.approx(float(frame.rgb.mean()), abs=0.02)
 
 
 def test_exposure_stays_fixed_where_asked_to(room, gaussians):
     tracker = DenseTracker(DenseOptions(exposure=False))
     tracker.first_pose(room.frames[0])
     result = tracker.track(room.frames[1], gaussians)
-    assert (result.gain, result.bias) == (1.0, 0.0)
+    assert result.exposure == IDENTITY
     assert_same_place(result.T_map_camera, room.T_map_camera[1])
 
 
@@ -144,7 +146,7 @@ def test_a_restored_tracker_goes_on_with_the_same_bits(room, gaussians):
         here, there = tracker.track(frame, gaussians), other.track(frame, gaussians)
         assert here.T_map_camera.tobytes() == there.T_map_camera.tobytes()
         assert here.information.tobytes() == there.information.tobytes()
-        assert (here.gain, here.bias) == (there.gain, there.bias)
+        assert here.exposure == there.exposure
 
 
 def test_information_is_a_covariance_inverse(room, gaussians):

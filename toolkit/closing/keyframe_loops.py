@@ -9,8 +9,8 @@ import numpy as np
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import Record, moved_by, verdict
 from toolkit.closing.uncertainty import SURE
+from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import PoseCorrection, correct_keyframes, keyframe_graph

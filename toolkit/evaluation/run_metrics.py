@@ -31,6 +31,7 @@ from toolkit.evaluation.metrics import (
 from toolkit.evaluation.semantic_views import SemanticReading, SemanticScores
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.evaluation.walls import wall_thickness
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
@@ -52,26 +53,24 @@ class TrackedFrame:
         index: its position in the data set.
         timestamp_s: its time in seconds.
         T_map_camera: [4, 4] float64 pose in the map's frame.
-        gain, bias: map = gain * observed + bias.
+        exposure: of the observed image against the map.
         held_out: whether it was kept out of the map.
     """
 
     index: int
     timestamp_s: float
     T_map_camera: NDArray[np.float64]
-    gain: float = 1.0
-    bias: float = 0.0
+    exposure: Exposure = IDENTITY
     held_out: bool = False
 
 
 @dataclass(frozen=True)
 class View:
-    """A frame, where it was taken, and its exposure against the map (map = gain * rgb + bias)."""
+    """A frame, its pose, and its exposure against the map."""
 
     frame: Frame
     T_map_camera: NDArray[np.float64]
-    gain: float = 1.0
-    bias: float = 0.0
+    exposure: Exposure = IDENTITY
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ def _tracked_views(
     chosen = [frames[i] for i in _evenly_spaced(len(frames), max_views)]
     images = prefetched(dataset, [frame.index for frame in chosen])
     for frame, image in zip(chosen, images, strict=True):
-        yield View(image, frame.T_map_camera, frame.gain, frame.bias)
+        yield View(image, frame.T_map_camera, frame.exposure)
 
 
 def _unseen_views(
@@ -247,7 +246,7 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
     result = tracker.locate(view.frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
-    return replace(view, T_map_camera=result.T_map_camera, gain=result.gain, bias=result.bias)
+    return replace(view, T_map_camera=result.T_map_camera, exposure=result.exposure)
 
 
 def _quality(
@@ -260,7 +259,7 @@ def _quality(
     drawn = draw_surface(renderer, gaussians, camera, T_camera_map, drawing)
     scores.add(view.frame, drawn)
     # Back to the camera's own exposure, so that the observed image stays as it is.
-    colour = (drawn.output.colour.numpy() - view.bias) / view.gain
+    colour = view.exposure.undo(drawn.output.colour.numpy())
     return view_quality(
         view.frame.index,
         (colour.clip(0.0, 1.0).astype(np.float32), drawn.depth_m.numpy()),

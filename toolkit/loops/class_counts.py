@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import draw_surface
 from toolkit.rendering.backend import Backend

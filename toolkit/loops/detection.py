@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.features.sources import ViewDescriber
+from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import (
     CandidateFinder,
     DescribedKeyframe,
@@ -17,7 +18,6 @@ from toolkit.loops.candidates import (
     Sighting,
 )
 from toolkit.loops.class_counts import ClassCounter, LabelledPixels
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
+from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import Sighting
 from toolkit.loops.detection import LoopDetector
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap

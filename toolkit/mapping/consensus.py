@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 
 # Of the way, seen from as far as before: a mean over the last ten, or nearly.
 _SHARE = 0.2

@@ -16,13 +16,14 @@ from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
 from toolkit.losses.features import FeatureLoss
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
 from toolkit.mapping.consensus import ConsensusOptions, agree
 from toolkit.mapping.content import MapContent
 from toolkit.mapping.density import missing, useless
 from toolkit.mapping.depth_fusion import measured_centres
-from toolkit.mapping.keyframes import Keyframe, KeyframePolicy, choose_window
+from toolkit.mapping.keyframes import KeyframePolicy, choose_window
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
@@ -145,27 +146,22 @@ class Mapper:
         overlap = last.share_seen_by(T_map_camera)
         return self.options.keyframes.wants(frame.index - last.index, overlap)
 
-    def add_keyframe(
-        self,
-        frame: Frame,
-        T_map_camera: NDArray[np.float64],
-        gain: float = 1.0,
-        bias: float = 0.0,
-    ) -> MappingResult:
-        """Extend and optimise the map with a frame whose pose is known.
+    def add_keyframe(self, keyframe: Keyframe) -> MappingResult:
+        """Extend and optimise the map with a keyframe.
 
-        A map with semantics takes the frame's labels as class ids of its taxonomy.
+        Args:
+            keyframe: at its pose in the map's frame. Its class ids are those of the map's
+                taxonomy; a map without semantics drops them.
         """
         if self.semantics.channels == 0:
-            frame = replace(frame, labels=None)
-        keyframe = Keyframe.from_frame(frame, T_map_camera, gain, bias)
+            keyframe.class_ids = None
         self.keyframes.append(keyframe)
-        self.semantics.observe(frame.labels)
+        self.semantics.observe(keyframe.class_ids)
         if self.options.fuse_depth:
             with self._recorder.timed("depth fusion"):
                 self._fuse_depth(keyframe)
         with self._recorder.timed("seeding"):
-            seeded = self._seed(frame, keyframe)
+            seeded = self._seed(keyframe)
         all_new = seeded == len(self.gaussians)
         loss = self._optimise(self.options.first_iterations if all_new else self.options.iterations)
         return MappingResult(seeded, self._prune(), loss)
@@ -348,6 +344,7 @@ class Mapper:
         adam = PoseAdam(
             options.pose_translation_m, options.pose_rotation_rad, keyframe.pose_moments
         )
+        keyframe.pose_moments = adam.moments
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         step = adam.step(pose_gradient(by_matrix, T_camera_map))
         keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))
@@ -360,7 +357,7 @@ class Mapper:
         self.gaussians = replace(self.gaussians, means=means)
         self.seeded_by = self.seeded_by.index_fill(0, found.places[found.anew], keyframe.index)
 
-    def _seed(self, frame: Frame, keyframe: Keyframe) -> int:
+    def _seed(self, keyframe: Keyframe) -> int:
         observed = self._observations.of(keyframe)
         uncovered = missing(
             self.view(keyframe),
@@ -369,9 +366,8 @@ class Mapper:
             self.options.depth_floor,
             self.options.depth_factor,
         )
-        bright = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
         seeds = seed(
-            replace(frame, rgb=bright),
+            keyframe.as_frame(),
             keyframe.T_map_camera,
             uncovered.cpu().numpy(),
             self.options.seeding,

@@ -7,7 +7,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor
 
-from toolkit.mapping.keyframes import Keyframe, Observed
+from toolkit.keyframe import Keyframe, Observed
 
 # Keyframes whose images stay on a GPU: more than one call's window, of some megabytes each.
 _MOST = 32

@@ -48,17 +48,17 @@ class SemanticMapping:
         """Whether a step of a mapping call, counted from 0, is one of those with semantics."""
         return self._loss is not None and step % self._loss.weights.every == 0
 
-    def observe(self, labels: NDArray[np.integer] | None) -> None:
-        """Remember which classes the map was told of: it can hold no others.
+    def observe(self, class_ids: Tensor | None) -> None:
+        """Record which classes have been observed: the map can hold no others.
 
-        Without that, two classes blended at a border could spell a third one.
+        Otherwise two classes blended at a border could decode to a third one.
 
         Args:
-            labels: [H, W] class ids, 0 void, of a new keyframe.
+            class_ids: [H, W] of a new keyframe on the CPU, 0 void; None without labels.
         """
-        if labels is not None and self._loss is not None:
-            ids = np.unique(labels)
-            self._told[torch.from_numpy(ids[ids > 0].astype(np.int64)) - 1] = True
+        if class_ids is not None and self._loss is not None:
+            ids = class_ids.unique().long()
+            self._told[ids[ids > 0] - 1] = True
 
     def codewords(self, labels: Tensor) -> Tensor:
         """What each pixel of class ids [H, W] asks the features for, [S, H, W]."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.exposure import IntensityStatistics, exposure_between
+from toolkit.exposure import Exposure
 
 # Fewer common voxels say nothing about a pair.
 _FEWEST = 100
@@ -42,8 +43,8 @@ class _Link:
     weight: float
 
 
-def agreed_exposures(submaps: dict[int, Voxels]) -> dict[int, tuple[float, float]]:
-    """Gain and bias of each submap, by number, world = gain * colour + bias; the first's stay.
+def agreed_exposures(submaps: dict[int, Voxels]) -> dict[int, Exposure]:
+    """Exposure of each submap against the whole map, by number; the identity for the first.
 
     Least squares over all pairs that share enough voxels, of the gains' logarithms and then of
     the biases.
@@ -57,7 +58,7 @@ def agreed_exposures(submaps: dict[int, Voxels]) -> dict[int, tuple[float, float
                 links.append(_link(i, k, first, second))
     gains = np.exp(_potentials(len(numbers), links, [np.log(link.gain) for link in links]))
     biases = _potentials(len(numbers), links, [gains[x.first] * x.bias for x in links])
-    return {n: (float(gains[k]), float(biases[k])) for k, n in enumerate(numbers)}
+    return {n: Exposure(float(gains[k]), float(biases[k])) for k, n in enumerate(numbers)}
 
 
 def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -43,14 +44,14 @@ class FusedMap:
     Args:
         submap: gives a submap by its number, always the same.
         kept: [N] bool for each submap, which of its Gaussians are part of the map; None for all.
-        exposures: gain and bias of each submap by number, world = gain * submap + bias.
+        exposures: of each submap against the whole map, by number.
     """
 
     def __init__(
         self,
         submap: Callable[[int], Submap],
         kept: dict[int, Tensor | None],
-        exposures: dict[int, tuple[float, float]],
+        exposures: dict[int, Exposure],
     ) -> None:
         self.exposures = exposures
         self._submap, self._kept = submap, kept
@@ -82,9 +83,8 @@ class FusedMap:
         submap, kept = self._submap(number), self._kept[number]
         cloud = submap.gaussians
         if kept is not None:
-            gain, bias = self.exposures[number]
             cloud = cloud.select(kept).transformed(submap.T_world_submap)
-            cloud = replace(cloud, colours=cloud.colours * gain + bias)
+            cloud = replace(cloud, colours=self.exposures[number].apply(cloud.colours))
         self._held[number] = cloud
         while len(self._held) > 1 and sum(map(_megabytes, self._held.values())) > _HELD_MB:
             self._held.popitem(last=False)
@@ -144,7 +144,7 @@ def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> b
 def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     """Join the submaps that can be read. A single one passes unchanged."""
     if len(atlas) == 1:
-        return FusedMap(atlas.submap, {0: None}, {0: (1.0, 0.0)})
+        return FusedMap(atlas.submap, {0: None}, {0: IDENTITY})
     return fuse_submaps(atlas.readable(), atlas.submap, voxel_m)
 
 

@@ -16,7 +16,7 @@ from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import limited_to_width, model_level, pyramid
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.views import observed_level
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.result import Health

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import limited_to_width, model_level, pyramid
+from toolkit.exposure import Exposure
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.matching import parted
 from toolkit.registration.views import observed_level
 
@@ -67,7 +68,7 @@ class KeyframePlacement:
 
     def __init__(self, options: PlacementOptions | None = None) -> None:
         self.options = options or PlacementOptions()
-        self._held: OrderedDict[tuple[int, float, float], _Levels] = OrderedDict()
+        self._held: OrderedDict[tuple[int, Exposure], _Levels] = OrderedDict()
 
     def place(self, keyframes: Sequence[Keyframe], new: Keyframe) -> Array:
         """T_map_camera [4, 4] of a new keyframe; its own where earlier ones do not fix it.
@@ -108,7 +109,7 @@ class KeyframePlacement:
         return [*older, *recent]
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
-        key = (keyframe.index, keyframe.gain, keyframe.bias)
+        key = (keyframe.index, keyframe.exposure)
         if key not in self._held:
             finest = limited_to_width(observed_level(keyframe), self.options.largest_width)
             frame = pyramid(finest, self.options.dense.levels)

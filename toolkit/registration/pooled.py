@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.registration.matching import Matched, MatchingOptions, match_features, rigid_fits
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from toolkit.alignment.data import FrameLevel
 from toolkit.alignment.levels import halved, intensity_of, view_level
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.submaps.submap import Submap

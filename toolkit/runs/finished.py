@@ -15,6 +15,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, RunFolderError
 from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -165,8 +166,7 @@ def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[Tra
             index=int(row["index"]),
             timestamp_s=float(row["timestamp_s"]),
             T_map_camera=T_map_camera,
-            gain=float(row["gain"]),
-            bias=float(row["bias"]),
+            exposure=Exposure(float(row["gain"]), float(row["bias"])),
             held_out=bool(row["held_out"]),
         )
         for row, T_map_camera in zip(rows, poses, strict=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -103,12 +103,12 @@ def tracked_frames(slam: Slam, settings: RunSettings) -> list[TrackedFrame]:
     """Every frame that has a pose, as evaluation takes it."""
     trajectory = slam.trajectory
     return [
-        TrackedFrame(index, float(time), T, gain, bias, held_out(index, settings))
-        for index, time, T, (gain, bias) in zip(
+        TrackedFrame(index, float(time), T, exposure, held_out(index, settings))
+        for index, time, T, exposure in zip(
             slam.tracked_indices,
             trajectory.timestamps_s,
             trajectory.T_world_camera,
-            slam.exposures.tolist(),
+            slam.exposures,
             strict=True,
         )
     ]
@@ -135,8 +135,7 @@ def _frames(slam: Slam, tracked: list[TrackedFrame]) -> dict[str, Any]:
         {
             "index": f.index,
             "timestamp_s": f.timestamp_s,
-            "gain": f.gain,
-            "bias": f.bias,
+            **asdict(f.exposure),
             "held_out": f.held_out,
         }
         for f in tracked
@@ -207,7 +206,7 @@ def _render_views(
         view = tracked[place]
         frame = dataset[view.index]
         drawn = final.view(frame.camera, view.T_map_camera)
-        colour = ((drawn.output.colour - view.bias) / view.gain).clamp(0.0, 1.0).numpy()
+        colour = view.exposure.undo(drawn.output.colour).clamp(0.0, 1.0).numpy()
         depth_m, silhouette = drawn.depth_m.numpy(), drawn.output.silhouette.numpy()
         name = f"frame{view.index:06d}"
         write_rgb(folder.renders / f"{name}.png", colour)

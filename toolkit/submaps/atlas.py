@@ -11,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.content import MapContent
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import SurfaceView
@@ -172,58 +172,49 @@ class Atlas:
         self.verdicts.append(verdict)
         return verdict
 
-    def begin_next(self, frame: Frame) -> NDArray[np.float64]:
-        """Let the active submap rest and begin one at its newest keyframe.
-
-        The keyframe is the boundary of both.
-
-        Args:
-            frame: what the newest keyframe was made of.
+    def begin_next(self) -> NDArray[np.float64]:
+        """Start the next submap at the newest keyframe, which then belongs to both submaps.
 
         Returns:
             T_new_old [4, 4].
         """
         self.mapper.settle(self._boundary.steps, self._boundary.bundle_adjustment)
         old, last = self.submap(self.active), self.mapper.keyframes[-1]
-        self._begin(frame, old, last.T_map_camera, (last.gain, last.bias))
+        anchor = replace(last, T_map_camera=np.eye(4), pose_moments=None)
+        self._begin(anchor, old, last.T_map_camera)
         return se3.inverse(last.T_map_camera)
 
     def begin_at(
         self,
-        frame: Frame,
+        anchor: Keyframe,
         number: int,
         T_submap_camera: NDArray[np.float64],
-        exposure: tuple[float, float] = (1.0, 0.0),
         inherit: bool = True,
     ) -> None:
-        """Let the active submap rest and begin one at a frame that lies in another.
+        """Start a submap at a keyframe that was located in any other submap.
 
         Args:
-            number: that submap. T_submap_camera: [4, 4] where in it.
-            exposure: gain and bias of the frame against it.
-            inherit: False where the place is a guess, and nothing may be taken over.
+            anchor: the first keyframe, at the identity.
+            number: of the other submap. T_submap_camera: [4, 4] pose of the keyframe in it.
+            inherit: False if the pose is a guess, so that no Gaussians are copied.
         """
         around = self.submap(number)
         if not inherit:
             around = replace(around, gaussians=around.gaussians.select(_NONE), steps=_NONE.int())
-        self._begin(frame, around, T_submap_camera, exposure)
+        self._begin(anchor, around, T_submap_camera)
 
     def _begin(
-        self,
-        frame: Frame,
-        around: Submap,
-        T_around_camera: NDArray[np.float64],
-        exposure: tuple[float, float],
+        self, anchor: Keyframe, around: Submap, T_around_camera: NDArray[np.float64]
     ) -> None:
-        """Begin a submap at a frame that lies somewhere in an older one."""
+        """Start a submap at a keyframe that has a pose in an older submap."""
         old = self.submap(self.active)
-        content = self._inherited(frame, around, T_around_camera)
+        content = self._inherited(anchor, around, T_around_camera)
         if self.begun:
             self.rest()
         self._anchors.append(around.T_world_submap @ T_around_camera)
-        self._descriptors.append(self._boundary_row(old, frame.index))
+        self._descriptors.append(self._boundary_row(old, anchor.index))
         self.mapper.take(content)
-        self.mapper.add_keyframe(frame, np.eye(4), *exposure)
+        self.mapper.add_keyframe(anchor)
 
     @staticmethod
     def _boundary_row(old: Submap, index: int) -> NDArray[np.float32]:
@@ -242,16 +233,16 @@ class Atlas:
         return [number for number in range(len(self)) if number not in self.lost]
 
     def _inherited(
-        self, frame: Frame, around: Submap, T_around_camera: NDArray[np.float64]
+        self, anchor: Keyframe, around: Submap, T_around_camera: NDArray[np.float64]
     ) -> MapContent:
-        """What a new submap begins with: copies of what its anchor sees, in its frame."""
+        """Copies of the Gaussians that the first keyframe sees, in the new submap's frame."""
         cloud, T_camera_around = around.gaussians, se3.inverse(T_around_camera)
         index = _NONE
         if self._boundary.inherit:
-            view = self.mapper.draw(cloud, frame.camera, T_around_camera)
-            index = shown_by(view, cloud, frame.camera, T_camera_around)
+            view = self.mapper.draw(cloud, anchor.camera, T_around_camera)
+            index = shown_by(view, cloud, anchor.camera, T_camera_around)
         moved = cloud.select(index).transformed(T_camera_around)
-        origin = torch.full((len(index),), frame.index, dtype=torch.int32)
+        origin = torch.full((len(index),), anchor.index, dtype=torch.int32)
         return MapContent(moved, [], origin, around.steps.index_select(0, index))
 
     def checkpointed(self) -> None:

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.content import MapContent
-from toolkit.mapping.keyframes import Keyframe
 from toolkit.mapping.sparse_adam import PARAMETERS
 
 

@@ -27,6 +27,7 @@ from toolkit.alignment.data import (
 from toolkit.alignment.exposure import estimate_exposure
 from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.errors import DependencyError
+from toolkit.exposure import Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -189,7 +190,7 @@ class DenseTracker(MovingTracker):
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
             self._scales = self._fit = found
-            self._exposure = (result.gain, result.bias)
+            self._exposure = (result.exposure.gain, result.exposure.bias)
         return result
 
     def locate(
@@ -318,7 +319,6 @@ class DenseTracker(MovingTracker):
         # Perturbations were on the view's side; the view stands at the pose itself now.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
         health, reason = verdict(self.limits, found.scales, visible, information, measured)
-        gain, bias = self._told(task, view, found)
         # Alignment that gives up at once hands back a product of this tracker's own poses, and
         # their rounding errors threefold: a few hundred such frames and no pose is rigid.
         return TrackingResult(
@@ -332,6 +332,5 @@ class DenseTracker(MovingTracker):
             information=information,
             health=health,
             reason=reason,
-            gain=gain,
-            bias=bias,
+            exposure=Exposure(*self._told(task, view, found)),
         )

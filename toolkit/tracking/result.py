@@ -8,6 +8,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.exposure import IDENTITY, Exposure
+
 
 class Health(Enum):
     """The tracker's verdict on its own pose."""
@@ -32,7 +34,7 @@ class TrackingResult:
             T_map_camera exp(x) with x = (translation, rotation).
         health: GOOD or LOST.
         reason: why the frame is lost, empty when it is not.
-        gain, bias: exposure of the frame against the map, model = gain * frame + bias.
+        exposure: of the frame against the map.
     """
 
     T_map_camera: NDArray[np.float64]
@@ -45,8 +47,7 @@ class TrackingResult:
     information: NDArray[np.float64] = field(repr=False)
     health: Health = Health.GOOD
     reason: str = ""
-    gain: float = 1.0
-    bias: float = 0.0
+    exposure: Exposure = IDENTITY
 
     @property
     def lost(self) -> bool:
@@ -70,6 +71,6 @@ def not_tracked(reason: str) -> TrackingResult:
     )
 
 
-def exposure_of(result: TrackingResult | None) -> tuple[float, float]:
-    """Gain and bias of a frame against the map; (1, 0) for a frame that was not located."""
-    return (1.0, 0.0) if result is None or result.lost else (result.gain, result.bias)
+def exposure_of(result: TrackingResult | None) -> Exposure:
+    """Exposure of a frame against the map; the identity for a frame that was not located."""
+    return IDENTITY if result is None or result.lost else result.exposure

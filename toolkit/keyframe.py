@@ -1,0 +1,215 @@
+"""Keyframes: frames with a pose and an exposure, which the map is optimised against."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.exposure import IDENTITY, Exposure
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+# Covisibility is estimated from every n-th pixel in each direction.
+_STRIDE = 16
+
+_MIN_DEPTH_M = 0.05
+# Depth tolerances relative to the measured depth: of points inside the viewing volume, and of
+# points on the measured surface.
+_MAX_BEHIND = 1.05
+_ON_SURFACE = 0.05
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The images of a keyframe on some device.
+
+    Attributes:
+        rgb: [3, H, W] uint8. depth_m: [H, W] float32. class_ids: [H, W] int16, or None.
+    """
+
+    rgb: Tensor
+    depth_m: Tensor
+    class_ids: Tensor | None
+
+    def to(self, device: torch.device) -> Observed:
+        """Copy the images to a device."""
+        ids = None if self.class_ids is None else self.class_ids.to(device)
+        return Observed(self.rgb.to(device), self.depth_m.to(device), ids)
+
+
+@dataclass
+class Keyframe:
+    """A frame that the map is optimised against. Its images are on the CPU.
+
+    Attributes:
+        index: the frame's index in the sequence.
+        timestamp_s: the frame's time in seconds.
+        T_map_camera: [4, 4] float64; local bundle adjustment and loop closure change it.
+        rgb: [3, H, W] uint8 and depth_m: [H, W] float32, as observed.
+        camera: intrinsics of both images.
+        exposure: of the observed image against the map.
+        points: [P, 3] float32 sparse observed points in camera coordinates (m).
+        class_ids: [H, W] int16 class ids of the taxonomy, 0 void, or None.
+        pose_moments: [13] float64 state of the pose optimiser; None until it moves the pose.
+    """
+
+    index: int
+    timestamp_s: float
+    T_map_camera: NDArray[np.float64]
+    rgb: Tensor
+    depth_m: Tensor
+    camera: Camera
+    exposure: Exposure
+    points: NDArray[np.float32]
+    class_ids: Tensor | None = None
+    pose_moments: NDArray[np.float64] | None = None
+
+    ARRAYS: ClassVar = ("T_map_camera", "rgb", "depth_m", "points", "class_ids", "pose_moments")
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Arrays of a checkpoint; None is left out."""
+        arrays = {name: getattr(self, name) for name in self.ARRAYS}
+        return {name: np.asarray(a) for name, a in arrays.items() if a is not None}
+
+    def values(self) -> dict[str, Any]:
+        """JSON values of a checkpoint."""
+        return {
+            "index": self.index,
+            "timestamp_s": self.timestamp_s,
+            "camera": asdict(self.camera),
+            **asdict(self.exposure),
+        }
+
+    @classmethod
+    def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Keyframe:
+        """Restore a keyframe from its `arrays` and `values`."""
+        moments = arrays.get("pose_moments")
+        return cls(
+            index=int(values["index"]),
+            timestamp_s=float(values["timestamp_s"]),
+            T_map_camera=np.array(arrays["T_map_camera"]),
+            rgb=torch.from_numpy(np.array(arrays["rgb"])),
+            depth_m=torch.from_numpy(np.array(arrays["depth_m"])),
+            camera=Camera(**values["camera"]),
+            exposure=Exposure(float(values["gain"]), float(values["bias"])),
+            points=np.array(arrays["points"]),
+            class_ids=_tensor(arrays.get("class_ids")),
+            pose_moments=None if moments is None else np.array(moments),
+        )
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Frame,
+        T_map_camera: NDArray[np.float64],
+        exposure: Exposure = IDENTITY,
+    ) -> Keyframe:
+        """Create the keyframe of a tracked frame."""
+        levels = torch.from_numpy(np.rint(frame.rgb * 255.0).astype(np.uint8))
+        half = _STRIDE // 2  # points on the border leave the view with the smallest motion
+        sparse = frame.camera.unproject(frame.depth_m)[half::_STRIDE, half::_STRIDE]
+        return cls(
+            index=frame.index,
+            timestamp_s=frame.timestamp_s,
+            T_map_camera=T_map_camera.copy(),
+            rgb=levels.permute(2, 0, 1).contiguous(),
+            depth_m=torch.from_numpy(frame.depth_m),
+            camera=frame.camera,
+            exposure=exposure,
+            points=sparse[sparse[..., 2] > 0].astype(np.float32),
+            class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
+        )
+
+    @property
+    def images(self) -> Observed:
+        """The keyframe's images on the CPU."""
+        return Observed(self.rgb, self.depth_m, self.class_ids)
+
+    def target_rgb(self, images: Observed | None = None) -> Tensor:
+        """Observed colour [3, H, W] at the map's exposure.
+
+        Args:
+            images: the keyframe's images on another device; on the CPU by default.
+        """
+        rgb = self.rgb if images is None else images.rgb
+        gain, bias = self.exposure.gain, self.exposure.bias
+        return (rgb.to(torch.float32) * (gain / 255.0) + bias).clamp(0.0, 1.0)
+
+    def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Colour, depth and labels as the losses take them.
+
+        Args:
+            images: the keyframe's images on another device; on the CPU by default.
+        """
+        images = self.images if images is None else images
+        ids = images.class_ids
+        labels = None if ids is None else ids.to(torch.int32)
+        return self.target_rgb(images), images.depth_m, labels
+
+    @property
+    def labels(self) -> Tensor | None:
+        """Class ids [H, W] int32, as the losses take them."""
+        return None if self.class_ids is None else self.class_ids.to(torch.int32)
+
+    def as_frame(self) -> Frame:
+        """The observation as a frame at the map's exposure."""
+        rgb = self.target_rgb().permute(1, 2, 0).contiguous().numpy()
+        labels = None if self.labels is None else self.labels.numpy()
+        depth_m = self.depth_m.numpy()
+        return Frame(self.index, self.timestamp_s, rgb, depth_m, self.camera, labels)
+
+    def points_in_map(self) -> NDArray[np.float64]:
+        """The sparse observed points [P, 3] in the map's frame."""
+        return se3.transform_points(self.T_map_camera, self.points.astype(np.float64))
+
+    def reaches(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask [P] of the points [P, 3] between the camera and the measured surface."""
+        inside, z, depth_m = self._measured_at(points_map)
+        # Where depth is missing, the viewing volume is unbounded.
+        inside[inside] = (depth_m == 0) | (z <= _MAX_BEHIND * depth_m)
+        return inside
+
+    def share_observed(self, points_map: NDArray[np.float64]) -> float:
+        """Share of points [P, 3] of the map that lie on the surface this keyframe measured."""
+        if len(points_map) == 0:
+            return 0.0
+        _, z, depth_m = self._measured_at(points_map)
+        near = np.abs(z - depth_m) < _ON_SURFACE * depth_m
+        return float(near.sum() / len(points_map))
+
+    def _measured_at(
+        self, points_map: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
+        """Mask [P] of the map points in the image, and of these z and the measured depth."""
+        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
+        inside, uv = self._projected(points)
+        column, row = np.rint(uv[inside]).astype(np.intp).T
+        return inside, points[inside, 2], self.depth_m.numpy()[row, column]
+
+    def _projected(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Mask [P] of the camera points [P, 3] in the image, and the pixels [P, 2] of all."""
+        ahead = points[:, 2] > _MIN_DEPTH_M
+        uv = self.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+        inside = ahead & (uv >= 0).all(axis=1)
+        inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
+        return inside, uv
+
+    def share_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
+        """Share of this keyframe's points inside the image of a camera at a pose [4, 4]."""
+        if len(self.points) == 0:
+            return 0.0
+        T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
+        points = se3.transform_points(T_other_self, self.points)
+        return float(self._projected(points)[0].mean())
+
+
+def _tensor(array: NDArray | None) -> Tensor | None:
+    return None if array is None else torch.from_numpy(np.array(array))
