@@ -9,6 +9,7 @@ crashes on older CPUs.
 import copy
 import os
 import platform
+import runpy
 import sys
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from setuptools.command.build_ext import build_ext
 from setuptools.errors import BaseError, CCompilerError
 
 SOURCES = Path("toolkit/native/src")
+CONSTANTS = Path("toolkit/native/constants.py")
 VARIANTS = "toolkit.native.variants"  # a folder without __init__.py, not a package
 
 COMPILE_FLAGS = [
@@ -57,6 +59,13 @@ def instruction_sets() -> dict[str, list[str]]:
     return variants
 
 
+def constants() -> list[tuple[str, str]]:
+    """Macros that define the constants shared with Python, and their fingerprint."""
+    shared = runpy.run_path(str(CONSTANTS))
+    macros = [(f"SEMSPLAT_{name}", repr(value)) for name, value in shared["values"]().items()]
+    return [*macros, ("SEMSPLAT_CONSTANTS", f'"{shared["fingerprint"]()}"')]
+
+
 def native_extensions() -> list[Extension]:
     """One extension per instruction set, each from all sources."""
     if os.environ.get("SEMSPLAT_NATIVE") == "0":  # install without native kernels
@@ -67,10 +76,10 @@ def native_extensions() -> list[Extension]:
         Extension(
             f"{VARIANTS}.{name}",
             sources,
-            depends=["setup.py", *headers],  # setup.py contains the compiler flags
+            depends=["setup.py", str(CONSTANTS), *headers],  # setup.py has the compiler flags
             include_dirs=[get_include(), str(SOURCES)],
-            # Also the module name for PYBIND11_MODULE.
-            define_macros=[("SEMSPLAT_INSTRUCTION_SET", name)],
+            # The instruction set is also the module name for PYBIND11_MODULE.
+            define_macros=[("SEMSPLAT_INSTRUCTION_SET", name), *constants()],
             extra_compile_args=COMPILE_FLAGS + flags,
             extra_link_args=["-fopenmp"],
             language="c++",

@@ -21,8 +21,9 @@ from toolkit.errors import DependencyError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.native.constants import NEAR_M
 from toolkit.rendering import backend
-from toolkit.rendering.backend import NEAR_M, Backend, ForwardPass
+from toolkit.rendering.backend import Backend, ForwardPass
 from toolkit.rendering.cuda.backend import CudaBackend, Tuning
 from toolkit.rendering.gsplat import GsplatBackend, load_gsplat
 from toolkit.rendering.reference import ReferenceBackend

@@ -11,8 +11,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.native.constants import MIN_ALPHA
 from toolkit.rendering import DrawOptions, draw_surface
-from toolkit.rendering.backend import ALPHA_CUT, Backend
+from toolkit.rendering.backend import Backend
 
 _STEP_M, _TURN_RAD = 0.01, 0.004  # a frame: a person's pace at 30 Hz
 _PATCH_M = 0.2  # side of a patch of one class
@@ -61,7 +62,7 @@ def _tensor(array: NDArray) -> torch.Tensor:
 def touched_pixels(cloud: GaussianCloud, camera: Camera) -> float:
     """Pixels within the support of each Gaussian, summed: the fewest alphas to compute."""
     sigma = camera.focal * cloud.radii_m / cloud.means[:, 2]
-    support = 2.0 * sigma**2 * (cloud.opacities / ALPHA_CUT).clamp(min=1.0).log()
+    support = 2.0 * sigma**2 * (cloud.opacities / MIN_ALPHA).clamp(min=1.0).log()
     return float((torch.pi * support).double().sum())
 
 

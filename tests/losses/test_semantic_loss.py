@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.losses import semantic
 from toolkit.losses.photometric import ssim_torch
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights, semantic_loss_torch
-from toolkit.native import kernels
+from toolkit.native import available_instruction_sets, load_variant
 from toolkit.semantics.codes import ColourCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.taxonomy import Taxonomy
@@ -31,10 +32,11 @@ def scene(channels: int, size: tuple[int, int], seed: int = 0):
     return features, silhouette, labels
 
 
-@pytest.mark.skipif(kernels() is None, reason="no native kernels were built")
+@pytest.mark.parametrize("instruction_set", available_instruction_sets())
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (4, 4), (17, 31), (40, 48)])
 @pytest.mark.parametrize("name", CODES)
-def test_kernel_equals_autograd(name, size):
+def test_kernel_equals_autograd(monkeypatch, name, size, instruction_set):
+    monkeypatch.setattr(semantic, "kernels_for", lambda tensor: load_variant(instruction_set))
     code = CODES[name](TREE)
     images = scene(code.channels, size)
     weights = SemanticLossWeights(moves_geometry=True)

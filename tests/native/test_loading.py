@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from toolkit.errors import DependencyError
-from toolkit.native import loading
+from toolkit.native import constants, loading
 
 BUILT_BASE = loading._path("base")
 AVAILABLE = loading.available_instruction_sets()
@@ -100,6 +100,16 @@ def test_a_damaged_variant_is_skipped_unless_forced(
     assert loading.available_instruction_sets() == ["base"]
     monkeypatch.setenv(loading.ISA_VARIABLE, "avx2")
     with pytest.raises(DependencyError):
+        loading.kernels()
+
+
+@needs_kernels
+def test_a_variant_compiled_with_other_constants_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(loading, "_load", loading._load.__wrapped__)
+    monkeypatch.setattr(constants, "NEAR_M", 0.02)
+    with pytest.raises(DependencyError, match="compiled with other constants"):
         loading.kernels()
 
 

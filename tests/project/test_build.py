@@ -21,6 +21,7 @@ def test_without_a_compiler_the_build_succeeds_and_says_so_in_one_line(checkout,
     sources = tmp_path / "toolkit/native/src"
     sources.mkdir(parents=True)
     (sources / "tiny.cpp").write_text(TINY_SOURCE)
+    shutil.copy(checkout / "toolkit/native/constants.py", sources.parent)
     result = subprocess.run(
         [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"],
         cwd=tmp_path,

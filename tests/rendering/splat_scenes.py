@@ -21,8 +21,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import load_variant
+from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, NEAR_M
 from toolkit.rendering import GaussianGradients
-from toolkit.rendering.backend import ALPHA_CUT, ALPHA_MAX, NEAR_M, Backend, ForwardPass
+from toolkit.rendering.backend import Backend, ForwardPass
 from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -163,7 +164,7 @@ def raw_alphas(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def discontinuous_pixels(scene: Scene) -> NDArray[np.bool_]:
     """Pixels [H, W] where some alpha lies within rounding of the cut or of the cap."""
     alphas, _ = raw_alphas(scene)
-    near = (np.abs(alphas - ALPHA_CUT) < BAND) | (np.abs(alphas - ALPHA_MAX) < BAND)
+    near = (np.abs(alphas - MIN_ALPHA) < BAND) | (np.abs(alphas - MAX_ALPHA) < BAND)
     return np.asarray(near.any(axis=0))
 
 
@@ -179,7 +180,7 @@ def dense_images(scene: Scene) -> NDArray[np.float64]:
     passed = np.ones((scene.camera.height, scene.camera.width))
     images = np.zeros((values.shape[1], *passed.shape))
     for alpha, value in zip(alphas, values, strict=True):
-        alpha = np.where(alpha >= ALPHA_CUT, np.minimum(alpha, ALPHA_MAX), 0.0)
+        alpha = np.where(alpha >= MIN_ALPHA, np.minimum(alpha, MAX_ALPHA), 0.0)
         images += value[:, None, None] * (alpha * passed)
         passed = passed * (1.0 - alpha)
     return images
@@ -216,7 +217,7 @@ def assert_same_images(actual: Tensor, scene: Scene, expected: Tensor) -> None:
 
 def band_tolerance(scene: Scene) -> float:
     """What one Gaussian at the cut may change: its own part, and what lies behind it."""
-    return 2.0 * ALPHA_CUT * largest_value(scene)
+    return 2.0 * MIN_ALPHA * largest_value(scene)
 
 
 def assert_same_gradients(

@@ -28,8 +28,9 @@ from splat_scenes import (
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.native.constants import MIN_TRANSMITTANCE
 from toolkit.rendering import GaussianGradients, backend
-from toolkit.rendering.backend import TRANSMITTANCE_CUT, ForwardPass
+from toolkit.rendering.backend import ForwardPass
 from toolkit.rendering.reference import ReferenceBackend
 
 pytest.importorskip("triton", reason="triton is not installed")
@@ -171,14 +172,14 @@ def test_opaque_stack_stops_early_within_its_bound() -> None:
     expected = reference_images(scene)
     drawn = scene.forward(Cuda())
     assert float((drawn.images.double() - expected).abs().max()) <= (
-        TRANSMITTANCE_CUT * largest_value(scene)
+        MIN_TRANSMITTANCE * largest_value(scene)
     )
     weights = scene.loss_weights()
     actual = gradients_of(scene, Cuda(), weights)
     # Behind the batches that were drawn the rows were cleared, not left as they were.
     assert not actual["means"][32:].any() and not actual["features"][32:].any()
     exact_gradients = gradients_of(exact(scene), ReferenceBackend(), weights)
-    assert_same_gradients(actual, exact_gradients, tolerance=10 * 2.3 * TRANSMITTANCE_CUT)
+    assert_same_gradients(actual, exact_gradients, tolerance=10 * 2.3 * MIN_TRANSMITTANCE)
 
 
 def test_coincident_depths_keep_the_order_of_the_map() -> None:

@@ -25,8 +25,8 @@ from splat_scenes import (
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
 from toolkit.rendering import render
-from toolkit.rendering.backend import ALPHA_CUT, ALPHA_MAX, TRANSMITTANCE_CUT
 from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -157,7 +157,7 @@ def test_capped_alpha_has_no_slope(native: NativeBackend) -> None:
     scene = scene_at_pixels(
         [(3.3, 2.4), (1.2, 3.1)], skewed_camera(8, 6), [1.0, 2.0], 60.0, 0.9999, channels=2
     )
-    assert int((raw_alphas(scene)[0][0] > ALPHA_MAX).sum()) > 8
+    assert int((raw_alphas(scene)[0][0] > MAX_ALPHA).sum()) > 8
     # Where alpha is 0.999, T - alpha T keeps T to 2^-24 / 0.001 = 6e-5 of itself, each time.
     assert_agrees(native, scene, tolerance=5e-4)
 
@@ -229,25 +229,25 @@ def test_opaque_stack_stops_early_within_its_bound(native: NativeBackend) -> Non
         channels=3,
     )
     expected = reference_images(scene)
-    assert float(1.0 - expected[4].max()) < TRANSMITTANCE_CUT**2  # the stack does reach the cut
+    assert float(1.0 - expected[4].max()) < MIN_TRANSMITTANCE**2  # the stack does reach the cut
     difference = (scene.draw(native).double() - expected).abs()
-    assert 1e-6 < float(difference.max()) <= TRANSMITTANCE_CUT * largest_value(scene)
+    assert 1e-6 < float(difference.max()) <= MIN_TRANSMITTANCE * largest_value(scene)
     weights = scene.loss_weights()
     actual = gradients_of(scene, native, weights)
     expected_gradients = gradients_of(exact(scene), ReferenceBackend(), weights)
     # Each of the ten or so splats in front misses alpha / (1 - alpha) = 2.3 times what was
     # cut behind it, at most 1e-4 of the largest value, and the pose adds them up.
-    assert_same_gradients(actual, expected_gradients, tolerance=10 * 2.3 * TRANSMITTANCE_CUT)
+    assert_same_gradients(actual, expected_gradients, tolerance=10 * 2.3 * MIN_TRANSMITTANCE)
 
 
 def test_discontinuity_band_is_bounded(native: NativeBackend) -> None:
     """A Gaussian at the cut itself changes a pixel by no more than 1/255 of its value."""
     scene = scene_at_pixels([(5.0, 4.0)], Camera(8, 8, 5, 4, 12, 10), opacity=0.5)
     for step in range(-3, 4):
-        opacity = torch.full((1,), ALPHA_CUT * (1.0 + step * 1e-7), dtype=torch.float64)
+        opacity = torch.full((1,), MIN_ALPHA * (1.0 + step * 1e-7), dtype=torch.float64)
         at_cut = scene.with_cloud(opacity_logits=opacity.logit().float())
         difference = at_cut.draw(native).double() - reference_images(at_cut)
-        assert float(difference.abs().max()) <= 1.001 * ALPHA_CUT
+        assert float(difference.abs().max()) <= 1.001 * MIN_ALPHA
 
 
 def test_colours_may_be_skipped(native: NativeBackend) -> None:

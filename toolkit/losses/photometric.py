@@ -8,10 +8,17 @@ import torch
 from torch import Tensor
 
 from toolkit.native import address, kernels_for
-from toolkit.rendering.output import COLOUR, DEPTH_SUM, SILHOUETTE
+from toolkit.native.constants import (
+    DEPTH_SUM,
+    MIN_NOISE_DEPTH_M,
+    SILHOUETTE,
+    SSIM_K1,
+    SSIM_K2,
+    SSIM_SIGMA_PX,
+    SSIM_WINDOW,
+)
+from toolkit.rendering.output import COLOUR
 from toolkit.rendering.surface import SurfaceView
-
-_WINDOW, _SIGMA = 11, 1.5
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ def rgbd_loss_torch(
     measured = depth_m > 0
     solid = measured & (surface_m > 0) & (silhouette > weights.least_silhouette)
     safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
-    scale = weights.depth_scale_m * (depth_m**2).clamp(min=0.25)
+    scale = weights.depth_scale_m * (depth_m**2).clamp(min=MIN_NOISE_DEPTH_M**2)
     mean = images[DEPTH_SUM] / safe
     offset = (surface_m - mean).detach()
     error = torch.where(solid, mean + offset - depth_m, torch.zeros_like(depth_m))
@@ -118,17 +125,17 @@ def _charbonnier(error: Tensor, scale: Tensor) -> Tensor:
 
 
 def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
-    """Mean SSIM of [C, H, W] images: 11x11 Gaussian window, zero beyond the border."""
-    offsets = torch.arange(_WINDOW, dtype=x.dtype, device=x.device) - _WINDOW // 2
-    window = torch.exp(-0.5 * (offsets / _SIGMA) ** 2)
+    """Mean SSIM of [C, H, W] images: Gaussian window, zero padding."""
+    offsets = torch.arange(SSIM_WINDOW, dtype=x.dtype, device=x.device) - SSIM_WINDOW // 2
+    window = torch.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2)
     window = window / window.sum()
 
     def blur(images: Tensor) -> Tensor:
         column = torch.nn.functional.conv2d(
-            images[:, None], window.view(1, 1, -1, 1), padding=(_WINDOW // 2, 0)
+            images[:, None], window.view(1, 1, -1, 1), padding=(SSIM_WINDOW // 2, 0)
         )
         return torch.nn.functional.conv2d(
-            column, window.view(1, 1, 1, -1), padding=(0, _WINDOW // 2)
+            column, window.view(1, 1, 1, -1), padding=(0, SSIM_WINDOW // 2)
         )[:, 0]
 
     # All at once: two convolutions instead of ten.
@@ -137,7 +144,7 @@ def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
     variance_x = means[2] - mean_x**2
     variance_y = means[3] - mean_y**2
     covariance = means[4] - mean_x * mean_y
-    c1, c2 = 0.01**2, 0.03**2
+    c1, c2 = SSIM_K1**2, SSIM_K2**2
     luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
     return (luminance * structure).mean()

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit.rendering.output import COLOUR, DEPTH_SUM, SILHOUETTE
+from toolkit.native.constants import DEPTH_SUM, SILHOUETTE
+from toolkit.rendering.output import COLOUR
 
 
 @dataclass(frozen=True)

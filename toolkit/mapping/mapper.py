@@ -28,8 +28,9 @@ from toolkit.mapping.observations import Observations
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
 from toolkit.mapping.surfaces import Surfaces
+from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
-from toolkit.rendering.output import BASE_CHANNELS, COLOUR
+from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import at_centres
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from toolkit.io.arrays import arrays_below
 from toolkit.losses.semantic import SemanticLoss
+from toolkit.native.constants import BASE_CHANNELS, SILHOUETTE
 from toolkit.rendering import RenderOutput, SurfaceView
-from toolkit.rendering.output import BASE_CHANNELS, FEATURES
+from toolkit.rendering.output import FEATURES
 from toolkit.semantics.decoding import Decoding, decode
 from toolkit.semantics.palette import Palette
 
@@ -117,7 +118,7 @@ class SemanticMapping:
         out = by_images[BASE_CHANNELS:]
         result = self._loss(view.features, silhouette, labels, progress, out)
         if result.silhouette is not None:
-            by_images[4] += result.silhouette
+            by_images[SILHOUETTE] += result.silhouette
         return result.value, by_images, result.silhouette is None
 
     def decode_view(self, view: SurfaceView, among: NDArray[np.integer] | None = None) -> Decoding:

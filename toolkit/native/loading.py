@@ -13,15 +13,18 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import logging
 import os
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 
 from toolkit.errors import DependencyError
+from toolkit.native import constants
 
 INSTRUCTION_SETS = ("base", "avx2", "avx512")  # in ascending order of preference
 ISA_VARIABLE = "SEMSPLAT_ISA"
+_logger = logging.getLogger(__name__)
 _VARIANTS = Path(__file__).parent / "variants"
 _REBUILD = (
     "install a C++ compiler (apt-get install g++) and run: "
@@ -44,6 +47,7 @@ def _load(name: str) -> ModuleType:
 
     Raises:
         ImportError: the variant is not built or cannot be loaded.
+        DependencyError: it was compiled with other constants.
     """
     path = _path(name)
     if not path.is_file():
@@ -53,6 +57,11 @@ def _load(name: str) -> ModuleType:
         raise ImportError(f"{path} is not an extension module")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    if getattr(module, "constants", None) != constants.fingerprint():
+        raise DependencyError(
+            f"{path} was compiled with other constants than toolkit/native/constants.py; "
+            f"to rebuild it, {_REBUILD}"
+        )
     return module
 
 
@@ -122,7 +131,10 @@ def kernels() -> ModuleType | None:
         except DependencyError as error:
             raise DependencyError(f"{ISA_VARIABLE}={forced}: {error}") from error
     available = available_instruction_sets()
-    return load_variant(available[-1]) if available else None
+    if not available:
+        _logger.warning("native kernels not found: slow torch code is used; %s", _REBUILD)
+        return None
+    return load_variant(available[-1])
 
 
 def require_kernels() -> ModuleType:

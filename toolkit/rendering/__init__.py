@@ -1,11 +1,7 @@
 """Splat rendering: one call, several backends."""
 
-from toolkit.rendering.backend import (
-    TILE,
-    GaussianGradients,
-    pixels_of_region,
-    tile_counts,
-)
+from toolkit.native.constants import TILE
+from toolkit.rendering.backend import GaussianGradients, pixels_of_region, tile_counts
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.render import backend, map_device, render
 from toolkit.rendering.surface import DrawOptions, SurfaceView, draw_surface

@@ -11,12 +11,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-
-TILE = 16  # pixels; regions are masks of tiles
-NEAR_M = 0.01  # nothing closer to the camera is drawn
-ALPHA_CUT = 1.0 / 255.0  # weaker contributions are dropped
-ALPHA_MAX = 0.999  # keeps 1 / (1 - alpha) finite
-TRANSMITTANCE_CUT = 1e-4  # native stops a 4x4 block of pixels below it
+from toolkit.native.constants import TILE
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from torch import Tensor
 from toolkit.errors import DependencyError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.backend import NEAR_M, ForwardPass, pixels_of_region
+from toolkit.native.constants import BASE_CHANNELS, NEAR_M
+from toolkit.rendering.backend import ForwardPass, pixels_of_region
 from toolkit.rendering.elsewhere import DrawnElsewhere
-from toolkit.rendering.output import BASE_CHANNELS
 from toolkit.rendering.reference import drawn_by_autograd
 
 _FAR_M = 1e10

@@ -13,8 +13,8 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native import address, require_kernels
+from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering.backend import GaussianGradients
-from toolkit.rendering.output import BASE_CHANNELS
 
 
 def _contiguous(tensor: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:

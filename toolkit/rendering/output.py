@@ -1,4 +1,4 @@
-"""What a rendering is made of, whichever backend drew it."""
+"""The output of every rendering backend: one tensor of images, with named channels."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-# Channel order of the one image tensor that backends exchange, [5 + S, H, W].
-COLOUR = slice(0, 3)
-DEPTH_SUM = 3
-SILHOUETTE = 4
-FEATURES = slice(5, None)
-BASE_CHANNELS = 5
+from toolkit.native.constants import BASE_CHANNELS, DEPTH_SUM, SILHOUETTE
+
+# Channels of the image tensor [5 + S, H, W] that backends exchange; DEPTH_SUM and SILHOUETTE are
+# single channels.
+COLOUR = slice(0, DEPTH_SUM)
+FEATURES = slice(BASE_CHANNELS, None)
 
 # Pixels emptier than this have no depth worth the name.
 _LEAST_SILHOUETTE = 1e-4

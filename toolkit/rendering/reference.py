@@ -14,15 +14,8 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.backend import (
-    ALPHA_CUT,
-    ALPHA_MAX,
-    NEAR_M,
-    TILE,
-    GaussianGradients,
-    tile_counts,
-)
-from toolkit.rendering.output import BASE_CHANNELS
+from toolkit.native.constants import BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, NEAR_M, TILE
+from toolkit.rendering.backend import GaussianGradients, tile_counts
 
 
 def composite(
@@ -55,7 +48,7 @@ def composite(
     value = torch.cat(values, dim=1)
 
     with torch.no_grad():
-        reach = sigma * (2.0 * torch.log((opacity / ALPHA_CUT).clamp(min=1.0))).sqrt() + 1e-3
+        reach = sigma * (2.0 * torch.log((opacity / MIN_ALPHA).clamp(min=1.0))).sqrt() + 1e-3
     rows, columns = tile_counts(camera)
     strips = []
     for row in range(rows):
@@ -86,7 +79,7 @@ def _weights(
     """Compositing weights [n, y, x]: alpha times what all nearer Gaussians let through."""
     squared = (grid[1] - u[:, None, None]) ** 2 + (grid[0] - v[:, None, None]) ** 2
     alpha = opacity[:, None, None] * torch.exp(-0.5 * squared / sigma[:, None, None] ** 2)
-    alpha = torch.where(alpha >= ALPHA_CUT, alpha.clamp(max=ALPHA_MAX), torch.zeros_like(alpha))
+    alpha = torch.where(alpha >= MIN_ALPHA, alpha.clamp(max=MAX_ALPHA), torch.zeros_like(alpha))
     passed = torch.cumprod(1.0 - alpha, dim=0)
     passed = torch.cat([torch.ones_like(passed[:1]), passed[:-1]])
     return alpha * passed

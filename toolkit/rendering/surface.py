@@ -19,8 +19,9 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native import address, kernels_for
+from toolkit.native.constants import BASE_CHANNELS, SILHOUETTE
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.output import BASE_CHANNELS, RenderOutput
+from toolkit.rendering.output import RenderOutput
 
 EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
 _MOST_CORRECTION = 0.1  # share of the depth; steep walls ask for more than 0.02
@@ -136,8 +137,8 @@ def _surface_depth_torch(
 ) -> Tensor:
     """The kernel's equations: the reference, and what runs without a compiler."""
     T = torch.as_tensor(T_camera_map).to(images)
-    solid = images[4] >= least_silhouette
-    mean = images[-3:] / torch.where(solid, images[4], torch.ones_like(images[4]))
+    solid = images[SILHOUETTE] >= least_silhouette
+    mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
     points = torch.einsum("ij,jyx->yxi", T[:3, :3], mean) + T[:3, 3]
     points = torch.where(solid[..., None], points, torch.zeros_like(points))
     depth = points[..., 2].clone()

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from toolkit.native import address, kernels_for
+from toolkit.native.constants import SILHOUETTE
 from toolkit.rendering.surface import SurfaceView, kernel_geometry
 
 # Farther off the ray there is no slanted surface but an edge.
@@ -29,8 +30,8 @@ def centre_offsets(view: SurfaceView, least_silhouette: float) -> Tensor:
     """
     camera, images = view.camera, view.drawn.images
     T = torch.as_tensor(view.T_camera_map).to(images)
-    solid = images[4] >= least_silhouette
-    mean = images[-3:] / torch.where(solid, images[4], torch.ones_like(images[4]))
+    solid = images[SILHOUETTE] >= least_silhouette
+    mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
     points = torch.einsum("ij,jyx->iyx", T[:3, :3], mean) + T[:3, 3, None, None]
     solid &= points[2] > _NEAREST_M
     z = torch.where(solid, points[2], torch.ones_like(points[2]))
@@ -84,7 +85,7 @@ def moved_to_centres(intensity: Tensor, view: SurfaceView, least_silhouette: flo
     """Intensity [H, W] of a view moved to where it belongs: the kernel's equations in torch."""
     if min(intensity.shape) < 3:
         return intensity
-    solid = view.drawn.images[4] >= least_silhouette
+    solid = view.drawn.images[SILHOUETTE] >= least_silhouette
     inner = solid[1:-1, 1:-1] & solid[1:-1, :-2] & solid[1:-1, 2:] & solid[:-2, 1:-1]
     inner &= solid[2:, 1:-1]
     across, down = centre_offsets(view, least_silhouette)[:, 1:-1, 1:-1]

@@ -19,7 +19,8 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.native import address, kernels
+from toolkit.native import address, kernels_for
+from toolkit.native.constants import MIN_PLANE_DETERMINANT
 
 # Half-sizes of the windows.
 _RADII = (8, 5, 3, 2)
@@ -124,10 +125,11 @@ def denoised(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _smoothed(inverse: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
-    module = kernels()
+    given = torch.from_numpy(inverse)
+    module = kernels_for(given)
     if module is None:
         return _smoothed_numpy(inverse, noise)
-    given, out = torch.from_numpy(inverse), torch.empty(inverse.shape)
+    out = torch.empty(inverse.shape)
     module.smooth_inverse_depth(
         inverse.shape[::-1],
         address(given),
@@ -166,7 +168,8 @@ def _planes(
     vd = window.sum(d, v=1) - n * v * mean
     dd = window.sum(d * d) - n * mean * mean
     determinant = uu * vv - uv * uv
-    good = (n >= _LEAST_SHARE * (2 * window.radius + 1) ** 2) & (determinant > 1e-6 * uu * vv)
+    good = n >= _LEAST_SHARE * (2 * window.radius + 1) ** 2
+    good &= determinant > MIN_PLANE_DETERMINANT * uu * vv
     determinant = np.where(good, determinant, 1.0)
     across = (ud * vv - vd * uv) / determinant
     down = (vd * uu - ud * uv) / determinant

@@ -28,8 +28,9 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
+from toolkit.native.constants import SILHOUETTE
 from toolkit.rendering import RenderOutput, backend
-from toolkit.rendering.output import FEATURES, SILHOUETTE
+from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
 from toolkit.tracking.health import HealthLimits, verdict
 from toolkit.tracking.moving import MovingTracker

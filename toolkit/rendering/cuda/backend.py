@@ -14,11 +14,11 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering.backend import ForwardPass, GaussianGradients
 from toolkit.rendering.cuda import compositing, differentiation, reduction
 from toolkit.rendering.cuda.binning import Binning, bin_gaussians
 from toolkit.rendering.elsewhere import DrawnElsewhere
-from toolkit.rendering.output import BASE_CHANNELS
 
 _SUMS = int(differentiation.SUMS.value)
 _REDUCED = 64  # Gaussians a program that adds up rows

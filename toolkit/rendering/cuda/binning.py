@@ -12,7 +12,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.backend import TILE
+from toolkit.native.constants import TILE
 from toolkit.rendering.cuda import projection
 
 _BLOCK = 128  # Gaussians a program

@@ -8,7 +8,7 @@ batch.
 import triton
 import triton.language as tl
 
-from toolkit.rendering.backend import TRANSMITTANCE_CUT as _TRANSMITTANCE_CUT
+from toolkit.native.constants import MIN_TRANSMITTANCE as _MIN_TRANSMITTANCE
 from toolkit.rendering.cuda.tiles import (
     BASE,
     alphas_of,
@@ -18,7 +18,7 @@ from toolkit.rendering.cuda.tiles import (
     pixels_of,
 )
 
-TRANSMITTANCE_CUT = tl.constexpr(_TRANSMITTANCE_CUT)
+MIN_TRANSMITTANCE = tl.constexpr(_MIN_TRANSMITTANCE)
 
 
 @triton.jit
@@ -67,7 +67,7 @@ def composite(
         c = block * BLOCK_C + tl.arange(0, BLOCK_C)
         sums = tl.zeros([BLOCK_C, PIXELS], dtype=tl.float32)
     done = 0
-    while (begin + done * BATCH < end) & (tl.max(left, axis=0) >= TRANSMITTANCE_CUT):
+    while (begin + done * BATCH < end) & (tl.max(left, axis=0) >= MIN_TRANSMITTANCE):
         pair = begin + done * BATCH + tl.arange(0, BATCH)
         valid = pair < end
         gaussian = tl.load(pair_gaussians + pair, mask=valid, other=0).to(tl.int64)

@@ -7,9 +7,9 @@ import triton
 import triton.language as tl
 
 from toolkit.rendering.cuda.tiles import (
-    ALPHA_CUT,
-    ALPHA_MAX,
     BASE,
+    MAX_ALPHA,
+    MIN_ALPHA,
     alphas_of,
     checkpoints_of,
     colour_and_depth,
@@ -121,7 +121,7 @@ def _slopes(raw, before, product, behind):
     alpha, keep = cut(raw)
     own = alpha * before * product
     after = behind[None, :] + (tl.cumsum(own, axis=0, reverse=True) - own)
-    free = (raw >= ALPHA_CUT) & (raw < ALPHA_MAX)
+    free = (raw >= MIN_ALPHA) & (raw < MAX_ALPHA)
     slope = tl.where(free, (before * product - after / keep) * alpha, 0.0)
     return slope, behind + tl.sum(own, axis=0)
 

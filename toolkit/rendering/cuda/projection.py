@@ -3,14 +3,15 @@
 import triton
 import triton.language as tl
 
-from toolkit.rendering.backend import ALPHA_CUT as _ALPHA_CUT
-from toolkit.rendering.backend import NEAR_M as _NEAR_M
-from toolkit.rendering.backend import TILE
+from toolkit.native.constants import MIN_ALPHA as _MIN_ALPHA
+from toolkit.native.constants import MIN_SIGMA_PX as _MIN_SIGMA_PX
+from toolkit.native.constants import NEAR_M as _NEAR_M
+from toolkit.native.constants import TILE
 
 NEAR_M = tl.constexpr(_NEAR_M)
-ALPHA_CUT = tl.constexpr(_ALPHA_CUT)
+MIN_ALPHA = tl.constexpr(_MIN_ALPHA)
 REGION_TILE = tl.constexpr(TILE)
-LEAST_SIGMA = tl.constexpr(1e-6)  # in pixels; the squares of smaller ones would underflow
+MIN_SIGMA_PX = tl.constexpr(_MIN_SIGMA_PX)
 SPLAT = tl.constexpr(8)  # floats: u, v, exponent, opacity, red, green, blue, depth; one sector
 VIEW = 16  # floats: rows of [R | t], then fx, fy, cx, cy
 
@@ -65,9 +66,9 @@ def project(
     sigma = tl.sqrt(fx * fy) * tl.exp(log_radius) * inverse_z
     opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logits + i, mask=valid, other=0.0)))
     # Comparisons with NaN are false: what is not finite is not seen.
-    seen = ahead & (opacity > ALPHA_CUT) & (sigma > LEAST_SIGMA)
+    seen = ahead & (opacity > MIN_ALPHA) & (sigma > MIN_SIGMA_PX)
     # A hair wider than exact, so that rounding never cuts what the alpha test keeps.
-    reach = tl.log(tl.where(seen, opacity, 1.0) / ALPHA_CUT)
+    reach = tl.log(tl.where(seen, opacity, 1.0) / MIN_ALPHA)
     support = tl.sqrt(2.0 * sigma * sigma * reach * 1.0001 + 1e-6)
     # Pixels whose centres lie within the support, clamped before they become integers.
     left = tl.ceil(tl.minimum(tl.maximum(u - support, 0.0), width * 1.0))

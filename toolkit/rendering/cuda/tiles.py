@@ -3,13 +3,14 @@
 import triton
 import triton.language as tl
 
-from toolkit.rendering.backend import ALPHA_CUT as _ALPHA_CUT
-from toolkit.rendering.backend import ALPHA_MAX as _ALPHA_MAX
+from toolkit.native.constants import BASE_CHANNELS
+from toolkit.native.constants import MAX_ALPHA as _MAX_ALPHA
+from toolkit.native.constants import MIN_ALPHA as _MIN_ALPHA
 from toolkit.rendering.cuda.projection import SPLAT
 
-ALPHA_CUT = tl.constexpr(_ALPHA_CUT)
-ALPHA_MAX = tl.constexpr(_ALPHA_MAX)
-BASE = tl.constexpr(5)  # red, green, blue, depth, silhouette
+MIN_ALPHA = tl.constexpr(_MIN_ALPHA)
+MAX_ALPHA = tl.constexpr(_MAX_ALPHA)
+BASE = tl.constexpr(BASE_CHANNELS)
 
 
 @triton.jit
@@ -38,7 +39,7 @@ def alphas_of(splats, gaussian, valid, x, y):
 @triton.jit
 def cut(raw):
     """Alphas after the cut and the cap, and what they let through, which is never 0."""
-    alpha = tl.where(raw >= ALPHA_CUT, tl.minimum(raw, ALPHA_MAX), 0.0)
+    alpha = tl.where(raw >= MIN_ALPHA, tl.minimum(raw, MAX_ALPHA), 0.0)
     return alpha, 1.0 - alpha
 
 

@@ -250,5 +250,6 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("rgbd_loss", &loss_of_rgbd);
     m.def("semantic_loss", &loss_of_semantics);
     m.def("supported_instruction_sets", &supported_instruction_sets);
+    m.attr("constants") = SEMSPLAT_CONSTANTS;
     m.attr("instruction_set") = SEMSPLAT_NAME(SEMSPLAT_INSTRUCTION_SET);
 }

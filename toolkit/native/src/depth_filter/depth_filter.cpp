@@ -4,6 +4,8 @@
 #include <cmath>
 #include <vector>
 
+#include "common/constants.hpp"
+
 namespace semsplat {
 namespace {
 
@@ -104,7 +106,7 @@ float plane(const WindowSums& w, int l, int radius, const DepthFilter& filter) {
     const double uu = w.uu[l] - n * u * u, uv = w.uv[l] - n * u * v, vv = w.vv[l] - n * v * v;
     const double ud = w.ud[l] - n * u * d, vd = w.vd[l] - n * v * d, dd = w.dd[l] - n * d * d;
     const double determinant = uu * vv - uv * uv;
-    if (!(determinant > 1e-6 * uu * vv)) return 0.0f;
+    if (!(determinant > MIN_PLANE_DETERMINANT * uu * vv)) return 0.0f;
     const double across = (ud * vv - vd * uv) / determinant, down = (vd * uu - ud * uv) / determinant;
     const double variance = (dd - across * ud - down * vd) / (n - 3.0);
     const double most = filter.noise * filter.noise * (1.0 + filter.slack * std::sqrt(2.0 / (n - 3.0)));

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "common/constants.hpp"
 #include "losses/ssim.hpp"
 
 namespace semsplat {
@@ -32,16 +33,16 @@ double rgbd_loss(const float* images, const float* rgb, const float* depth, cons
                 gradient[c * n + i] = flat * robust(images[c * n + i] - rgb[c * n + i], loss.colour_scale, &value);
                 sum += flat * value;
             }
-            const float silhouette = images[4 * n + i], measured = depth[i];
+            const float silhouette = images[SILHOUETTE * n + i], measured = depth[i];
             const bool seen = measured > 0, solid = seen && surface[i] > 0 && silhouette > loss.least_silhouette;
             const float inverse = solid ? 1.0f / silhouette : 0.0f;
-            const float mean = images[3 * n + i] * inverse;
+            const float mean = images[DEPTH_SUM * n + i] * inverse;
             // The sensor's noise grows with the square of the depth, and so does the scale.
-            const float scale = loss.depth_scale * std::max(measured * measured, 0.25f);
+            const float scale = loss.depth_scale * std::max(measured * measured, MIN_NOISE_DEPTH_M * MIN_NOISE_DEPTH_M);
             const float slope = solid ? loss.depth * robust(surface[i] - measured, scale, &value) : 0.0f;
             if (solid) sum += loss.depth * value;
-            gradient[3 * n + i] = slope * inverse;
-            gradient[4 * n + i] = -slope * mean * inverse - (seen ? loss.silhouette : 0.0f);
+            gradient[DEPTH_SUM * n + i] = slope * inverse;
+            gradient[SILHOUETTE * n + i] = -slope * mean * inverse - (seen ? loss.silhouette : 0.0f);
             if (seen) sum += loss.silhouette * (1 - silhouette);
         }
         sums[(size_t)row] = sum;

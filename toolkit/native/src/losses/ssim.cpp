@@ -4,18 +4,19 @@
 #include <cmath>
 #include <vector>
 
+#include "common/constants.hpp"
 #include "common/simd.hpp"
 
 namespace semsplat {
 namespace {
 
-enum { WINDOW = 11, HALF = WINDOW / 2, STRIP = 32, MARGIN = 16 };
+enum { WINDOW = SSIM_WINDOW, HALF = WINDOW / 2, STRIP = 32, MARGIN = 16 };
 
 struct GaussianWindow {
     float w[WINDOW];
     GaussianWindow() {
         double total = 0, raw[WINDOW];
-        for (int i = 0; i < WINDOW; ++i) total += raw[i] = std::exp(-0.5 * (i - HALF) * (i - HALF) / (1.5 * 1.5));
+        for (int i = 0; i < WINDOW; ++i) total += raw[i] = std::exp(-0.5 * (i - HALF) * (i - HALF) / (SSIM_SIGMA_PX * SSIM_SIGMA_PX));
         for (int i = 0; i < WINDOW; ++i) w[i] = (float)(raw[i] / total);
     }
 };
@@ -101,7 +102,7 @@ SEMSPLAT_INLINE void blur_column(const Scratch& s, const Strip& strip, int y, in
 // SSIM of one strip of one channel; its derivatives by the local mean, square and product of x
 // go to `by`, in padded rows. Returns the sum over the strip's pixels.
 double compare(const Strip& strip, const Layout& layout, const Scratch& s, float* const by[DERIVATIVES]) {
-    const F16 c1 = all(0.01f * 0.01f), c2 = all(0.03f * 0.03f), two = all(2.0f);
+    const F16 c1 = all(SSIM_K1 * SSIM_K1), c2 = all(SSIM_K2 * SSIM_K2), two = all(2.0f);
     double total = 0;
     for (int row = strip.begin; row < strip.end; ++row) {
         F16 sum = all(0);

@@ -22,7 +22,7 @@ enum class Features { NONE, ALONE, MOVE };
 struct BackwardScratch {
     TileEntry entries[BATCH];
     alignas(64) float T[BLOCKS][16], behind[BLOCKS][16];
-    alignas(64) float d[4][BLOCKS][16];        // dL/d red, green, blue, depth
+    alignas(64) float d[SILHOUETTE][BLOCKS][16];        // dL/d red, green, blue, depth
     std::vector<float> d_features;             // [S, BLOCKS, 16]
     alignas(64) float weight[BLOCKS][16], dot[BLOCKS][16];
 };
@@ -34,8 +34,8 @@ struct Alpha {
 };
 SEMSPLAT_INLINE Alpha alpha_of(const TileEntry& e, int block) {
     const F16 raw = load_columns(columns_of(e, block)) * load_rows(rows_of(e, block));
-    const M16 seen = ge(raw, all(ALPHA_CUT));
-    return {keep(seen, minimum(raw, all(ALPHA_MAX))), both(seen, lt(raw, all(ALPHA_MAX)))};
+    const M16 seen = ge(raw, all(MIN_ALPHA));
+    return {keep(seen, minimum(raw, all(MAX_ALPHA))), both(seen, lt(raw, all(MAX_ALPHA)))};
 }
 
 void read_channel(const Pinhole& cam, int left, int top, const float* image, float* blocks) {
@@ -57,8 +57,8 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     const Pinhole& cam = state.camera;
     const size_t plane = (size_t)cam.width * cam.height;
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
-    for (int c = 0; c < 4; ++c) read_channel(cam, left, top, d_images + c * plane, scratch.d[c][0]);
-    read_channel(cam, left, top, d_images + 4 * plane, scratch.behind[0]);
+    for (int c = 0; c < SILHOUETTE; ++c) read_channel(cam, left, top, d_images + c * plane, scratch.d[c][0]);
+    read_channel(cam, left, top, d_images + SILHOUETTE * plane, scratch.behind[0]);
     const float* T = state.transmittance.data() + (size_t)tile * TILE_PIXELS;
     std::memcpy(scratch.T, T, sizeof scratch.T);
     for (int block = 0; block < BLOCKS; ++block) {

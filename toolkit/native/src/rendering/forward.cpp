@@ -14,7 +14,7 @@ struct BlockList {
 struct ForwardScratch {
     TileEntry entries[BATCH];
     BlockList lists[BLOCKS];
-    alignas(64) float base[BLOCKS][4][16];  // red, green, blue, depth of each block
+    alignas(64) float base[BLOCKS][SILHOUETTE][16];  // red, green, blue, depth of each block
     alignas(64) float weights[BATCH][16];   // of one block, for its feature channels
     uint8_t weighted[BATCH];                // the entries those weights belong to
     std::vector<float> features;            // [BLOCKS, S, 16]
@@ -53,7 +53,7 @@ int composite_block(ForwardScratch& scratch, int block, float* transmittance, in
     F16 T = load(transmittance);
     float* const base = &scratch.base[block][0][0];
     F16 r = load(base), g = load(base + 16), b = load(base + 32), z = load(base + 48);
-    const F16 cut = all(ALPHA_CUT), most = all(ALPHA_MAX), dark = all(TRANSMITTANCE_CUT);
+    const F16 cut = all(MIN_ALPHA), most = all(MAX_ALPHA), dark = all(MIN_TRANSMITTANCE);
     int n = 0, kept = 0;
     while (n < list.count) {
         const int index = list.entry[n++];
@@ -107,13 +107,13 @@ void write_tile(const Rasterisation& state, const ForwardScratch& scratch, int t
     const Pinhole& cam = state.camera;
     const size_t plane = (size_t)cam.width * cam.height;
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
-    for (int c = 0; c < 4; ++c) {
+    for (int c = 0; c < SILHOUETTE; ++c) {
         write_channel(cam, left, top, scratch.base[0][c], 64, images + c * plane);
     }
     alignas(64) float silhouette[TILE_PIXELS];
     const float* T = state.transmittance.data() + (size_t)tile * TILE_PIXELS;
     for (int p = 0; p < TILE_PIXELS; ++p) silhouette[p] = 1.0f - T[p];
-    write_channel(cam, left, top, silhouette, 16, images + 4 * plane);
+    write_channel(cam, left, top, silhouette, 16, images + SILHOUETTE * plane);
     for (int c = 0; c < S; ++c) {
         write_channel(cam, left, top, scratch.features.data() + 16 * c, (size_t)16 * S,
                       images + (BASE_CHANNELS + c) * plane);
@@ -154,7 +154,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
                 add_all_features(scratch, weighted, map,
                                  scratch.features.data() + (size_t)block * map.extra_channels() * 16);
             }
-            if (!bits(ge(load(T + 16 * block), all(TRANSMITTANCE_CUT)))) alive &= ~(1u << block);
+            if (!bits(ge(load(T + 16 * block), all(MIN_TRANSMITTANCE)))) alive &= ~(1u << block);
         }
     }
 }

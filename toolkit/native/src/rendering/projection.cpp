@@ -10,11 +10,8 @@ namespace {
 // The chunks, and with them the order of all sums, do not depend on the number of threads.
 enum { CHUNK = 4096 };
 
-// Largest support in standard deviations: sqrt(2 ln 255), at opacity 1.
+// Largest support in standard deviations, at opacity 1: sqrt(2 ln (1 / MIN_ALPHA)).
 constexpr float MAX_SUPPORT = 3.3291f;
-
-// Smaller ones, in pixels, never meet a pixel centre, and their squares would underflow.
-constexpr float LEAST_SIGMA = 1e-6f;
 
 // Splats of one chunk of the map; returns how many were written.
 int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begin, int64_t end,
@@ -40,10 +37,10 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
             continue;
         }
         const float opacity = 1.0f / (1.0f + std::exp(-map.opacity_logits[i]));
-        if (!(opacity > ALPHA_CUT) || !(sigma > LEAST_SIGMA)) continue;
+        if (!(opacity > MIN_ALPHA) || !(sigma > MIN_SIGMA_PX)) continue;
         // A hair wider than exact, so that rounding never cuts what the alpha test keeps.
         const float support_squared =
-            2.0f * sigma * sigma * std::log(opacity / ALPHA_CUT) * 1.0001f + 1e-6f;
+            2.0f * sigma * sigma * std::log(opacity / MIN_ALPHA) * 1.0001f + 1e-6f;
         const float support = std::sqrt(support_squared);
         const int x0 = std::max(0, (int)std::ceil(std::max(u - support, -1.0f)));
         const int y0 = std::max(0, (int)std::ceil(std::max(v - support, -1.0f)));

@@ -1,4 +1,4 @@
-// What one rasterisation knows: projected Gaussians, their tiles, and what backward needs.
+// State of one rasterisation: projected Gaussians, their tiles, and what backward needs.
 #pragma once
 
 #include <cstddef>
@@ -6,14 +6,12 @@
 #include <memory>
 #include <vector>
 
+#include "common/constants.hpp"
+
 namespace semsplat {
 
-enum { TILE = 16, BLOCK = 4, BLOCKS = 16, TILE_PIXELS = TILE * TILE, BASE_CHANNELS = 5 };
-
-constexpr float NEAR_M = 0.01f;              // nothing closer to the camera is drawn
-constexpr float ALPHA_CUT = 1.0f / 255.0f;   // weaker contributions are dropped
-constexpr float ALPHA_MAX = 0.999f;          // keeps 1 / (1 - alpha) finite
-constexpr float TRANSMITTANCE_CUT = 1e-4f;   // a block of pixels this dark is finished
+enum { BLOCK = 4, BLOCKS = 16, TILE_PIXELS = TILE * TILE };
+static_assert(TILE * TILE == BLOCKS * BLOCK * BLOCK, "a tile consists of 16 blocks of 4x4 pixels");
 
 // Uninitialised storage: a vector would spend time on writing zeros.
 template <class T>

@@ -1,0 +1,39 @@
+"""Constants that the C++ kernels share with their counterparts in Python and Triton.
+
+This module is their only definition. `setup.py` executes it and passes each value to the compiler
+as the macro SEMSPLAT_NAME, which `src/common/constants.hpp` turns into a C++ constant. Variants
+that were compiled with other values are not loaded.
+"""
+
+# Rendered images [5 + S, H, W]: red, green, blue, depth sum, silhouette, then S features.
+DEPTH_SUM = 3
+SILHOUETTE = 4
+BASE_CHANNELS = 5
+
+# Compositing.
+TILE = 16  # pixels per side of a tile; regions are masks of tiles
+NEAR_M = 0.01  # nearer Gaussians and points are ignored
+MIN_ALPHA = 1.0 / 255.0  # smaller contributions are ignored
+MAX_ALPHA = 0.999  # keeps 1 / (1 - alpha) finite
+MIN_TRANSMITTANCE = 1e-4  # compositing of a block of pixels stops below
+MIN_SIGMA_PX = 1e-6  # smaller Gaussians are ignored; their squares would underflow
+
+# SSIM.
+SSIM_WINDOW = 11  # pixels per side of the Gaussian window
+SSIM_SIGMA_PX = 1.5
+SSIM_K1 = 0.01
+SSIM_K2 = 0.03
+
+# Depth.
+MIN_NOISE_DEPTH_M = 0.5  # depth noise grows with the squared depth from here on
+MIN_PLANE_DETERMINANT = 1e-6  # of a plane fit, as a share of its diagonal's product
+
+
+def values() -> dict[str, float]:
+    """All constants by name."""
+    return {name: value for name, value in globals().items() if name.isupper()}
+
+
+def fingerprint() -> str:
+    """All names and values as one line, which a compiled variant stores."""
+    return " ".join(f"{name}={value!r}" for name, value in sorted(values().items()))

@@ -1,0 +1,28 @@
+// Constants shared with Python. Their values are defined in toolkit/native/constants.py and passed
+// by setup.py.
+#pragma once
+
+namespace semsplat {
+
+enum {
+    DEPTH_SUM = SEMSPLAT_DEPTH_SUM,
+    SILHOUETTE = SEMSPLAT_SILHOUETTE,
+    BASE_CHANNELS = SEMSPLAT_BASE_CHANNELS,
+    TILE = SEMSPLAT_TILE,
+    SSIM_WINDOW = SEMSPLAT_SSIM_WINDOW,
+};
+
+constexpr float NEAR_M = (float)SEMSPLAT_NEAR_M;
+constexpr float MIN_ALPHA = (float)SEMSPLAT_MIN_ALPHA;
+constexpr float MAX_ALPHA = (float)SEMSPLAT_MAX_ALPHA;
+constexpr float MIN_TRANSMITTANCE = (float)SEMSPLAT_MIN_TRANSMITTANCE;
+constexpr float MIN_SIGMA_PX = (float)SEMSPLAT_MIN_SIGMA_PX;
+
+constexpr double SSIM_SIGMA_PX = SEMSPLAT_SSIM_SIGMA_PX;
+constexpr float SSIM_K1 = (float)SEMSPLAT_SSIM_K1;
+constexpr float SSIM_K2 = (float)SEMSPLAT_SSIM_K2;
+
+constexpr float MIN_NOISE_DEPTH_M = (float)SEMSPLAT_MIN_NOISE_DEPTH_M;
+constexpr double MIN_PLANE_DETERMINANT = SEMSPLAT_MIN_PLANE_DETERMINANT;
+
+}  // namespace semsplat
