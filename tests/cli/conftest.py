@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,8 @@ def run(tmp_path, gaussians, recording) -> Path:
         {"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "bias": 0.0, "held_out": i == 4}
         for i in kept
     ]
-    folder.write_json(folder.frames, {"frames": rows, "lost": [9], "keyframes": [0, 5]})
+    content = {"frames": rows, "lost": [9], "keyframes": [0, 5], "camera": asdict(CAMERA)}
+    folder.write_json(folder.frames, content)
     folder.write_json(folder.metrics, {"tracking_ms_per_frame": 12.5, "psnr_db": 1.0})
     return folder.path
 

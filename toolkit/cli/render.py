@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import sys
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.base import Dataset
+from toolkit.datasets.resize import ImageGrid
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -39,6 +41,8 @@ from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import read_cloud
 from toolkit.semantics.palette import Palette
+
+_log = logging.getLogger(__name__)
 
 # Rendered pixels thinner than this show no surface.
 _LEAST_SILHOUETTE = 0.5
@@ -74,7 +78,7 @@ class RenderProgram:
     there is one; labels are one picture a level of the class tree, with a legend; levels are
     all of them side by side."""
     camera: tuple[float, float, float, float] | None = None
-    """fx fy cx cy in pixels; by default the camera of the run's data set."""
+    """Intrinsics fx fy cx cy in pixels. By default, those of the run."""
     image_size: tuple[int, int] | None = None
     """Width and height in pixels; by default the run's."""
 
@@ -123,10 +127,8 @@ def main(argv: Sequence[str]) -> int:
     _check_values(program)
     subject = _open(program)
     palette = _palette(subject)
-    dataset = None
-    if subject.run is not None and program.camera is None:
-        dataset = _dataset(subject.run, program.image_size)
-    camera = dataset.camera if dataset is not None else _camera(program, subject.run)
+    camera = _camera(program, subject.run)
+    inputs = _Inputs.of(program, subject.run, camera)
     shots = _shots(program, subject, camera)[:: program.every]
     out = _prepared_folder(program)
 
@@ -134,9 +136,7 @@ def main(argv: Sequence[str]) -> int:
     span = DepthSpan.of(_draw(subject, camera, shot).depth_m for shot in shots[::step])
     for shot in tqdm(shots, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
         drawn = _draw(subject, camera, shot)
-        observed = None
-        if dataset is not None and shot.frame_index is not None and "strip" in program.what:
-            observed = dataset[shot.frame_index].rgb
+        observed = inputs.rgb(shot) if inputs else None
         pictures: dict[str, Picture] = {
             kind: _picture(kind, drawn, span, observed)
             for kind in program.what
@@ -185,25 +185,48 @@ def _palette(subject: _Map) -> Palette | None:
     return Palette(subject.run.taxonomy)
 
 
-def _dataset(run: FinishedRun, image_size: tuple[int, int] | None) -> Dataset:
-    try:
-        return run.open_dataset(image_size=image_size)
-    except DatasetError as error:
-        raise DatasetError(f"{error}; or give --camera fx fy cx cy, which needs no data") from error
+@dataclass(frozen=True)
+class _Inputs:
+    """The recorded images beside which strips show the rendered ones."""
+
+    dataset: Dataset
+    grid: ImageGrid | None
+
+    @classmethod
+    def of(cls, program: RenderProgram, run: FinishedRun | None, camera: Camera) -> _Inputs | None:
+        """Open the dataset of a run, None where strips need none or it is not available."""
+        if run is None or program.camera is not None or "strip" not in program.what:
+            return None
+        try:
+            dataset = run.open_dataset()
+        except DatasetError as error:
+            _log.warning("strips are drawn without the input images: %s", error)
+            return None
+        resized = camera.size != dataset.camera.size
+        return cls(dataset, ImageGrid(dataset.camera, camera.size) if resized else None)
+
+    def rgb(self, shot: _Shot) -> NDArray[np.float32] | None:
+        """The image [H, W, 3] recorded at a view, None where there is none."""
+        if shot.frame_index is None:
+            return None
+        rgb = self.dataset[shot.frame_index].rgb
+        return self.grid.colour(rgb) if self.grid else rgb
 
 
 def _camera(program: RenderProgram, run: FinishedRun | None) -> Camera:
-    """The camera of the options alone."""
-    size = program.image_size or (run.settings.image_size if run else None)
-    if program.camera is None:
-        width, height = size or _DEFAULT_CAMERA.size
-        scale = width / _DEFAULT_CAMERA.width
-        focal, cx, cy = _DEFAULT_CAMERA.fx * scale, (width - 1) / 2, (height - 1) / 2
-        return Camera(focal, focal, cx, cy, width, height)
-    fx, fy, cx, cy = program.camera
-    # Without a size, the principal point is taken for the middle of the image.
-    width, height = size or (round(2 * cx + 1), round(2 * cy + 1))
-    return Camera(fx, fy, cx, cy, width, height)
+    """The camera of the options, by default that of the run."""
+    size = program.image_size
+    if program.camera is not None:
+        fx, fy, cx, cy = program.camera
+        size = size or (run.settings.image_size if run else None)
+        # Without a size, the principal point is taken for the middle of the image.
+        width, height = size or (round(2 * cx + 1), round(2 * cy + 1))
+        return Camera(fx, fy, cx, cy, width, height)
+    if run is not None:
+        return ImageGrid(run.camera, size).camera if size else run.camera
+    width, height = size or _DEFAULT_CAMERA.size
+    focal = _DEFAULT_CAMERA.fx * width / _DEFAULT_CAMERA.width
+    return Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
 def _shots(program: RenderProgram, subject: _Map, camera: Camera) -> list[_Shot]:

@@ -18,6 +18,7 @@ from toolkit.frame import Frame
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import lpips_of
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.results import held_out, write_results
 from toolkit.runs.saved_map import begin_in_map, open_saved_map
 from toolkit.settings.files import dump
@@ -54,7 +55,7 @@ def run(
     """
     out = Path(out)
     path = _dataset_path(settings, out, resume, progress)
-    settings = _with_path(settings, path)
+    settings = with_absolute_paths(_with_path(settings, path))
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
     config = dump(settings)
     lpips_of(settings)  # reports unusable weights before the run instead of after it

@@ -18,6 +18,7 @@ from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -44,6 +45,8 @@ class FinishedRun:
         semantics: how its features are read; without channels where it has none.
         taxonomy: the tree of its labels, or None.
         anchors: T_world_submap [4, 4] of each submap that it could read, by number.
+        stored_camera: intrinsics of the frames after resizing; None in runs of older versions.
+        dataset_from_run: path of the dataset relative to the run folder, or None.
     """
 
     folder: RunFolder
@@ -55,6 +58,17 @@ class FinishedRun:
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
     anchors: dict[int, NDArray[np.float64]]
+    stored_camera: Camera | None = None
+    dataset_from_run: str | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics of the run's frames after resizing.
+
+        Raises:
+            DatasetError: the run is of an older version and its dataset cannot be opened.
+        """
+        return self.stored_camera or self.open_dataset().camera
 
     @property
     def submaps(self) -> SavedSubmaps:
@@ -80,8 +94,16 @@ class FinishedRun:
 
     @property
     def dataset_path(self) -> Path | None:
-        """The data set's folder as the run knew it."""
-        return self.settings.dataset.path
+        """Folder of the dataset.
+
+        It is looked for at its absolute path, then where it was relative to the run folder: both
+        may have been moved together.
+        """
+        path = self.settings.dataset.path
+        if path is not None and not path.exists() and self.dataset_from_run is not None:
+            moved = (self.folder.path / self.dataset_from_run).resolve()
+            return moved if moved.exists() else path
+        return path
 
     def open_dataset(
         self, path: str | os.PathLike[str] | None = None, image_size: tuple[int, int] | None = None
@@ -132,6 +154,8 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             lost=[int(i) for i in content["lost"]],
             keyframes=[int(i) for i in content["keyframes"]],
             anchors=_anchors(content.get("submaps", [])),
+            stored_camera=Camera(**content["camera"]) if "camera" in content else None,
+            dataset_from_run=content.get("dataset_from_run"),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error

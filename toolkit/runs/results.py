@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -73,7 +74,11 @@ def write_results(
     tracked = tracked_frames(slam, settings)
     folder.write_trajectory(trajectory, slam.covariances)
     folder.write_map(_labelled_parts(scene, slam, settings, numbers))
-    folder.write_json(folder.frames, _frames(slam, tracked))
+    frames = _frames(slam, tracked)
+    frames["camera"] = asdict(dataset.camera)
+    if settings.dataset.path is not None:
+        frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
+    folder.write_json(folder.frames, frames)
     # Before evaluation, which has memory needs of its own.
     costs = _costs(slam, scene, dataset, watch)
     _log.info("measuring the run")

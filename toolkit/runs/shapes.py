@@ -87,7 +87,7 @@ def surface_mesh(run: FinishedRun, gaussians: GaussianCloud, options: MeshOption
         gaussians: the run's map or a part of it, drawn alone: what would hide it is not there.
 
     Raises:
-        ToolkitError: the data set is not at hand, or nothing is near enough.
+        ToolkitError: nothing is near enough.
     """
     views = _views(run, gaussians, options.every)
     return fuse_views(views, options.voxel_m, options.max_depth_m)
@@ -100,7 +100,7 @@ def part_mesh(run: FinishedRun, part: GaussianCloud, options: MeshOptions) -> Tr
     crosses zero once more, some voxels before it; and at edges depths of two surfaces mix.
 
     Raises:
-        ToolkitError: the data set is not at hand, or nothing is near enough.
+        ToolkitError: nothing is near enough.
     """
     mesh = surface_mesh(run, part, options)
     search = NearestNeighbors(n_neighbors=1).fit(part.means.numpy())
@@ -118,7 +118,7 @@ def part_mesh(run: FinishedRun, part: GaussianCloud, options: MeshOptions) -> Tr
 
 
 def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[DepthView]:
-    camera = run.open_dataset().camera
+    camera = run.camera
     frames = run.tracked[::every]
     for frame in tqdm(frames, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
         drawn = draw_surface(

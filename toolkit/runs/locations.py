@@ -1,0 +1,42 @@
+"""Paths of a run that keep their meaning in every working directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from toolkit.settings.run import RunSettings
+
+
+def absolute(path: Path) -> Path:
+    """The absolute path of a file or folder, without symbolic links in its parent folders.
+
+    The last component stays as given: a link to a dataset may be redirected later, and the name
+    of a linked file may carry its format.
+    """
+    path = Path.cwd() / path
+    return path.parent.resolve() / path.name if path.name != ".." else path.resolve()
+
+
+def with_absolute_paths(settings: RunSettings) -> RunSettings:
+    """The same settings with absolute paths, so that they hold in every working directory."""
+    settings = _absolute_in(settings)
+    # A name or a file, hence not declared as a path.
+    taxonomy = Path(settings.semantics.taxonomy)
+    if taxonomy.is_file():
+        semantics = settings.semantics.model_copy(update={"taxonomy": str(absolute(taxonomy))})
+        settings = settings.model_copy(update={"semantics": semantics})
+    return settings
+
+
+def _absolute_in(value: Any) -> Any:
+    if isinstance(value, Path):
+        return absolute(value)
+    if isinstance(value, tuple):
+        return tuple(_absolute_in(item) for item in value)
+    if isinstance(value, BaseModel):
+        fields = {name: _absolute_in(getattr(value, name)) for name in type(value).model_fields}
+        return value.model_copy(update=fields)
+    return value
