@@ -224,6 +224,36 @@ class TestWithin:
         far = {(match, query) for match, query in taken if query >= 20}
         assert far and far <= refused <= taken
 
+    @pytest.mark.parametrize("iterations", [0, 10])
+    def test_moved_keyframes_are_mapped_again_at_fixed_poses(self, frames, monkeypatch, iterations):
+        """G, III.C: 10 mapping iterations a keyframe after a correction inside a submap."""
+        truth = {frame.index: T for frame, T in frames}
+
+        def true_offset(first, second, _):
+            T = se3.inverse(truth[first.index]) @ truth[second.index]
+            return Offset(T, 50, 0.9, ResidualScales(0.02, 0.003), np.eye(6) * 1e8)
+
+        monkeypatch.setattr(keyframe_loops, "measure_offset", true_offset)
+        options = ClosingOptions(mapping_iterations=iterations)
+        atlas, closer, _ = closed(frames, options=options, most_keyframes=100)
+        before = dict(atlas.keyframe_poses(0))
+        corrected: dict[int, np.ndarray] = {}
+        stepped: list[int] = []
+        step = Mapper._step
+
+        def counted(mapper, keyframe, *arguments, **options):
+            stepped.append(keyframe.index)
+            corrected.setdefault(keyframe.index, keyframe.T_map_camera.copy())
+            return step(mapper, keyframe, *arguments, **options)
+
+        monkeypatch.setattr(Mapper, "_step", counted)
+        assert closer.close_within(atlas)
+        after = atlas.keyframe_poses(0)
+        moved = [index for index, T in before.items() if not np.array_equal(T, after[index])]
+        assert len(moved) > 1
+        assert sorted(stepped) == sorted(moved * iterations)
+        assert all(np.array_equal(T, after[index]) for index, T in corrected.items())
+
 
 class TestSettle:
     def test_pairs_that_overlap_are_measured_again(self, frames):

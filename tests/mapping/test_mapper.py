@@ -239,6 +239,21 @@ def test_poses_stay_without_bundle_adjustment(room):
     assert np.array_equal(mapper.keyframes[1].T_map_camera, room.T_map_camera[4])
 
 
+def test_keyframes_are_optimised_with_fixed_poses(room):
+    """Also with bundle adjustment: what a loop has corrected must not move again."""
+    options = replace(FEW, bundle_adjustment=True, centred=False)
+    mapper = fed(Mapper(options), room, [0, 4, 8])
+    poses = [keyframe.T_map_camera.copy() for keyframe in mapper.keyframes]
+    before = psnr_db(mapper, room.frames[4], poses[1])
+    mapper.optimise_keyframes([room.frames[4].index], 10)
+    assert psnr_db(mapper, room.frames[4], poses[1]) > before + 0.2
+    for keyframe, T_map_camera in zip(mapper.keyframes, poses, strict=True):
+        assert np.array_equal(keyframe.T_map_camera, T_map_camera)
+    again = mapper.gaussians
+    mapper.optimise_keyframes([room.frames[4].index], 0)
+    assert mapper.gaussians is again
+
+
 class TestPapersRefinement:
     """Stage 1 of GauSem's refinement: poses too, and the feature term."""
 

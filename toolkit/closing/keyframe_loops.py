@@ -32,9 +32,12 @@ class KeyframeLoops:
         keyframes = {keyframe.index: keyframe for keyframe in submap.keyframes}
         measured = [self._measured(keyframes[c.match], keyframes[c.query]) for c in suspected]
         loops = [loop for loop in measured if loop is not None]
-        if not loops or not self._corrected(submap, loops):
+        correction = self._corrected(submap, loops) if loops else None
+        if correction is None:
             return False
         atlas.put(submap)
+        # G, III.C: the map is optimised again where its keyframes have moved, poses fixed.
+        atlas.mapper.optimise_keyframes(correction.moved, self._options.mapping_iterations)
         return True
 
     def _measured(self, first: Keyframe, second: Keyframe) -> PoseEdge | None:
@@ -54,8 +57,11 @@ class KeyframeLoops:
         T = offset.T_first_second
         return self._parts.loop_noise.edge(first.index, second.index, T, offset.information)
 
-    def _corrected(self, submap: Submap, loops: list[PoseEdge]) -> bool:
-        """Move keyframes and Gaussians where the loops that agree say so for certain."""
+    def _corrected(self, submap: Submap, loops: list[PoseEdge]) -> PoseCorrection | None:
+        """Move keyframes and Gaussians where the loops contradict the odometry for certain.
+
+        Returns the correction, or None where nothing was moved.
+        """
         odometry = []
         for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
             way = [first.T_map_camera, second.T_map_camera]
@@ -72,9 +78,9 @@ class KeyframeLoops:
         values = {"submap": submap.number, "loops": len(agreed), "chi2": chi2, "applied": drifted}
         if not drifted:
             self._record("correction within", values)
-            return False
+            return None
         graph = keyframe_graph(submap, odometry, agreed)
         correction = PoseCorrection.of(graph, self._parts.optimiser.optimise(graph))
         self._record("correction within", values | moved_by(correction))
         correct_keyframes(submap, correction)
-        return True
+        return correction

@@ -29,6 +29,8 @@ class ClosingOptions:
             contradict them with so much confidence, and neighbours that were not registered
             before stay as odometry has them. A pair of images is no better than a
             centimetre; a map that was tracked well is, and would be disturbed for nothing.
+        mapping_iterations: mapping iterations for each keyframe that a correction inside a submap
+            has moved, at fixed poses (G: 10).
     """
 
     within: bool = True
@@ -37,6 +39,7 @@ class ClosingOptions:
     least_shared: float = 0.3
     most_partners: int = 8
     drift_confidence: float = 0.99
+    mapping_iterations: int = 0
 
 
 @dataclass(frozen=True)

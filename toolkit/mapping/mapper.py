@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -176,6 +177,23 @@ class Mapper:
         self._optimise(steps, poses)
         self._prune()
 
+    def optimise_keyframes(self, indices: Iterable[int], iterations: int) -> None:
+        """Optimise the map over some keyframes, each equally often; their poses stay fixed.
+
+        Args:
+            indices: frame indices of the keyframes; others are ignored.
+            iterations: of each keyframe.
+        """
+        wanted = set(indices)
+        chosen = [keyframe for keyframe in self.keyframes if keyframe.index in wanted]
+        if not chosen or iterations == 0:
+            return
+        for done in range(iterations):
+            for number, place in enumerate(self._generator.permutation(len(chosen))):
+                progress = (done * len(chosen) + number, iterations * len(chosen))
+                self._step(chosen[place], progress, centred=self.options.centred)
+        self._prune()
+
     def take(self, content: MapContent) -> None:
         """Work on other content from now on, with an optimiser that knows only its steps."""
         self.gaussians, self.keyframes = content.gaussians.to(self.device), content.keyframes
@@ -195,10 +213,10 @@ class Mapper:
         window = choose_window(
             self.keyframes, self.options.window, self.options.least_overlap, self._generator
         )
-        loss = float("nan")
+        loss, adjust = float("nan"), poses or self.options.bundle_adjustment
         for step in range(steps):
             keyframe = self._pick(window)
-            loss = self._step(keyframe, (step, steps), poses, self.options.centred)
+            loss = self._step(keyframe, (step, steps), adjust, self.options.centred)
         return loss
 
     def refine(self) -> None:
@@ -213,6 +231,7 @@ class Mapper:
         rested = worked - self.optimiser.steps
         options, count = self.options, len(self.keyframes)
         rounds, words = options.final_iterations, None
+        adjust = options.final_poses or options.bundle_adjustment
         if options.final_feature > 0:
             words = FeatureLoss(BuiltinEncoder(), options.final_feature)
         surfaces = None
@@ -221,7 +240,7 @@ class Mapper:
         for done in range(rounds):
             for number, i in enumerate(self._generator.permutation(count)):
                 progress = (done * count + number, rounds * count)
-                self._step(self.keyframes[i], progress, options.final_poses, words=words)
+                self._step(self.keyframes[i], progress, adjust, words=words)
             if surfaces is not None:
                 means = surfaces.nearest(self.gaussians.means)
                 self.gaussians = replace(self.gaussians, means=means)
@@ -301,6 +320,7 @@ class Mapper:
 
         Args:
             progress: its place in the call.
+            poses: adjust the keyframe's pose as well, unless it is the first one.
             centred: fit colours where the Gaussians are, to track against; else where they are
                 drawn, to look at (see `rendering/texture.py`).
             words: one more term, on the whole picture.
@@ -334,7 +354,6 @@ class Mapper:
             names += ["features"] if len(by_images) > BASE_CHANNELS else []
             named = {name: getattr(gradients, name) for name in names}
             self.optimiser.step(self.gaussians, named, gradients.ids)
-            poses |= self.options.bundle_adjustment
             if poses and keyframe is not self.keyframes[0]:
                 self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
         return loss + semantic

@@ -44,6 +44,9 @@ class ClosingSettings(Settings):
     drift_confidence: float = Field(
         0.99, gt=0, lt=1, description="of loops against the keyframes that they move"
     )
+    mapping_iterations: int = Field(
+        0, ge=0, description="mapping iterations per keyframe moved inside a submap (G: 10)"
+    )
 
 
 class LoopClosureSettings(Settings):
