@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 
+from toolkit.baselines.factory import build_tracker
 from toolkit.cli.errors import one_line_errors
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
@@ -30,7 +31,6 @@ from toolkit.registration.placement import KeyframePlacement
 from toolkit.settings.mapping import MappingSettings
 from toolkit.settings.tracking import TrackingSettings
 from toolkit.slam import Slam
-from toolkit.tracking.factory import build_tracker
 
 
 @dataclass(frozen=True)

@@ -32,17 +32,17 @@ from tqdm import tqdm
 
 from benchmarks.machine import describe_machine
 from benchmarks.registration_pairs import Pair, draw_pairs, kitchen, pool, room
+from toolkit.baselines.clouds import CloudOptions, CloudRegistration
+from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
+from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.loops.verification import VerificationOptions, objection
 from toolkit.registration.coarse import CoarseOptions, CoarseRegistration
-from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
-from toolkit.registration.fine import FineOptions, FineRegistration
-from toolkit.registration.fine_first_order import FirstOrderFineOptions
+from toolkit.registration.fine import FineOptions, FineRegistration, FirstOrderFineOptions
 from toolkit.registration.result import Registrar, RegistrationResult
 from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
-from toolkit.registration.two_way import TwoWayRegistration
 from toolkit.registration.views import ViewDrawer
 
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ class Methods:
             "SGR": lambda: self._both(self._sgr(FineOptions())),
             "SGR (start)": lambda: self._both(self._sgr(FineOptions()), started=True),
             "coarse, then two-way": lambda: self._both(self._two_way()),
-            "two-way (start)": lambda: self._alone(TwoWayRegistration(drawer=self._drawer()), True),
+            "two-way (start)": lambda: self._alone(self._two_way_fine(), True),
             "FPFH, RANSAC, ICP": lambda: self._alone(self._clouds(CloudOptions())),
             "ICP (start)": lambda: self._alone(self._clouds(CloudOptions()), started=True),
             "SGR, classes ignored": lambda: self._both(self._sgr(FineOptions(semantic_gate=False))),
@@ -189,13 +189,18 @@ class Methods:
         return ViewDrawer(semantics=self._pair.semantics)
 
     def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
-        options = SgrOptions(fine=fine, seed=self._seed)
-        return SemanticGuidedRegistration(options, self._drawer(), ViewDescriber(BuiltinEncoder()))
+        options, drawer = SgrOptions(fine=fine, seed=self._seed), self._drawer()
+        refiner = None
+        if fine.optimiser == "first-order":
+            refiner = FirstOrderFineRegistration(fine, drawer, ViewDescriber(BuiltinEncoder()))
+        return SemanticGuidedRegistration(options, drawer, refiner)
 
     def _two_way(self) -> SemanticGuidedRegistration:
-        drawer = self._drawer()
-        refiner = TwoWayRegistration(drawer=drawer)
-        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), drawer, refiner=refiner)
+        refiner = self._two_way_fine()
+        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), refiner.drawer, refiner)
+
+    def _two_way_fine(self) -> TwoWayRegistration:
+        return TwoWayRegistration(FineRegistration(drawer=self._drawer()))
 
     def _clouds(self, options: CloudOptions) -> CloudRegistration:
         return CloudRegistration(options, self._drawer())

@@ -20,13 +20,13 @@ import tyro
 from tqdm import tqdm
 
 from benchmarks.machine import describe_machine
+from toolkit.baselines.factory import build_tracker
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 from toolkit.mapping.factory import build_mapper
 from toolkit.settings.mapping import MappingSettings
 from toolkit.settings.tracking import DenseSettings, TrackingSettings
 from toolkit.slam import Slam
-from toolkit.tracking.factory import build_tracker
 
 
 @dataclass(frozen=True)

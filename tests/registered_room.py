@@ -11,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.synthetic import tiny_room
+from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
+from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.semantics.codes import flat_code
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.submap import Submap
 
 QUICK = MapperOptions(first_iterations=4, iterations=2)
@@ -47,6 +51,13 @@ def scene(
         submap_of(1, frames, poses, source, semantics),
         se3.inverse(poses[target[0]]) @ poses[source[0]],
     )
+
+
+@functools.cache
+def classes() -> SemanticMapping:
+    """Semantics of the room's classes, without levels."""
+    tree = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
+    return SemanticMapping(SemanticLoss(flat_code(tree), SemanticLossWeights()))
 
 
 def submap_of(

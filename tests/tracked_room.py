@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.seeding import SeedingOptions, seed
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import DrawOptions, backend, draw_surface, render
 
 
@@ -28,6 +31,22 @@ def first_steps(count: int = 6, width: int = 160, height: int = 120) -> Room:
     frames, truth = tiny_room(count, width, height)
     T_map_world = se3.inverse(truth.T_world_camera[0])
     return Room(frames, T_map_world @ truth.T_world_camera)
+
+
+@functools.cache
+def map_of_first_frame() -> GaussianCloud:
+    """A map of the first frame alone."""
+    room, mapper = first_steps(), Mapper()
+    mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
+    return mapper.gaussians
+
+
+@functools.cache
+def opaque_map_of_first_frame() -> GaussianCloud:
+    """The same as the papers seed it: one wide Gaussian per pixel leaves no holes in their mask."""
+    frame = first_steps().frames[0]
+    everywhere = np.ones_like(frame.depth_m, dtype=bool)
+    return seed(frame, np.eye(4), everywhere, SeedingOptions(1.0, 0.95, largest_cell=1))
 
 
 def distance_mm(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> float:

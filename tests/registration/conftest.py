@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from registered_room import Scene, motion, scene
+from registered_room import Scene, classes, motion, scene
 
 from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.views import ViewDrawer
-from toolkit.semantics.codes import flat_code
-from toolkit.semantics.taxonomy import Taxonomy
 
 
 @pytest.fixture(scope="session")
@@ -23,8 +19,7 @@ def room() -> Scene:
 
 @pytest.fixture(scope="session")
 def semantics() -> SemanticMapping:
-    tree = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
-    return SemanticMapping(SemanticLoss(flat_code(tree), SemanticLossWeights()))
+    return classes()
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toolkit.baselines.factory import build_registrar
 from toolkit.geometry import se3
-from toolkit.registration.factory import build_drawer, build_registrar
+from toolkit.registration.factory import build_drawer
 from toolkit.registration.result import failed
 from toolkit.registration.second_opinion import SecondOpinion
 from toolkit.settings.registration import RegistrationSettings

@@ -13,7 +13,6 @@ from toolkit.geometry.camera import Camera
 from toolkit.registration.fine import FineOptions
 from toolkit.registration.result import register_pair
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
-from toolkit.registration.two_way import TwoWayRegistration
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -66,29 +65,6 @@ def test_a_wrong_start_does_no_harm(room: Scene):
     start = room.T_target_source @ motion(2, 1.0, 50.0)
     result = SemanticGuidedRegistration().register(room.target, room.source, start)
     assert error(result.T_target_source, room.T_target_source)[0] < 2.0
-
-
-def test_two_ways_lead_to_the_same_place(room: Scene, drawer):
-    registrar = TwoWayRegistration(FineOptions(views=2), drawer)
-    start = room.T_target_source @ motion(1, 0.05, 3.0)
-    result = registrar.register(room.target, room.source, start)
-    mm, deg = error(result.T_target_source, room.T_target_source)
-    assert result.converged, result.reason
-    assert mm < 3.0
-    assert deg < 0.1
-    assert result.renders == drawer.renders
-    # Two views each way, all of which agree: four hypotheses of 3 cm.
-    assert result.information[0, 0] > 3.5 / 0.03**2
-
-
-def test_two_ways_after_the_coarse_stage_need_no_start(room: Scene, drawer):
-    options = SgrOptions(fine=FineOptions(views=2))
-    refiner = TwoWayRegistration(options.fine, drawer)
-    registrar = SemanticGuidedRegistration(options, drawer, refiner=refiner)
-    result = registrar.register(room.target, room.source)
-    assert result.converged, result.reason
-    assert error(result.T_target_source, room.T_target_source)[0] < 3.0
-    assert result.method == "coarse, two-way"
 
 
 def test_the_coarse_stage_alone_is_judged_by_looking(room: Scene, drawer):

@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
+from toolkit.baselines.first_order_tracker import FirstOrderOptions
 from toolkit.closing.parts import ClosingOptions
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.loops.candidates import CandidateOptions
@@ -47,7 +48,6 @@ from toolkit.settings.tracking import DenseSettings, FirstOrderSettings, HealthS
 from toolkit.submaps.allocation import AllocationOptions
 from toolkit.submaps.atlas import BoundaryOptions
 from toolkit.tracking.dense import DenseOptions
-from toolkit.tracking.first_order import FirstOrderOptions
 from toolkit.tracking.health import HealthLimits
 
 PAIRS = [

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from slam_room import FEW, SlamRoom, fed, fingerprint, new_semantic_slam, new_slam
 
+from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
@@ -22,7 +23,6 @@ from toolkit.runs.folder import RunFolder
 from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 from toolkit.tracking.given import GivenPoses
 
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from types import ModuleType
 
-import numpy as np
 import pytest
-from tracked_room import Room, first_steps
+from tracked_room import Room, first_steps, map_of_first_frame
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.seeding import SeedingOptions, seed
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.native import available_instruction_sets, load_variant
 
 
@@ -21,19 +17,8 @@ def room() -> Room:
 
 
 @pytest.fixture(scope="session")
-def gaussians(room: Room) -> GaussianCloud:
-    """A map of the first frame alone."""
-    mapper = Mapper()
-    mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
-    return mapper.gaussians
-
-
-@pytest.fixture(scope="session")
-def opaque_map(room: Room) -> GaussianCloud:
-    """The same, as the papers seed it: a wide Gaussian a pixel, no holes for their mask."""
-    frame = room.frames[0]
-    everywhere = np.ones_like(frame.depth_m, dtype=bool)
-    return seed(frame, np.eye(4), everywhere, SeedingOptions(1.0, 0.95, largest_cell=1))
+def gaussians() -> GaussianCloud:
+    return map_of_first_frame()
 
 
 @pytest.fixture(params=available_instruction_sets())

@@ -15,6 +15,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from toolkit.baselines.factory import build_registrar, needs_describer
 from toolkit.cli.arguments import parse_arguments
 from toolkit.errors import RunFolderError, SettingsError, ToolkitError
 from toolkit.features.factory import build_describer
@@ -30,7 +31,7 @@ from toolkit.loops.two_maps import (
     register_at,
 )
 from toolkit.loops.verification import VerificationOptions
-from toolkit.registration.factory import build_drawer, build_registrar, needs_describer
+from toolkit.registration.factory import build_drawer
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
 from toolkit.settings.loop_closure import VerificationSettings

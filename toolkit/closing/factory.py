@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.baselines.factory import build_fine, build_registrar
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.features.factory import build_describer
@@ -28,11 +29,8 @@ from toolkit.pose_graph.factory import (
 )
 from toolkit.registration.factory import (
     build_drawer,
-    build_registrar,
-    fine_options,
     matching_options,
 )
-from toolkit.registration.fine import FineRegistration
 from toolkit.rendering import backend
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
@@ -87,7 +85,7 @@ def build_loop_closer(
     relocalisation = RelocalisationOptions(**settings.relocalisation.model_dump())
     parts = ClosingParts(
         registrar=build_registrar(settings.registration, context.seed, drawer, describer),
-        nearby=FineRegistration(fine_options(settings.registration.fine), drawer, describer),
+        nearby=build_fine(settings.registration.fine, drawer, describer),
         matching=matching,
         relocaliser=Relocaliser(detector, matching, relocalisation),
         verification=VerificationOptions(**settings.verification.model_dump()),

@@ -1,8 +1,8 @@
-"""Fine registration: the source's views against the target drawn from the same places (G-6).
+"""Fine registration: views of the source against the target rendered from the same poses (G-6).
 
-One direction only, and both maps stay as they are. The default optimiser is of second order:
-one joint Gauss-Newton over all views, where pixels of different classes have no say. The
-papers' own loss and optimiser are in `fine_first_order`.
+It works in one direction and changes neither map. The optimiser is a joint Gauss-Newton over
+all views, which ignores pixels whose classes differ. The paper's own loss and optimiser are a
+baseline, see `toolkit.baselines.first_order_fine`.
 """
 
 from __future__ import annotations
@@ -24,15 +24,9 @@ from toolkit.alignment.joint import (
     align,
 )
 from toolkit.alignment.levels import model_level, pyramid
-from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
-from toolkit.registration.fine_first_order import (
-    FirstOrderFineOptions,
-    descend,
-)
 from toolkit.registration.quality import AlignmentCheck, compare
 from toolkit.registration.result import RegistrationResult, failed
-from toolkit.registration.view_features import ViewFeatures
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
@@ -40,11 +34,38 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class FirstOrderFineOptions:
+    """Options of the paper's optimiser, a baseline: Adam on the motion of the source (G-6).
+
+    Attributes:
+        semantic, feature: weights of the semantic and of the feature term relative to the colour
+            term (G: 1.0 and 0.5).
+        iterations: maximum number of Adam steps.
+        translation_rate, rotation_rate: learning rates in metres and radians.
+        patience: a round ends after so many steps without a gain.
+        least_gain: minimum relative decrease of the loss that counts as a gain.
+        rounds: each starts at the best motion so far, with rates multiplied by `rate_decay`.
+        least_silhouette: minimum silhouette in both maps of the pixels compared.
+    """
+
+    semantic: float = 1.0
+    feature: float = 0.5
+    iterations: int = 150
+    translation_rate: float = 0.005
+    rotation_rate: float = 0.003
+    patience: int = 8
+    least_gain: float = 0.001
+    rounds: int = 3
+    rate_decay: float = 0.2
+    least_silhouette: float = 0.9
+
+
+@dataclass(frozen=True)
 class FineOptions:
     """Values of the fine stage.
 
     Attributes:
-        optimiser: "dense", or "first-order" for the papers'.
+        optimiser: "dense", or "first-order" for the paper's baseline; the factory reads it.
         views: most views of the source (G: k).
         renders: how often the target is drawn from all of them, dense alone.
         rerender_distance: draw again when a view moved by more than this share of its median
@@ -69,8 +90,8 @@ class FineOptions:
 
 
 @dataclass(frozen=True)
-class _SourceView:
-    """A view of the source, drawn once."""
+class SourceView:
+    """A rendered view of the source, its pose [4, 4], and the median depth of its surface (m)."""
 
     view: View
     T_source_camera: Array
@@ -78,8 +99,8 @@ class _SourceView:
 
 
 @dataclass(frozen=True)
-class _TargetView:
-    """The target as drawn where a view of the source was thought to be."""
+class TargetView:
+    """The target rendered at the estimated pose [4, 4] of a view of the source."""
 
     view: View
     T_target_view: Array
@@ -99,28 +120,17 @@ _FAR = 0.05
 _FAR_WINDOW = 0.025
 _NEAR_WINDOW_PIXELS = 2
 
-_ROUNDS = 8  # of the residual scales' fixed point
-
 
 class FineRegistration:
-    """Registers submaps that nearly fit; a Registrar that needs a start.
+    """Registers two submaps from a start close to the solution; see Registrar."""
 
-    Args:
-        describer: of views, for the feature term of the first-order optimiser (G-6); None
-            leaves the term out.
-    """
+    method = "fine (dense)"
 
     def __init__(
-        self,
-        options: FineOptions | None = None,
-        drawer: ViewDrawer | None = None,
-        describer: ViewDescriber | None = None,
+        self, options: FineOptions | None = None, drawer: ViewDrawer | None = None
     ) -> None:
         self.options = options or FineOptions()
         self.drawer = drawer or ViewDrawer()
-        self.view_features = None
-        if describer is not None:
-            self.view_features = ViewFeatures(describer, self.drawer.semantics)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -148,40 +158,33 @@ class FineRegistration:
         sources = [self._source_view(source, place) for place in views]
         sources = [seen for seen in sources if seen.reach_m > 0]
         if not sources:
-            return failed(self._method, "no view of the one shows what the other saw", start)
-        if self.options.optimiser == "first-order":
-            estimate, targets = self._descended(target, source, sources, start)
-        else:
-            estimate, targets = self._aligned(target, sources, start)
+            return failed(self.method, "no view of the one shows what the other saw", start)
+        estimate, targets = self._estimated(target, source, sources, start)
         check = self._checked(sources, targets, estimate.T_target_source)
         renders = self.drawer.renders - before
         return self._result(estimate, check, renders)
 
-    @property
-    def _method(self) -> str:
-        return f"fine ({self.options.optimiser})"
-
-    def _source_view(self, source: Submap, place: int) -> _SourceView:
+    def _source_view(self, source: Submap, place: int) -> SourceView:
         keyframe = source.keyframes[place]
         view = self.drawer.draw(source, self.drawer.camera_of(keyframe), keyframe.T_map_camera)
         solid = view.depth_m[view.depth_m > 0]
         reach_m = float(np.median(solid)) if solid.size else 0.0
-        return _SourceView(view, keyframe.T_map_camera, reach_m)
+        return SourceView(view, keyframe.T_map_camera, reach_m)
 
-    def _drawn(self, target: Submap, sources: list[_SourceView], T: Array) -> list[_TargetView]:
+    def _drawn(self, target: Submap, sources: list[SourceView], T: Array) -> list[TargetView]:
         drawn = []
         for seen in sources:
             T_target_view = T @ seen.T_source_camera
             view = self.drawer.draw(target, seen.view.camera, T_target_view)
             levels = pyramid(view.level, self.options.dense.levels)
             model = [model_level(level) for level in levels]
-            drawn.append(_TargetView(view, T_target_view, model))
+            drawn.append(TargetView(view, T_target_view, model))
         return drawn
 
-    def _aligned(
-        self, target: Submap, sources: list[_SourceView], start: Array
-    ) -> tuple[Estimate, list[_TargetView]]:
-        """Joint Gauss-Newton; the target is drawn again where the views have moved far."""
+    def _estimated(
+        self, target: Submap, source: Submap, sources: list[SourceView], start: Array
+    ) -> tuple[Estimate, list[TargetView]]:
+        """Joint Gauss-Newton; the target is rendered again if the views have moved far."""
         estimate = Estimate(start.copy())
         drawn_at, targets, far = start, self._drawn(target, sources, start), True
         for round_ in range(self.options.renders):
@@ -201,9 +204,7 @@ class FineRegistration:
             targets = self._drawn(target, sources, drawn_at)
         return estimate, targets
 
-    def _pairs(
-        self, sources: list[_SourceView], targets: list[_TargetView], far: bool
-    ) -> list[Pair]:
+    def _pairs(self, sources: list[SourceView], targets: list[TargetView], far: bool) -> list[Pair]:
         pairs = []
         for seen, drawn in zip(sources, targets, strict=True):
             level = seen.view.level
@@ -220,36 +221,8 @@ class FineRegistration:
             pairs.append(Pair(drawn.model, frame, T_model_target, seen.T_source_camera))
         return pairs
 
-    def _descended(
-        self, target: Submap, source: Submap, sources: list[_SourceView], start: Array
-    ) -> tuple[Estimate, list[_TargetView]]:
-        """The papers' optimiser, then one linearisation at its answer."""
-        cameras = [seen.view.camera for seen in sources]
-        T_source_camera = [seen.T_source_camera for seen in sources]
-        found = descend(
-            (target.gaussians, source.gaussians),
-            (cameras, T_source_camera),
-            start,
-            self.options.first_order,
-            self.drawer.backend_name,
-            self.view_features,
-        )
-        self.drawer.renders += found.renders
-        targets = self._drawn(target, sources, found.T_target_source)
-        judged = self._judged(self._pairs(sources, targets, far=False), found.T_target_source)
-        return replace(judged, iterations=found.iterations, converged=found.converged), targets
-
-    def _judged(self, pairs: list[Pair], T_target_source: Array) -> Estimate:
-        """ResidualScales and information at a motion that stays as it is."""
-        still = replace(self.options.dense, iterations=1, exposure=False)
-        estimate = Estimate(T_target_source)
-        for _ in range(_ROUNDS):
-            moved = align(pairs, estimate, still, finest_only=True)
-            estimate = replace(moved, T_target_source=T_target_source)
-        return estimate
-
     def _checked(
-        self, sources: list[_SourceView], targets: list[_TargetView], T: Array
+        self, sources: list[SourceView], targets: list[TargetView], T: Array
     ) -> AlignmentCheck:
         total = AlignmentCheck()
         for seen, drawn in zip(sources, targets, strict=True):
@@ -275,12 +248,12 @@ class FineRegistration:
             information=estimate.information / self.options.redundancy,
             iterations=estimate.iterations,
             renders=renders,
-            method=self._method,
+            method=self.method,
             reason=reason,
         )
 
 
-def _farthest(sources: list[_SourceView], T_before: Array, T_after: Array) -> float:
+def _farthest(sources: list[SourceView], T_before: Array, T_after: Array) -> float:
     """The largest motion of a view, translation in median depths plus rotation in radians."""
     motions = []
     for seen in sources:

@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.features.sources import ViewDescriber
 from toolkit.registration.coarse import CoarseOptions, CoarseRegistration, register_coarse
 from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.quality import check_alignment
@@ -44,23 +43,21 @@ class Refiner(Protocol):
 
 
 class SemanticGuidedRegistration:
-    """Registers submaps from nothing or from a start.
+    """Registers two submaps, with or without a start; see Registrar.
 
     Args:
-        describer: of views, for the feature term of the first-order optimiser (G-6).
-        refiner: another second stage, to be compared with.
+        refiner: second stage, a FineRegistration by default.
     """
 
     def __init__(
         self,
         options: SgrOptions | None = None,
         drawer: ViewDrawer | None = None,
-        describer: ViewDescriber | None = None,
         refiner: Refiner | None = None,
     ) -> None:
         self.options = options or SgrOptions()
         self.drawer = drawer or ViewDrawer()
-        self.refiner = refiner or FineRegistration(self.options.fine, self.drawer, describer)
+        self.refiner = refiner or FineRegistration(self.options.fine, self.drawer)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolkit.baselines.factory import build_tracker
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.errors import DatasetError
@@ -18,7 +19,6 @@ from toolkit.semantics.labeller import Labeller
 from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.factory import build_atlas
-from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.given import GivenPoses
 
 

@@ -74,7 +74,7 @@ class CoarseSettings(Settings):
 
 
 class FirstOrderFineSettings(Settings):
-    """The papers' optimiser of the fine stage (G-6)."""
+    """Baseline, the paper's optimiser of the fine stage (G-6)."""
 
     semantic: float = Field(1.0, ge=0, description="weight of the semantic term")
     feature: float = Field(
@@ -107,7 +107,7 @@ class FineSettings(Settings):
 
 
 class CloudSettings(Settings):
-    """Registration of bare clouds by Open3D."""
+    """Baseline, registration of point clouds by Open3D."""
 
     search: Literal["ransac", "fast"] = Field("ransac", description="how features are matched")
     icp: Literal["point-to-plane", "coloured"] = Field("point-to-plane", description="afterwards")
@@ -129,7 +129,7 @@ class RegistrationSettings(Settings):
     """Which registration of submaps, and its values."""
 
     kind: Literal["sgr", "coarse", "fine", "two-way", "clouds"] = Field(
-        "sgr", description="both stages, one alone, coarse and two-way, or Open3D on clouds"
+        "sgr", description="both stages, one alone, or a baseline: coarse and two-way, or Open3D"
     )
     second_opinion: bool = Field(False, description="of Open3D on clouds, which must not object")
     drawing: DrawingSettings = DrawingSettings()

@@ -37,7 +37,7 @@ class DenseSettings(Settings):
 
 
 class FirstOrderSettings(Settings):
-    """The papers' tracker: Adam on the pose."""
+    """Baseline, the papers' tracker: Adam on the pose."""
 
     preset: Literal["hier-slam", "gausem"] = Field("hier-slam", description="loss weights, H or G")
     iterations: int = Field(40, ge=1, description="Adam steps a frame")
@@ -51,7 +51,9 @@ class FirstOrderSettings(Settings):
 class TrackingSettings(Settings):
     """Which tracker, and its values."""
 
-    kind: Literal["dense", "first-order"] = Field("dense", description="the tracker")
+    kind: Literal["dense", "first-order"] = Field(
+        "dense", description="tracker: ours, or the papers' baseline (first-order)"
+    )
     dense: DenseSettings = DenseSettings()
     first_order: FirstOrderSettings = FirstOrderSettings()
     health: HealthSettings = HealthSettings()

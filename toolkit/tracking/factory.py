@@ -1,31 +1,24 @@
-"""Trackers from settings."""
+"""The dense tracker from settings; `toolkit.baselines.factory` builds the tracker they name."""
 
 from __future__ import annotations
 
 from toolkit.frame import Recorder
-from toolkit.semantics.codes import SemanticCode
 from toolkit.settings.tracking import TrackingSettings
 from toolkit.tracking.dense import DenseOptions, DenseTracker
-from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 from toolkit.tracking.health import HealthLimits
-from toolkit.tracking.tracker import Tracker
 
 
-def build_tracker(
+def build_dense_tracker(
     settings: TrackingSettings,
     backend_name: str = "auto",
     recorder: Recorder | None = None,
-    code: SemanticCode | None = None,
     centred: bool = True,
-) -> Tracker:
-    """The tracker that the settings name.
+) -> DenseTracker:
+    """Build the dense tracker.
 
     Args:
-        code: of the map's features. centred: how mapping fits colours, see `MapperOptions`.
+        centred: the map's colours belong to the Gaussians' centres, see `MapperOptions`.
     """
-    limits = HealthLimits(**settings.health.model_dump())
-    if settings.kind == "first-order":
-        slow = FirstOrderOptions(**settings.first_order.model_dump())
-        return FirstOrderTracker(slow, limits, backend_name, recorder, code)
     options = DenseOptions(**settings.dense.model_dump())
+    limits = HealthLimits(**settings.health.model_dump())
     return DenseTracker(options, limits, backend_name, recorder, centred)

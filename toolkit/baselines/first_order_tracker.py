@@ -1,6 +1,6 @@
-"""The papers' tracker: Adam on the pose alone (H-21, H-22, G-2).
+"""Baseline: the papers' tracker, Adam on the camera's pose (H-21, H-22, G-2).
 
-It is here to be compared with: the dense tracker needs a tenth of its renders.
+The dense tracker replaces it and needs a tenth of its renderings.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
+from toolkit.baselines.clouds import CloudOptions, CloudRegistration, scaled_information
 from toolkit.geometry import se3
-from toolkit.registration.fallbacks import CloudOptions, CloudRegistration, scaled_information
 
 
 @pytest.mark.parametrize("search", ["ransac", "fast"])

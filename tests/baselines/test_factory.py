@@ -9,15 +9,16 @@ import pytest
 import torch
 from registered_room import motion
 
+from toolkit.baselines.clouds import CloudOptions, CloudRegistration
+from toolkit.baselines.factory import build_registrar, needs_describer
+from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.factory import build_describer
 from toolkit.registration.coarse import CoarseOptions
-from toolkit.registration.factory import build_drawer, build_registrar, needs_describer
-from toolkit.registration.fallbacks import CloudOptions, CloudRegistration
+from toolkit.registration.factory import build_drawer
 from toolkit.registration.fine import FineOptions, FineRegistration
 from toolkit.registration.result import RegistrationResult
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration
-from toolkit.registration.two_way import TwoWayRegistration
 from toolkit.settings.features import FeatureSettings
 from toolkit.settings.registration import (
     CloudSettings,

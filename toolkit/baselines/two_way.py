@@ -1,8 +1,8 @@
-"""Registration in both directions, view by view, as in LoopSplat: to be compared with.
+"""Baseline: registration in both directions, view by view, as in LoopSplat.
 
-Each keyframe of the source is placed in the target on its own, and each of the target in the
-source; a robust mean makes one motion of them. Renderer, optimiser, stopping rule and start are
-those of the fine stage, so that only the scheme differs.
+Each keyframe of the source is registered to the target on its own, and each keyframe of the
+target to the source. A robust mean combines the poses. Renderer, optimiser, stopping criterion
+and start are those of the fine stage, so that only the scheme differs.
 """
 
 from __future__ import annotations
@@ -11,30 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
-from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
-from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.fine import FineRegistration
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
 from toolkit.registration.result import RegistrationResult, failed
-from toolkit.registration.views import ViewDrawer, views_of_overlap
+from toolkit.registration.views import views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
 
 
 class TwoWayRegistration:
-    """Registers submaps that nearly fit; a Registrar that needs a start."""
+    """Registers two submaps from a start close to the solution; see Registrar.
+
+    Args:
+        fine: registers single views.
+        average: of the robust mean.
+    """
 
     def __init__(
-        self,
-        options: FineOptions | None = None,
-        drawer: ViewDrawer | None = None,
-        average: AverageOptions | None = None,
-        describer: ViewDescriber | None = None,
+        self, fine: FineRegistration | None = None, average: AverageOptions | None = None
     ) -> None:
-        self.options = options or FineOptions()
-        self.drawer = drawer or ViewDrawer()
-        self._fine = FineRegistration(self.options, self.drawer, describer)
+        self._fine = fine or FineRegistration()
+        self.drawer, self.options = self._fine.drawer, self._fine.options
         self._average = average or AverageOptions()
 
     def register(

@@ -14,10 +14,15 @@ from tracked_room import (
     composited_frame,
     dead_sensor_frame,
     distance_mm,
+    first_steps,
     frame_from_elsewhere,
+    map_of_first_frame,
+    opaque_map_of_first_frame,
     small_motion,
 )
 
+from toolkit.baselines.factory import build_tracker
+from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
@@ -31,11 +36,24 @@ from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.settings.tracking import FirstOrderSettings, TrackingSettings
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.factory import build_tracker
-from toolkit.tracking.first_order import FirstOrderOptions, FirstOrderTracker
 from toolkit.tracking.pose_adam import pose_gradient
 
 BOTH = pytest.mark.parametrize("preset", sorted(PRESETS))
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    return first_steps()
+
+
+@pytest.fixture(scope="module")
+def gaussians() -> GaussianCloud:
+    return map_of_first_frame()
+
+
+@pytest.fixture(scope="module")
+def opaque_map() -> GaussianCloud:
+    return opaque_map_of_first_frame()
 
 
 def loss_at(room: Room, gaussians: GaussianCloud, number: int, T_map_camera, preset: str) -> float:

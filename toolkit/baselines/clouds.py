@@ -1,7 +1,7 @@
-"""Registration of bare point clouds by Open3D, for submaps without alike views.
+"""Baseline: registration of point clouds by Open3D (FPFH with RANSAC or FGR, then ICP).
 
-The clouds are the Gaussians' centres. Repeatable: the bridge holds Open3D to one thread, and
-its generator is seeded before every use.
+The points are the centres of the Gaussians. Results are reproducible: the bridge runs Open3D on
+one thread, and its random generator is seeded before every use.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _ICP_VOXELS, _COLOURED_VOXELS = (2.0, 1.0, 0.5), 2.0
 
 
 class CloudRegistration:
-    """A Registrar from clouds alone.
+    """Registers the point clouds of two submaps; see Registrar.
 
     Raises (from `register`):
         DependencyError: Open3D cannot be loaded.

@@ -1,51 +1,90 @@
-"""The papers' fine registration: Adam on the motion, under colour, semantics and features (G-6)."""
+"""Baseline: the paper's fine registration, Adam on the motion of the source submap (G-6).
+
+Its loss compares colour, semantic features and image descriptors of rendered views.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.baselines.view_features import ViewFeatures
+from toolkit.features.sources import ViewDescriber
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.registration.view_features import ViewFeatures
+from toolkit.registration.fine import (
+    FineOptions,
+    FineRegistration,
+    FirstOrderFineOptions,
+    SourceView,
+    TargetView,
+)
+from toolkit.registration.views import ViewDrawer
 from toolkit.rendering import RenderOutput, render
+from toolkit.submaps.submap import Submap
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
 Array = NDArray[np.float64]
 
-# A view with fewer common pixels does not count.
-_FEWEST_PIXELS = 50
+# Views with fewer common pixels are ignored.
+_MIN_PIXELS = 50
+# Fixed-point iterations of the residual scales.
+_SCALE_ITERATIONS = 8
 
 
-@dataclass(frozen=True)
-class FirstOrderFineOptions:
-    """Values of the papers' optimiser.
+class FirstOrderFineRegistration(FineRegistration):
+    """Registers two submaps by the paper's loss and optimiser; see Registrar.
 
-    Attributes:
-        semantic, feature: weights of the two terms beside colour (G: 1.0 and 0.5).
-        iterations: most Adam steps.
-        translation_rate, rotation_rate: step sizes in metres and radians.
-        patience: a round ends when so many steps brought nothing.
-        least_gain: what counts as something, a share of the loss.
-        rounds: each begins at the best motion so far, with rates shorter by `rate_decay`.
-        least_silhouette: pixels count where both maps are more opaque.
+    Args:
+        describer: describes views for the feature term; None leaves the term out.
     """
 
-    semantic: float = 1.0
-    feature: float = 0.5
-    iterations: int = 150
-    translation_rate: float = 0.005
-    rotation_rate: float = 0.003
-    patience: int = 8
-    least_gain: float = 0.001
-    rounds: int = 3
-    rate_decay: float = 0.2
-    least_silhouette: float = 0.9
+    method = "fine (first-order)"
+
+    def __init__(
+        self,
+        options: FineOptions | None = None,
+        drawer: ViewDrawer | None = None,
+        describer: ViewDescriber | None = None,
+    ) -> None:
+        super().__init__(options, drawer)
+        self.view_features = None
+        if describer is not None:
+            self.view_features = ViewFeatures(describer, self.drawer.semantics)
+
+    def _estimated(
+        self, target: Submap, source: Submap, sources: list[SourceView], start: Array
+    ) -> tuple[Estimate, list[TargetView]]:
+        """Adam, then the residual scales and the information at its solution."""
+        cameras = [seen.view.camera for seen in sources]
+        T_source_camera = [seen.T_source_camera for seen in sources]
+        found = descend(
+            (target.gaussians, source.gaussians),
+            (cameras, T_source_camera),
+            start,
+            self.options.first_order,
+            self.drawer.backend_name,
+            self.view_features,
+        )
+        self.drawer.renders += found.renders
+        targets = self._drawn(target, sources, found.T_target_source)
+        judged = self._judged(self._pairs(sources, targets, far=False), found.T_target_source)
+        return replace(judged, iterations=found.iterations, converged=found.converged), targets
+
+    def _judged(self, pairs: list[Pair], T_target_source: Array) -> Estimate:
+        """Residual scales and information at a fixed motion."""
+        still = replace(self.options.dense, iterations=1, exposure=False)
+        estimate = Estimate(T_target_source)
+        for _ in range(_SCALE_ITERATIONS):
+            moved = align(pairs, estimate, still, finest_only=True)
+            estimate = replace(moved, T_target_source=T_target_source)
+        return estimate
 
 
 @dataclass(frozen=True)
@@ -166,7 +205,7 @@ class _Objective:
         mask = (drawn.silhouette.detach() > options.least_silhouette) & (
             shown.silhouette > options.least_silhouette
         )
-        if int(mask.sum()) < _FEWEST_PIXELS:
+        if int(mask.sum()) < _MIN_PIXELS:
             return None
         loss = (drawn.colour - shown.colour)[mask].abs().mean()
         if options.semantic > 0 and drawn.features.shape[-1] > 0:
