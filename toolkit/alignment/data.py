@@ -13,10 +13,6 @@ from toolkit.geometry.camera import Camera
 # A numpy image [H, W] or [H, W, C] of one level.
 Image = NDArray[np.float32]
 
-# Number of sums that one linearisation accumulates: the upper triangle of H [36], g [8], and
-# five counts, see `Linearisation.from_sums`.
-SUMS = 49
-
 
 @dataclass(frozen=True)
 class FrameLevel:

@@ -11,7 +11,8 @@ from toolkit.alignment.backend import backend_for
 from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.alignment.reference import LUMA
 from toolkit.frame import Frame
-from toolkit.rendering.surface import EDGE, SurfaceView
+from toolkit.native.constants import MAX_DEPTH_STEP
+from toolkit.rendering.surface import SurfaceView
 from toolkit.rendering.texture import centred_intensity, moved_to_centres
 
 
@@ -40,7 +41,7 @@ def halved(level: FrameLevel, halvings: int = 0) -> FrameLevel:
         halvings: number of times that the level itself was halved. The rays of its pixels are
             that much farther apart, so depths on one surface differ by more.
     """
-    return backend_for(level.depth_m).halve(level, EDGE * 2**halvings)
+    return backend_for(level.depth_m).halve(level, MAX_DEPTH_STEP * 2**halvings)
 
 
 def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:

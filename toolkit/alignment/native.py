@@ -9,10 +9,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.alignment.data import SUMS, FrameLevel, Linearisation, ModelLevel, ResidualScales
+from toolkit.alignment.data import FrameLevel, Linearisation, ModelLevel, ResidualScales
 from toolkit.alignment.gauss_newton import HostGaussNewton
 from toolkit.geometry.camera import Camera
 from toolkit.native import address
+from toolkit.native.constants import ALIGNMENT_SUMS
 
 
 class NativeBackend(HostGaussNewton):
@@ -74,7 +75,7 @@ class NativeBackend(HostGaussNewton):
         """See AlignmentBackend."""
         cameras = model.camera, frame.camera
         sigmas = scales.intensity, scales.depth_m
-        sums = np.empty(SUMS)
+        sums = np.empty(ALIGNMENT_SUMS)
         self._module.align_accumulate(
             [_intrinsics(camera) for camera in cameras],
             [camera.size for camera in cameras],

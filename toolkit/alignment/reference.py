@@ -10,11 +10,18 @@ from torch import Tensor
 from toolkit.alignment.data import FrameLevel, Image, Linearisation, ModelLevel, ResidualScales
 from toolkit.alignment.gauss_newton import HostGaussNewton
 from toolkit.geometry.camera import Camera
-from toolkit.rendering.surface import EDGE
+from toolkit.native.constants import (
+    LUMA_BLUE,
+    LUMA_GREEN,
+    LUMA_RED,
+    MAX_DEPTH_STEP,
+    MIN_NOISE_DEPTH_M,
+    NEAR_M,
+    SILHOUETTE,
+    STUDENT_T_DOF,
+)
 
-NU = 5.0  # degrees of freedom of Student's t
-NEAR_M = 0.01
-LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+LUMA = np.array([LUMA_RED, LUMA_GREEN, LUMA_BLUE], dtype=np.float32)
 
 
 class NumpyBackend(HostGaussNewton):
@@ -57,7 +64,7 @@ class NumpyBackend(HostGaussNewton):
 
 def intensity_of(images: Image, min_silhouette: float) -> Image:
     """Intensity [H, W] of a rendering [5, H, W], 0 where its silhouette is below a minimum."""
-    return np.tensordot(LUMA, images[:3], 1) * (images[4] >= min_silhouette)
+    return np.tensordot(LUMA, images[:3], 1) * (images[SILHOUETTE] >= min_silhouette)
 
 
 def halve(intensity: Image, depth: Image, max_difference: float) -> tuple[Image, Image]:
@@ -121,7 +128,7 @@ def _same_surface(a: Image, z: Image, b: Image) -> NDArray[np.bool_]:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = abs(z / a + z / b - 2.0)
-    return (abs(b - a) <= EDGE * z) | (bend <= 0.5 * EDGE)
+    return (abs(b - a) <= MAX_DEPTH_STEP * z) | (bend <= 0.5 * MAX_DEPTH_STEP)
 
 
 def accumulate(
@@ -164,7 +171,7 @@ def accumulate(
     n = plane[flat, :3]
     # Weight and lever arm come from the model's depth. With the frame's depth they would follow
     # its noise, nearer points would weigh more, and the pose would be biased.
-    scale = 1.0 / (sigma_depth * np.maximum(seen[flat] ** 2, 0.25))
+    scale = 1.0 / (sigma_depth * np.maximum(seen[flat] ** 2, MIN_NOISE_DEPTH_M**2))
     X = Y[flat] * (seen[flat] / Y[flat, 2])[:, None]
     residual = (n * Y[flat]).sum(axis=1) - plane[flat, 3]
     _add(H, g, tail, 1, (_jacobian(n, X), residual, scale), 1.0)
@@ -198,7 +205,7 @@ def _add(
     """Add weighted residuals (J, r, 1 / scale) to the sums, in place."""
     J, r, inverse = residuals
     q2 = (r * inverse) ** 2
-    robust = (NU + 1.0) / (NU + q2)
+    robust = (STUDENT_T_DOF + 1.0) / (STUDENT_T_DOF + q2)
     weight = share * robust * inverse**2
     H += (J * weight[:, None]).T @ J
     g += J.T @ (weight * r)
@@ -221,6 +228,6 @@ def _bilinear(
     depths = np.stack([t[:, 3] for t in taps])
     nearest, farthest = depths.min(axis=0), depths.max(axis=0)
     joined = smooth[y, x] & smooth[y + 1, x + 1]
-    usable = (nearest > 0) & (joined | (farthest - nearest <= EDGE * nearest))
+    usable = (nearest > 0) & (joined | (farthest - nearest <= MAX_DEPTH_STEP * nearest))
     weights = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
     return sum(w * t for w, t in zip(weights, taps, strict=True)), usable

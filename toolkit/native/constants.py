@@ -18,6 +18,22 @@ MAX_ALPHA = 0.999  # keeps 1 / (1 - alpha) finite
 MIN_TRANSMITTANCE = 1e-4  # compositing of a block of pixels stops below
 MIN_SIGMA_PX = 1e-6  # smaller Gaussians are ignored; their squares would underflow
 
+# The surface of a rendered view: planes through the mean centre of each pixel's Gaussians.
+MAX_DEPTH_STEP = 0.05  # larger relative differences are an edge unless on one plane
+MAX_SURFACE_CORRECTION = 0.1  # of the mean depth, relative; steep walls need more than 0.02
+# Normals shorter than this share of a pixel's footprint are rounding: wide Gaussians, whose mean
+# centre hardly changes from pixel to pixel, span no plane.
+MIN_NORMAL = 0.01
+MAX_CENTRE_OFFSET_PX = 1.0  # between a pixel and its mean centre; farther away is an edge
+MIN_CENTRE_DEPTH_M = 0.05
+
+# Dense alignment.
+LUMA_RED = 0.299
+LUMA_GREEN = 0.587
+LUMA_BLUE = 0.114
+STUDENT_T_DOF = 5.0  # degrees of freedom of the residuals' distribution
+ALIGNMENT_SUMS = 49  # sums of one linearisation: H [36, upper triangle], g [8] and 5 counts
+
 # SSIM.
 SSIM_WINDOW = 11  # pixels per side of the Gaussian window
 SSIM_SIGMA_PX = 1.5

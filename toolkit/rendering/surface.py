@@ -19,15 +19,15 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native import address, kernels_for
-from toolkit.native.constants import BASE_CHANNELS, SILHOUETTE
+from toolkit.native.constants import (
+    BASE_CHANNELS,
+    MAX_DEPTH_STEP,
+    MAX_SURFACE_CORRECTION,
+    MIN_NORMAL,
+    SILHOUETTE,
+)
 from toolkit.rendering.backend import Backend, ForwardPass
 from toolkit.rendering.output import RenderOutput
-
-EDGE = 0.05  # depth differences beyond this share are an edge, unless one plane explains them
-_MOST_CORRECTION = 0.1  # share of the depth; steep walls ask for more than 0.02
-# A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
-# mean centre hardly moves from pixel to pixel, span no plane.
-_LEAST_NORMAL = 0.01
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def same_surface(before_m: Tensor, depth_m: Tensor, after_m: Tensor) -> Tensor:
         before_m, depth_m, after_m: depths in metres, of one shape.
     """
     bend = (depth_m / before_m + depth_m / after_m - 2.0).abs()
-    return ((after_m - before_m).abs() <= EDGE * depth_m) | (bend <= 0.5 * EDGE)
+    return ((after_m - before_m).abs() <= MAX_DEPTH_STEP * depth_m) | (bend <= 0.5 * MAX_DEPTH_STEP)
 
 
 def _surface_depth_torch(
@@ -154,13 +154,13 @@ def _surface_depth_torch(
     normal = torch.linalg.cross(right - left, below - above)
     # Neighbours lie two pixels apart in both directions.
     footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)
-    smooth &= normal.norm(dim=-1) >= _LEAST_NORMAL * footprint
+    smooth &= normal.norm(dim=-1) >= MIN_NORMAL * footprint
     # The rays are made where the images are: as an image from the host, they would take longer
     # to arrive on a GPU than the map takes to be drawn.
     y, x = (torch.arange(1, n - 1, device=images.device).to(images) for n in depth.shape)
     ray_x, ray_y = (x - camera.cx) / camera.fx, ((y - camera.cy) / camera.fy)[:, None]
     along = normal[..., 0] * ray_x + normal[..., 1] * ray_y + normal[..., 2]
     met = (normal * centre).sum(-1) / along
-    smooth &= (met - centre[..., 2]).abs() < _MOST_CORRECTION * centre[..., 2]
+    smooth &= (met - centre[..., 2]).abs() < MAX_SURFACE_CORRECTION * centre[..., 2]
     depth[1:-1, 1:-1] = torch.where(smooth, met, centre[..., 2])
     return depth

@@ -15,12 +15,8 @@ import torch
 from torch import Tensor
 
 from toolkit.native import address, kernels_for
-from toolkit.native.constants import SILHOUETTE
+from toolkit.native.constants import MAX_CENTRE_OFFSET_PX, MIN_CENTRE_DEPTH_M, SILHOUETTE
 from toolkit.rendering.surface import SurfaceView, kernel_geometry
-
-# Farther off the ray there is no slanted surface but an edge.
-_MOST_PIXELS = 1.0
-_NEAREST_M = 0.05
 
 
 def centre_offsets(view: SurfaceView, least_silhouette: float) -> Tensor:
@@ -33,12 +29,12 @@ def centre_offsets(view: SurfaceView, least_silhouette: float) -> Tensor:
     solid = images[SILHOUETTE] >= least_silhouette
     mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
     points = torch.einsum("ij,jyx->iyx", T[:3, :3], mean) + T[:3, 3, None, None]
-    solid &= points[2] > _NEAREST_M
+    solid &= points[2] > MIN_CENTRE_DEPTH_M
     z = torch.where(solid, points[2], torch.ones_like(points[2]))
     y, x = (torch.arange(n, device=images.device).to(images) for n in images.shape[1:])
     across = camera.fx * points[0] / z + camera.cx - x
     down = camera.fy * points[1] / z + camera.cy - y[:, None]
-    near = solid & (across.abs() <= _MOST_PIXELS) & (down.abs() <= _MOST_PIXELS)
+    near = solid & (across.abs() <= MAX_CENTRE_OFFSET_PX) & (down.abs() <= MAX_CENTRE_OFFSET_PX)
     return torch.where(near, torch.stack([across, down]), torch.zeros_like(images[:2]))
 
 

@@ -15,13 +15,12 @@ from toolkit.alignment.cuda.layout import (
     TAIL,
     WIDE,
 )
-from toolkit.alignment.reference import NEAR_M as _NEAR_M
-from toolkit.alignment.reference import NU as _NU
-from toolkit.rendering.surface import EDGE as _EDGE
+from toolkit.native import constants
 
-NU = tl.constexpr(_NU)
-EDGE = tl.constexpr(_EDGE)
-NEAR_M = tl.constexpr(_NEAR_M)
+STUDENT_T_DOF = tl.constexpr(constants.STUDENT_T_DOF)
+MAX_DEPTH_STEP = tl.constexpr(constants.MAX_DEPTH_STEP)
+MIN_NOISE_DEPTH_SQUARED = tl.constexpr(constants.MIN_NOISE_DEPTH_M**2)
+NEAR_M = tl.constexpr(constants.NEAR_M)
 
 
 @triton.jit
@@ -73,7 +72,7 @@ def _coordinate(row, depth, rx, ry):
 def _weights(residual, inverse_scale, counted):
     """Student's t: roots of the residuals' weights, and their weighted squares."""
     square = residual * inverse_scale * residual * inverse_scale
-    robust = tl.where(counted, 1.0 / (square + NU) * (NU + 1.0), 0.0)
+    robust = tl.where(counted, 1.0 / (square + STUDENT_T_DOF) * (STUDENT_T_DOF + 1.0), 0.0)
     return tl.sqrt(robust) * inverse_scale, robust * square
 
 
@@ -99,7 +98,9 @@ def _point_to_plane(columns, surface, at, close, point, seen, inverse_z, inverse
     x, y, z = point
     residual = tl.where(flat, nx * x + ny * y + nz * z - offset, 0.0)
     # Noise grows with the square of the depth.
-    root, squares = _weights(residual, inverse_sigma / tl.maximum(seen * seen, 0.25), flat)
+    root, squares = _weights(
+        residual, inverse_sigma / tl.maximum(seen * seen, MIN_NOISE_DEPTH_SQUARED), flat
+    )
     lever = (x * seen * inverse_z, y * seen * inverse_z, seen)
     J = _pose_columns(columns, (nx, ny, nz), lever) + _column(columns, RESIDUAL, residual)
     return tl.where(flat[:, None], J * root[:, None], 0.0), flat, squares
@@ -121,7 +122,7 @@ def _interpolated(texture, surface, width, u, v, close):
     plane00 = tl.load(surface + 4 * at + 3, mask=close, other=0.0)
     plane11 = tl.load(surface + 4 * (at + width + 1) + 3, mask=close, other=0.0)
     joined = (plane00 != 0.0) & (plane11 != 0.0)
-    bright = close & (nearest > 0.0) & (joined | (farthest - nearest <= nearest * EDGE))
+    bright = close & (nearest > 0.0) & (joined | (farthest - nearest <= nearest * MAX_DEPTH_STEP))
     w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
     value = w00 * i00 + w01 * i01 + w10 * i10 + w11 * i11
     along_x = w00 * x00 + w01 * x01 + w10 * x10 + w11 * x11

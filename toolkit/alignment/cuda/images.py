@@ -7,6 +7,7 @@ from torch import Tensor
 
 from toolkit.alignment.reference import LUMA
 from toolkit.geometry.camera import Camera
+from toolkit.native.constants import SILHOUETTE
 from toolkit.rendering.surface import same_surface
 
 
@@ -14,7 +15,7 @@ def intensity_of(images: Tensor, min_silhouette: float) -> Tensor:
     """Intensity [H, W] of a rendering [5, H, W], 0 where its silhouette is below a minimum."""
     red, green, blue = (float(x) for x in LUMA)
     luma = images[0] * red + images[1] * green + images[2] * blue
-    return torch.where(images[4] >= min_silhouette, luma, torch.zeros_like(luma))
+    return torch.where(images[SILHOUETTE] >= min_silhouette, luma, torch.zeros_like(luma))
 
 
 def halve(intensity: Tensor, depth: Tensor, max_difference: float) -> tuple[Tensor, Tensor]:

@@ -8,7 +8,7 @@ batch.
 import triton
 import triton.language as tl
 
-from toolkit.native.constants import MIN_TRANSMITTANCE as _MIN_TRANSMITTANCE
+from toolkit.native import constants
 from toolkit.rendering.cuda.tiles import (
     BASE,
     alphas_of,
@@ -18,7 +18,7 @@ from toolkit.rendering.cuda.tiles import (
     pixels_of,
 )
 
-MIN_TRANSMITTANCE = tl.constexpr(_MIN_TRANSMITTANCE)
+MIN_TRANSMITTANCE = tl.constexpr(constants.MIN_TRANSMITTANCE)
 
 
 @triton.jit

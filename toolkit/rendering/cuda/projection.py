@@ -3,15 +3,12 @@
 import triton
 import triton.language as tl
 
-from toolkit.native.constants import MIN_ALPHA as _MIN_ALPHA
-from toolkit.native.constants import MIN_SIGMA_PX as _MIN_SIGMA_PX
-from toolkit.native.constants import NEAR_M as _NEAR_M
-from toolkit.native.constants import TILE
+from toolkit.native import constants
 
-NEAR_M = tl.constexpr(_NEAR_M)
-MIN_ALPHA = tl.constexpr(_MIN_ALPHA)
-REGION_TILE = tl.constexpr(TILE)
-MIN_SIGMA_PX = tl.constexpr(_MIN_SIGMA_PX)
+NEAR_M = tl.constexpr(constants.NEAR_M)
+MIN_ALPHA = tl.constexpr(constants.MIN_ALPHA)
+REGION_TILE = tl.constexpr(constants.TILE)
+MIN_SIGMA_PX = tl.constexpr(constants.MIN_SIGMA_PX)
 SPLAT = tl.constexpr(8)  # floats: u, v, exponent, opacity, red, green, blue, depth; one sector
 VIEW = 16  # floats: rows of [R | t], then fx, fy, cx, cy
 

@@ -3,14 +3,12 @@
 import triton
 import triton.language as tl
 
-from toolkit.native.constants import BASE_CHANNELS
-from toolkit.native.constants import MAX_ALPHA as _MAX_ALPHA
-from toolkit.native.constants import MIN_ALPHA as _MIN_ALPHA
+from toolkit.native import constants
 from toolkit.rendering.cuda.projection import SPLAT
 
-MIN_ALPHA = tl.constexpr(_MIN_ALPHA)
-MAX_ALPHA = tl.constexpr(_MAX_ALPHA)
-BASE = tl.constexpr(BASE_CHANNELS)
+MIN_ALPHA = tl.constexpr(constants.MIN_ALPHA)
+MAX_ALPHA = tl.constexpr(constants.MAX_ALPHA)
+BASE = tl.constexpr(constants.BASE_CHANNELS)
 
 
 @triton.jit

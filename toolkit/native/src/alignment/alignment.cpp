@@ -3,7 +3,7 @@
 // A frame pixel's point Y = T_model_frame P is projected into the rendered view. Photometric:
 // model intensity there minus the frame's; geometric: distance of Y from the model's plane.
 // Derivatives come from the model, which is smoother than a camera image. Weights follow
-// Student's t distribution (nu = 5), whose scales the caller re-estimates from the sums.
+// Student's t distribution (STUDENT_T_DOF), whose scales the caller re-estimates from the sums.
 #include "alignment/alignment.hpp"
 
 #include <algorithm>
@@ -11,19 +11,14 @@
 #include <cstring>
 #include <vector>
 
+#include "common/constants.hpp"
+
 namespace semsplat {
 namespace {
 
 enum { ROWS = 4 };  // rows summed in single precision before doubles take over
-constexpr float NU = 5.0f;
-// Depth differences beyond this share of the depth are an edge, unless one plane explains them.
-constexpr float EDGE = 0.05f;
-// The surface depth may differ from the mean depth by this share of it: on steep walls, whose
-// Gaussians reach pixels far from theirs, it does by more than 2 %.
-constexpr float MOST_CORRECTION = 0.1f;
-// A normal shorter than this share of a pixel's footprint is rounding: wide Gaussians, whose
-// mean centre hardly moves from pixel to pixel, span no plane.
-constexpr float LEAST_NORMAL = 0.01f;
+
+static_assert(sizeof(NormalEquations) == ALIGNMENT_SUMS * sizeof(double), "Python allocates the sums");
 
 // Sums of one group of rows: upper triangles of the two blocks of the Hessian.
 struct Sums {
@@ -44,7 +39,7 @@ inline void add_outer(Sums& s, const float* J, float weight, float residual) {
 // Whether neighbours a and b of a pixel with depth z lie on its surface: near it, or on one plane
 // with it, however steep, since inverse depth is linear on a plane's image.
 inline bool same_surface(float a, float z, float b) {
-    return std::fabs(b - a) <= EDGE * z || std::fabs(z / a + z / b - 2.0f) <= 0.5f * EDGE;
+    return std::fabs(b - a) <= MAX_DEPTH_STEP * z || std::fabs(z / a + z / b - 2.0f) <= 0.5f * MAX_DEPTH_STEP;
 }
 
 // Bilinear intensity, derivatives and depth; false where a tap is unusable or an edge is crossed.
@@ -58,7 +53,7 @@ inline bool look_up(const ModelLevel& model, float u, float v, float* value) {
     const float nearest = std::min(std::min(p00[3], p01[3]), std::min(p10[3], p11[3]));
     const float farthest = std::max(std::max(p00[3], p01[3]), std::max(p10[3], p11[3]));
     if (!(nearest > 0)) return false;
-    if (farthest - nearest > EDGE * nearest) {
+    if (farthest - nearest > MAX_DEPTH_STEP * nearest) {
         // Two opposite taps that lie on planes with all their neighbours join the four.
         const float* plane = model.surface + 4 * ((size_t)y * W + x);
         if (plane[3] == 0 || plane[4 * (W + 1) + 3] == 0) return false;
@@ -103,11 +98,11 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
                 // The sensor's noise grows with the square of the depth. Weight and lever are taken
                 // from the view: with the frame's own depth they would go with its noise, nearer
                 // points would count for more, and the camera would be moved by their difference.
-                const float scale = inverse_sd / std::max(seen * seen, 0.25f);
+                const float scale = inverse_sd / std::max(seen * seen, MIN_NOISE_DEPTH_M * MIN_NOISE_DEPTH_M);
                 const float to_view = seen * inverse_z;
                 const float X[3] = {Y[0] * to_view, Y[1] * to_view, seen};
                 const float q = r * scale;
-                const float robust = (NU + 1) / (NU + q * q);
+                const float robust = (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + q * q);
                 const float weight = robust * scale * scale;
                 J[0] = n[0];
                 J[1] = n[1];
@@ -125,7 +120,7 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
             const float own = frame.intensity[at];
             const float r = value[0] - (gain * own + bias);
             const float q = r * inverse_si;
-            const float robust = (NU + 1) / (NU + q * q);
+            const float robust = (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + q * q);
             const float weight = photometric_weight * robust * inverse_si * inverse_si;
             const float a = value[1] * mc.fx * inverse_z, b = value[2] * mc.fy * inverse_z;
             const float c = -(a * Y[0] + b * Y[1]) * inverse_z;
@@ -195,12 +190,12 @@ void accumulate(const ModelLevel& model, const FrameLevel& frame, const Alignmen
 
 void intensity_of(const Pinhole& camera, const float* images, float least_silhouette, float* intensity) {
     const int64_t plane = (int64_t)camera.width * camera.height;
-    const float *r = images, *g = images + plane, *b = images + 2 * plane, *s = images + 4 * plane;
+    const float *r = images, *g = images + plane, *b = images + 2 * plane, *s = images + SILHOUETTE * plane;
 #pragma omp parallel for schedule(static)
     for (int64_t i = 0; i < plane; ++i) {
         // As composited, not divided by the silhouette: mapping fits it like that, and the
         // difference would come back as gain, brighter with every keyframe.
-        const float luma = 0.299f * r[i] + 0.587f * g[i] + 0.114f * b[i];
+        const float luma = LUMA_RED * r[i] + LUMA_GREEN * g[i] + LUMA_BLUE * b[i];
         intensity[i] = s[i] >= least_silhouette ? luma : 0.0f;
     }
 }
@@ -220,27 +215,26 @@ public:
         }
     }
 
-    bool solid(size_t i) const { return images_[4 * plane_ + i] >= least_; }
+    bool solid(size_t i) const { return images_[SILHOUETTE * plane_ + i] >= least_; }
 
     // Zero where the view is thin, and where the centre lies so far off that there is an edge.
     void at(int x, int y, float& across, float& down) const {
         across = down = 0.0f;
         const size_t i = (size_t)y * camera_.width + x;
         if (!solid(i)) return;
-        const float inverse = 1.0f / images_[4 * plane_ + i];
+        const float inverse = 1.0f / images_[SILHOUETTE * plane_ + i];
         const float a = centres_[i] * inverse, b = centres_[plane_ + i] * inverse,
                     c = centres_[2 * plane_ + i] * inverse;
         const float z = R_[6] * a + R_[7] * b + R_[8] * c + t_[2];
-        if (!(z > NEAREST_M)) return;
+        if (!(z > MIN_CENTRE_DEPTH_M)) return;
         const float u = camera_.fx * (R_[0] * a + R_[1] * b + R_[2] * c + t_[0]) / z + camera_.cx - x;
         const float v = camera_.fy * (R_[3] * a + R_[4] * b + R_[5] * c + t_[1]) / z + camera_.cy - y;
-        if (!(std::fabs(u) <= MOST_PIXELS && std::fabs(v) <= MOST_PIXELS)) return;
+        if (!(std::fabs(u) <= MAX_CENTRE_OFFSET_PX && std::fabs(v) <= MAX_CENTRE_OFFSET_PX)) return;
         across = u;
         down = v;
     }
 
 private:
-    static constexpr float NEAREST_M = 0.05f, MOST_PIXELS = 1.0f;
     const Pinhole& camera_;
     const float *images_, *centres_;
     float least_, R_[9], t_[3];
@@ -311,14 +305,14 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
     }
     std::vector<float> points(3 * plane);
     // Neighbours lie two pixels apart in both directions; times z^2 this is the shortest normal.
-    const float footprint = 4.0f * LEAST_NORMAL / (camera.fx * camera.fy);
+    const float footprint = 4.0f * MIN_NORMAL / (camera.fx * camera.fy);
 #pragma omp parallel
     {
 #pragma omp for schedule(static)
         for (int y = 0; y < H; ++y) {
             for (int x = 0; x < W; ++x) {
                 const size_t i = (size_t)y * W + x;
-                const float s = images[4 * plane + i], inverse = s >= least_silhouette ? 1.0f / s : 0.0f;
+                const float s = images[SILHOUETTE * plane + i], inverse = s >= least_silhouette ? 1.0f / s : 0.0f;
                 const float a = centres[i] * inverse, b = centres[plane + i] * inverse,
                             c = centres[2 * plane + i] * inverse;
                 for (int k = 0; k < 3; ++k) {
@@ -344,7 +338,7 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
                 const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
                 const float z = (nx * p[0] + ny * p[1] + nz * p[2]) / (nx * rx + ny * ry + nz);
                 // A plane seen edge-on says nothing.
-                if (std::fabs(z - p[2]) < MOST_CORRECTION * p[2]) depth[i] = z;
+                if (std::fabs(z - p[2]) < MAX_SURFACE_CORRECTION * p[2]) depth[i] = z;
             }
         }
     }
