@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "rendering/splats.hpp"
+#include "common/camera.hpp"
 
 namespace semsplat {
 

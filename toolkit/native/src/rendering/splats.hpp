@@ -6,6 +6,7 @@
 #include <memory>
 #include <vector>
 
+#include "common/camera.hpp"
 #include "common/constants.hpp"
 
 namespace semsplat {
@@ -50,11 +51,6 @@ struct alignas(64) Splat {
     int32_t padding;
 };
 static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
-
-struct Pinhole {
-    float fx, fy, cx, cy;
-    int width, height;
-};
 
 struct Gaussians {
     int64_t count;
