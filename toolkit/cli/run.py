@@ -26,7 +26,8 @@ class RunProgram:
     """Run folder to write."""
     settings: Annotated[RunSettings, tyro.conf.arg(name="")] = field(default_factory=RunSettings)
     config: Path | None = None
-    """YAML settings to start from; options on the command line win."""
+    """YAML settings to start from, or the preset `gausem` (the values of GauSem-SLAM's paper).
+    Options on the command line override them."""
     resume: bool = False
     """Go on from the last checkpoint of an interrupted run."""
 

@@ -11,13 +11,21 @@ from pydantic import ValidationError
 from toolkit.errors import SettingsError
 from toolkit.settings.run import RunSettings
 
+# Settings of the papers' systems, for comparison.
+PRESETS = Path(__file__).with_name("presets")
+
 
 def load(path: Path) -> RunSettings:
-    """Settings of a YAML file; keys that it lacks keep their defaults.
+    """Read settings from a YAML file or a shipped preset; missing keys keep their defaults.
+
+    Args:
+        path: of the file, or the name of a preset, which a file of that name takes precedence over.
 
     Raises:
         SettingsError: the file is unreadable, or a key is unknown or out of range.
     """
+    if not path.exists() and str(path) in preset_names():
+        path = PRESETS / f"{path}.yaml"
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -29,6 +37,11 @@ def load(path: Path) -> RunSettings:
     if not isinstance(content, dict):
         raise SettingsError(f"{path} must hold keys and values, not a {type(content).__name__}")
     return parse(content, str(path))
+
+
+def preset_names() -> list[str]:
+    """Names of the shipped presets."""
+    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
 
 def parse(content: dict[str, Any], origin: str) -> RunSettings:
