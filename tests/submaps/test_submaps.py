@@ -26,13 +26,13 @@ from toolkit.submaps.allocation import (
     Allocation,
     AllocationOptions,
     path_length_m,
-    share_inside,
 )
 from toolkit.submaps.atlas import Atlas, BoundaryOptions
 from toolkit.submaps.factory import allocation_options
 from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
+from toolkit.submaps.volume import SubmapVolume
 from toolkit.tracking.given import GivenPoses
 
 FEW = MapperOptions(iterations=3, first_iterations=10, final_iterations=2)
@@ -60,23 +60,39 @@ def labelled(keyframe, class_id):
     return replace(keyframe, class_ids=ids)
 
 
-class TestAllocation:
+class TestOverlap:
+    def overlap(self, keyframe, others):
+        return SubmapVolume().overlap(keyframe, others)
+
     def test_a_view_lies_inside_its_own_volume(self, keyframes):
-        assert share_inside(keyframes[0], [keyframes[0]]) == 1.0
+        assert self.overlap(keyframes[0], [keyframes[0]]) > 0.95
 
     def test_a_view_to_the_other_side_does_not(self, keyframes):
-        assert share_inside(turned(keyframes[0], 180), [keyframes[0]]) < 0.2
+        assert self.overlap(turned(keyframes[0], 180), [keyframes[0]]) < 0.2
 
     def test_a_volume_ends_at_the_wall(self, keyframes):
         near = replace(keyframes[0], depth_m=keyframes[0].depth_m * 0.5)
-        assert share_inside(keyframes[0], [near]) < 0.1
+        assert self.overlap(keyframes[0], [near]) < 0.1
 
-    def test_the_union_counts(self, keyframes):
+    def test_a_keyframe_without_depth_has_no_overlap(self, keyframes):
+        blind = replace(keyframes[0], depth_m=torch.zeros_like(keyframes[0].depth_m))
+        assert self.overlap(blind, [keyframes[0]]) == 0.0
+
+    def test_the_union_of_all_keyframes_is_used(self, keyframes):
         first, other = keyframes[0], turned(keyframes[0], 40)
         half = turned(first, 20)
-        both = share_inside(half, [first, other])
-        assert both >= max(share_inside(half, [first]), share_inside(half, [other]))
+        single = [self.overlap(half, [k]) for k in (first, other)]
+        assert self.overlap(half, [first, other]) > max(single) + 0.05
 
+    def test_kept_volumes_follow_pose_corrections_and_new_depth(self, keyframes):
+        first, newest = keyframes[0], keyframes[1]
+        volume = SubmapVolume()
+        volume.overlap(newest, [first])
+        for changed in (turned(first, 30), replace(first, depth_m=first.depth_m * 0.5)):
+            assert volume.overlap(newest, [changed]) == self.overlap(newest, [changed])
+
+
+class TestAllocation:
     def judge(self, keyframes, classes=0, gaussians=0, **options):
         values = {"fewest_keyframes": 2, "recent": 1} | options
         return Allocation(AllocationOptions(**values), classes).judge(3, keyframes, gaussians)

@@ -102,15 +102,15 @@ def overlap(frustum: Frustum, others: Sequence[Frustum], samples: int = SAMPLES)
 def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
     """About `count` points [P, 3] of a depth image, in camera coordinates, on a regular grid.
 
-    P depends on the image's size alone; where depth is missing, a point is NaN.
+    P depends only on the image size. Where depth is missing, a point is NaN.
 
     Args:
         depth_m: [H, W] z-depth, 0 where missing.
         count: > 0.
     """
     stride = max(1, int(np.sqrt(depth_m.size / count)))
-    half = stride // 2  # away from the border
-    sparse = camera.unproject(depth_m)[half::stride, half::stride].reshape(-1, 3)
+    rows, columns = (np.arange(stride // 2, size, stride) for size in depth_m.shape)
+    sparse = camera.unproject_grid(columns, rows, depth_m[rows[:, None], columns]).reshape(-1, 3)
     return np.where(sparse[:, 2:] > 0, sparse, np.nan)
 
 

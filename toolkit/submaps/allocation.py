@@ -1,7 +1,7 @@
-"""When the next submap begins (G-III.A): elsewhere, among other things, or full.
+"""Submap allocation (G-III.A): start a submap where overlap and classes change, or at a size cap.
 
-The rule of motion, as other submap systems have it, is there for comparison: it looks at how
-far the camera moved from the anchor alone, and cuts wherever that happens to be.
+The rule "motion" of other submap systems is included for comparison: it only looks at how far the
+camera has moved from the anchor.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.histograms import class_histogram, smoothed_kl
+from toolkit.submaps.volume import SubmapVolume
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ class Allocation:
     def __init__(self, options: AllocationOptions, classes: int) -> None:
         self.options = options
         self._classes = classes
+        self._volume = SubmapVolume()
 
     def judge(self, number: int, keyframes: list[Keyframe], gaussians: int) -> AllocationVerdict:
         """Hold the newest keyframe of a submap against the others.
@@ -101,7 +103,7 @@ class Allocation:
         """
         newest, options = keyframes[-1], self.options
         established = keyframes[: max(1, len(keyframes) - options.recent)]
-        overlap = share_inside(newest, established)
+        overlap = self._volume.overlap(newest, established)
         divergence = self._divergence(newest, keyframes[0])
         reason = ""
         if len(keyframes) >= options.most_keyframes:
@@ -139,22 +141,6 @@ class Allocation:
             for keyframe in (newest, anchor)
         )
         return smoothed_kl(current, first)
-
-
-def share_inside(keyframe: Keyframe, others: list[Keyframe]) -> float:
-    """Share of a keyframe's observed points inside the union of the others' viewing volumes.
-
-    A volume ends at the depth that its keyframe measured, so it does not reach through walls.
-    """
-    if len(keyframe.points) == 0:
-        return 0.0
-    points = keyframe.points_in_map()
-    inside = np.zeros(len(points), bool)
-    for other in others:
-        inside[~inside] = other.reaches(points[~inside])
-        if inside.all():
-            break
-    return float(inside.mean())
 
 
 def path_length_m(keyframes: list[Keyframe]) -> float:
