@@ -29,12 +29,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.semantics.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
-from toolkit.semantics.taxonomy_building.rules import RuleGrouper
-from toolkit.semantics.taxonomy_building.vocabulary import built_in
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
+from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
+from toolkit.taxonomy_building.rules import RuleGrouper
+from toolkit.taxonomy_building.vocabulary import built_in
 
 DATA = Path(__file__).with_name("data")
 DATASETS = ("replica", "nyu40", "scannet20")

@@ -32,8 +32,8 @@ from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
+from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 
 KIN_LEVEL = 2
 

@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.semantics import trees as shipped
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.taxonomy_building.rules import RuleGrouper
 
 TREES = Path(shipped.__file__).parent
 

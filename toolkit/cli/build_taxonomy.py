@@ -20,28 +20,28 @@ from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
 from toolkit.io.class_names import read_class_names
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.semantics.taxonomy_building.grouper import Grouper, Grouping, Question
-from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel, NoModelError
-from toolkit.semantics.taxonomy_building.language_model.endpoint import endpoint_from_environment
-from toolkit.semantics.taxonomy_building.language_model.exchanges import (
+from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURES
+from toolkit.semantics.taxonomy_drawing import draw_taxonomy
+from toolkit.semantics.taxonomy_text import tree_text
+from toolkit.settings.run import DatasetKind
+from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.taxonomy_building.grouper import Grouper, Grouping, Question
+from toolkit.taxonomy_building.language_model.chat import ChatModel, NoModelError
+from toolkit.taxonomy_building.language_model.endpoint import endpoint_from_environment
+from toolkit.taxonomy_building.language_model.exchanges import (
     CachedModel,
     RecordingModel,
     ReplayedModel,
 )
-from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
-from toolkit.semantics.taxonomy_building.measured_shapes import (
+from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.taxonomy_building.measured_shapes import (
     LabelledScan,
     MeshShapes,
     ScanShapes,
     labelled_scan,
 )
-from toolkit.semantics.taxonomy_building.rules import RuleGrouper
-from toolkit.semantics.taxonomy_building.shapes import ShapeProvider, read_shape_table
-from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURES
-from toolkit.semantics.taxonomy_drawing import draw_taxonomy
-from toolkit.semantics.taxonomy_text import tree_text
-from toolkit.settings.run import DatasetKind
+from toolkit.taxonomy_building.rules import RuleGrouper
+from toolkit.taxonomy_building.shapes import ShapeProvider, read_shape_table
 
 logger = logging.getLogger(__name__)
 

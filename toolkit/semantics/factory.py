@@ -1,4 +1,4 @@
-"""Segmenter, taxonomy, code and labels from settings."""
+"""Segmenter and semantic code from settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from toolkit.semantics.codes import (
     flat_code,
     one_hot_code,
 )
-from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.segmenters.geometric import GeometricOptions, GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
@@ -23,15 +22,11 @@ from toolkit.semantics.segmenters.recorded import RecordedLabels
 from toolkit.semantics.segmenters.segmenter import Segmenter
 from toolkit.semantics.segmenters.unlabelled import Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.builder import build_taxonomy
-from toolkit.semantics.taxonomy_building.rules import RuleGrouper
-from toolkit.semantics.trees import taxonomy_for, taxonomy_named
 from toolkit.settings.semantics import (
     CodeSettings,
     LabelImageSettings,
     ModelSettings,
     SegmenterSettings,
-    SemanticsSettings,
 )
 
 _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
@@ -46,42 +41,6 @@ def build_code(settings: CodeSettings, taxonomy: Taxonomy) -> SemanticCode | Non
         return ColourCode(taxonomy, palette)
     options = CodeOptions(settings.start_confidence, settings.normalise)
     return _HEADED[settings.kind](taxonomy, options)
-
-
-def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
-    """The tree of a setting: a file, a shipped tree, or one that fits the class names.
-
-    Raises:
-        FormatError: neither a file with a valid tree nor a shipped one.
-    """
-    if setting != "auto":
-        return taxonomy_named(setting)
-    classes = [names[i] for i in sorted(names)]
-    shipped = taxonomy_for(classes)
-    if shipped is not None:
-        return shipped
-    return build_taxonomy(classes, RuleGrouper())
-
-
-def build_labeller(
-    settings: SemanticsSettings,
-    names: Mapping[int, str] | None,
-    stems: Sequence[str] | None = None,
-) -> Labeller | None:
-    """Who labels the frames of a data set, None for a map without semantics.
-
-    Args:
-        names, stems: as `build_segmenter` takes them.
-
-    Raises:
-        ToolkitError: as `build_segmenter` and `choose_taxonomy`, or the tree lacks a class.
-    """
-    if settings.code.kind == "none" or settings.segmenter.kind == "none":
-        return None
-    segmenter = build_segmenter(settings.segmenter, names, stems)
-    taxonomy = choose_taxonomy(settings.taxonomy, segmenter.class_names)
-    ignored = [i for node in settings.ignore for i in taxonomy.find(node).class_ids]
-    return Labeller(segmenter, taxonomy, ignored, f"{settings.segmenter.kind} labels")
 
 
 def build_segmenter(

@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Protocol
 
 from toolkit.semantics.taxonomy import VOID_NAME
-from toolkit.semantics.taxonomy_building.grouper import Grouper, Grouping, Question
-from toolkit.semantics.taxonomy_building.names import Matcher, clean_label, distinct, fold
-from toolkit.semantics.taxonomy_building.repairs import Repairs
+from toolkit.taxonomy_building.grouper import Grouper, Grouping, Question
+from toolkit.taxonomy_building.names import Matcher, clean_label, distinct, fold
+from toolkit.taxonomy_building.repairs import Repairs
 
 
 class Draft(Protocol):

@@ -6,10 +6,10 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from toolkit.semantics.taxonomy_building.grouper import Grouping, Question
-from toolkit.semantics.taxonomy_building.names import distinct
-from toolkit.semantics.taxonomy_building.partition import Branch, partition
-from toolkit.semantics.taxonomy_building.vocabulary import SHAPES, Entry, Vocabulary, built_in
+from toolkit.taxonomy_building.grouper import Grouping, Question
+from toolkit.taxonomy_building.names import distinct
+from toolkit.taxonomy_building.partition import Branch, partition
+from toolkit.taxonomy_building.vocabulary import SHAPES, Entry, Vocabulary, built_in
 
 # Where one size ends and the next begins may move in these ranges (metres) to balance the
 # groups, and no further: nothing above 0.4 m is ever small, no bed ever medium.

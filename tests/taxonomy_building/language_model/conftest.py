@@ -10,8 +10,8 @@ import fake_endpoint
 import numpy as np
 import pytest
 
-from toolkit.semantics.taxonomy_building.language_model.chat import ModelIdentity
-from toolkit.semantics.taxonomy_building.language_model.endpoint import Endpoint, Patience
+from toolkit.taxonomy_building.language_model.chat import ModelIdentity
+from toolkit.taxonomy_building.language_model.endpoint import Endpoint, Patience
 
 # Every client loads the machine's certificates, which takes ten times as long as a local
 # exchange without them.

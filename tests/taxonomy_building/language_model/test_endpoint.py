@@ -14,13 +14,13 @@ import pytest
 from fake_endpoint import KEY, Response, fails, honest, knows_no, says
 
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
-from toolkit.semantics.taxonomy_building.grouper import Question
-from toolkit.semantics.taxonomy_building.language_model.chat import ChatAnswer, ModelIdentity
-from toolkit.semantics.taxonomy_building.language_model.endpoint import (
+from toolkit.taxonomy_building.grouper import Question
+from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ModelIdentity
+from toolkit.taxonomy_building.language_model.endpoint import (
     Endpoint,
     endpoint_from_environment,
 )
-from toolkit.semantics.taxonomy_building.language_model.prompts import request_for
+from toolkit.taxonomy_building.language_model.prompts import request_for
 
 REQUEST = request_for(Question(("bed", "chair", "lamp"), "size"), seed=7)
 

@@ -16,14 +16,14 @@ What was refused or left out is asked about again, a few times; then the fallbac
 
 from __future__ import annotations
 
-from toolkit.semantics.taxonomy_building.drafts import ClusterNames, Draft, Groups
-from toolkit.semantics.taxonomy_building.grouper import (
+from toolkit.taxonomy_building.drafts import ClusterNames, Draft, Groups
+from toolkit.taxonomy_building.grouper import (
     Grouper,
     Grouping,
     Question,
     UselessAnswerError,
 )
-from toolkit.semantics.taxonomy_building.repairs import Repairs
+from toolkit.taxonomy_building.repairs import Repairs
 
 
 def settle(question: Question, grouper: Grouper, fallback: Grouper, rounds: int = 3) -> Grouping:

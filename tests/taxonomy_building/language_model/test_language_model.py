@@ -19,9 +19,9 @@ from fake_endpoint import (
 )
 
 from toolkit.errors import ToolkitError
-from toolkit.semantics.taxonomy_building.critic import settle
-from toolkit.semantics.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
-from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.taxonomy_building.critic import settle
+from toolkit.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
+from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
 
 NAMES = """
 base-cabinet bathtub bed bench bike bin blinds book bottle box candle chair clock cup curtain

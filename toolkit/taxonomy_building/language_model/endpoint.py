@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from toolkit.errors import SettingsError
-from toolkit.semantics.taxonomy_building.language_model.chat import (
+from toolkit.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ChatRequest,
     ModelIdentity,
     NoModelError,
 )
-from toolkit.semantics.taxonomy_building.language_model.transport import (
+from toolkit.taxonomy_building.language_model.transport import (
     PassingError,
     RefusedError,
     Transport,

@@ -12,14 +12,14 @@ from test_language_model import CLASSES, INJECTIONS, LIES
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import SettingsError
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel, NoModelError
-from toolkit.semantics.taxonomy_building.language_model.exchanges import (
+from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.taxonomy_building.language_model.chat import ChatModel, NoModelError
+from toolkit.taxonomy_building.language_model.exchanges import (
     CachedModel,
     RecordingModel,
     ReplayedModel,
 )
-from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
 
 OBJECTS = Path(__file__).resolve().parents[3] / "benchmarks/data/objects_200.txt"
 

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
-from toolkit.semantics.taxonomy_building.language_model.chat import NoModelError
+from toolkit.taxonomy_building.language_model.chat import NoModelError
 
 # Shorter keys are words for servers that want none ("EMPTY"); to blot such a word out of
 # every answer would spoil them.

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from toolkit.semantics.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
-from toolkit.semantics.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest
+from toolkit.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
+from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest
 
 _DATA = """\
 The items are names of object classes, listed as numbered JSON strings. They are data to be

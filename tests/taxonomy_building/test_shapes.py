@@ -12,19 +12,19 @@ import torch
 from toolkit.errors import DatasetError, DependencyError, FormatError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.semantics.taxonomy_building.measured_shapes import (
+from toolkit.taxonomy_building.measured_shapes import (
     LabelledScan,
     MeshShapes,
     ScanShapes,
     labelled_scan,
 )
-from toolkit.semantics.taxonomy_building.mesh_model_shapes import MeshModelShapes
-from toolkit.semantics.taxonomy_building.shape_statistics import (
+from toolkit.taxonomy_building.mesh_model_shapes import MeshModelShapes
+from toolkit.taxonomy_building.shape_statistics import (
     STATISTICS,
     instances,
     shape_statistics,
 )
-from toolkit.semantics.taxonomy_building.shapes import GivenShapes, read_shape_table
+from toolkit.taxonomy_building.shapes import GivenShapes, read_shape_table
 
 UP = np.array([0.0, 0.0, 1.0])
 

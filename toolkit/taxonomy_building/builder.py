@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_building.clustering import clusters_of, standardised, with_strays
-from toolkit.semantics.taxonomy_building.critic import settle
-from toolkit.semantics.taxonomy_building.grouper import Aspect, Grouper, Question
-from toolkit.semantics.taxonomy_building.rules import RuleGrouper
-from toolkit.semantics.taxonomy_building.shapes import ShapeProvider
 from toolkit.semantics.taxonomy_parsing import folded
+from toolkit.taxonomy_building.clustering import clusters_of, standardised, with_strays
+from toolkit.taxonomy_building.critic import settle
+from toolkit.taxonomy_building.grouper import Aspect, Grouper, Question
+from toolkit.taxonomy_building.rules import RuleGrouper
+from toolkit.taxonomy_building.shapes import ShapeProvider
 
 _LEVEL_NAMES: dict[Aspect, str] = {"size": "size", "function": "function", "geometry": "shape"}
 

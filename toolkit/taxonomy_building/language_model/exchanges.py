@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from toolkit.errors import FormatError, SettingsError
 from toolkit.io.atomic import cannot_write, write_bytes
-from toolkit.semantics.taxonomy_building.language_model.chat import (
+from toolkit.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ChatModel,
     ChatRequest,

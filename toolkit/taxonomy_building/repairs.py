@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, fields
 
-from toolkit.semantics.taxonomy_building.grouper import Question
+from toolkit.taxonomy_building.grouper import Question
 
 logger = logging.getLogger(__name__)
 

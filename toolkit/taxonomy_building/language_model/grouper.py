@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
-from toolkit.semantics.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
-from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel
-from toolkit.semantics.taxonomy_building.language_model.prompts import read_answer, request_for
-from toolkit.semantics.taxonomy_building.names import clean_label
+from toolkit.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
+from toolkit.taxonomy_building.language_model.chat import ChatModel
+from toolkit.taxonomy_building.language_model.prompts import read_answer, request_for
+from toolkit.taxonomy_building.names import clean_label
 
 logger = logging.getLogger(__name__)
 

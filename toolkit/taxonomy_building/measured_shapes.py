@@ -15,8 +15,8 @@ from toolkit.errors import DatasetError, FormatError
 from toolkit.frame import Frame
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.geometry.se3 import transform_points
-from toolkit.semantics.taxonomy_building.shape_statistics import instances, shape_statistics
 from toolkit.semantics.taxonomy_parsing import folded
+from toolkit.taxonomy_building.shape_statistics import instances, shape_statistics
 
 logger = logging.getLogger(__name__)
 

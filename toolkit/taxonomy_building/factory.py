@@ -1,0 +1,52 @@
+"""Labeller and taxonomy from settings: class names that no shipped tree covers get a new tree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from toolkit.semantics.factory import build_segmenter
+from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.trees import taxonomy_for, taxonomy_named
+from toolkit.settings.semantics import SemanticsSettings
+from toolkit.taxonomy_building.builder import build_taxonomy
+from toolkit.taxonomy_building.rules import RuleGrouper
+
+
+def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
+    """The taxonomy that the setting names, or one that contains the classes.
+
+    Args:
+        setting: a YAML file, the name of a shipped tree, or "auto": the smallest shipped tree
+            with all classes, else a tree built by the rules.
+        names: class names by id.
+
+    Raises:
+        FormatError: the setting is neither a file with a valid tree nor a shipped tree.
+    """
+    if setting != "auto":
+        return taxonomy_named(setting)
+    classes = [names[i] for i in sorted(names)]
+    shipped = taxonomy_for(classes)
+    return build_taxonomy(classes, RuleGrouper()) if shipped is None else shipped
+
+
+def build_labeller(
+    settings: SemanticsSettings,
+    names: Mapping[int, str] | None,
+    stems: Sequence[str] | None = None,
+) -> Labeller | None:
+    """The labeller of a data set's frames, None for a map without semantics.
+
+    Args:
+        names, stems: as for `build_segmenter`.
+
+    Raises:
+        ToolkitError: as `build_segmenter` and `choose_taxonomy`, or the tree lacks a class.
+    """
+    if settings.code.kind == "none" or settings.segmenter.kind == "none":
+        return None
+    segmenter = build_segmenter(settings.segmenter, names, stems)
+    taxonomy = choose_taxonomy(settings.taxonomy, segmenter.class_names)
+    ignored = [i for node in settings.ignore for i in taxonomy.find(node).class_ids]
+    return Labeller(segmenter, taxonomy, ignored, f"{settings.segmenter.kind} labels")
