@@ -12,7 +12,7 @@ from toolkit.geometry import open3d_bridge, se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.frustum import observed_points
 from toolkit.geometry.viewing_volume import ViewingVolume, inside_union
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 
 CAMERA = Camera(50.0, 50.0, 31.5, 23.5, 64, 48)
 WALL = ViewingVolume(CAMERA, np.full((48, 64), 2.0, np.float32))

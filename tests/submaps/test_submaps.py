@@ -65,7 +65,7 @@ class TestOverlap:
         return SubmapVolume().overlap(keyframe, others)
 
     def test_a_view_lies_inside_its_own_volume(self, keyframes):
-        assert self.overlap(keyframes[0], [keyframes[0]]) > 0.95
+        assert self.overlap(keyframes[0], [keyframes[0]]) > 0.9
 
     def test_a_view_to_the_other_side_does_not(self, keyframes):
         assert self.overlap(turned(keyframes[0], 180), [keyframes[0]]) < 0.2

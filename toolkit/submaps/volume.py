@@ -10,7 +10,7 @@ from torch import Tensor
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import observed_points
 from toolkit.geometry.viewing_volume import ViewingVolume, inside_union
-from toolkit.mapping.keyframes import Keyframe
+from toolkit.keyframe import Keyframe
 
 # The standard error of a share measured on so many points is below 3 %.
 _POINTS = 300
