@@ -29,8 +29,8 @@ from toolkit.io.trajectories import write_tum
 from toolkit.mapping.factory import build_mapper
 from toolkit.registration.placement import KeyframePlacement
 from toolkit.settings.mapping import MappingSettings
-from toolkit.settings.tracking import TrackingSettings
 from toolkit.slam import Slam
+from toolkit.tracking.options import TrackingOptions
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def as_frame(index: int, image: CameraImage, camera: Camera) -> Frame:
 def main(out: Path, images: Iterable[CameraImage], camera: Camera) -> int:
     """Track and map until the images end; leave a splat file and the path beside it."""
     mapper = build_mapper(MappingSettings(), np.random.default_rng(0))
-    slam = Slam(build_tracker(TrackingSettings()), mapper, placement=KeyframePlacement())
+    slam = Slam(build_tracker(TrackingOptions()), mapper, placement=KeyframePlacement())
 
     for index, image in enumerate(images):
         result = slam.process_frame(as_frame(index, image, camera))

@@ -19,7 +19,8 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import backend
 from toolkit.semantics.codes import one_hot_code
-from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.options import DenseOptions
 
 _SHOWN = 15
 

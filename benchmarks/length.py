@@ -24,7 +24,8 @@ import tyro
 from benchmarks import walks
 from benchmarks.machine import describe_machine
 from toolkit.datasets.registry import open_dataset
-from toolkit.settings.run import RunSettings
+from toolkit.options import validated
+from toolkit.runs.settings import RunSettings
 
 COLUMNS = ("ms a frame, quarters", "finish s", "submaps", "lost", "gaussians", "peak_memory_mb")
 
@@ -74,13 +75,14 @@ def main() -> None:
 def figures(options: Options) -> dict[str, object]:
     """Figures of one walk."""
     (place,) = options.places
-    settings = RunSettings.model_validate(
+    settings = validated(
+        RunSettings,
         {
             "dataset": {"kind": "synthetic", "path": str(place)},
             "poses": options.poses,
             "mapping": {"iterations": options.iterations, "final_iterations": 1},
             "submaps": {"memory_mb": options.memory_mb},
-        }
+        },
     )
     with walks.walked(settings, open_dataset("synthetic", place)) as walk:
         quarters = [float(np.mean(part)) for part in np.array_split(walk.frames_ms, 4)]

@@ -46,7 +46,8 @@ from toolkit.loops.candidates import (
     DescribedKeyframe,
     LoopCandidate,
 )
-from toolkit.settings.run import RunSettings
+from toolkit.options import validated
+from toolkit.runs.settings import RunSettings
 from toolkit.slam import Slam
 
 Array = NDArray[np.float64]
@@ -146,14 +147,15 @@ def print_rows(options: Options, room: Path, dataset: Dataset) -> None:
 
 def figures(options: Options, room: Path, dataset: Dataset, loops: Values) -> Values:
     """Figures of one walk with these settings of loop closure, without refinement."""
-    settings = RunSettings.model_validate(
+    settings = validated(
+        RunSettings,
         {
             "dataset": {"kind": options.kind, "path": str(room)},
             "image_size": options.image_size,
             "mapping": {"final_iterations": 0},
             "loops": loops,
             "seed": options.seed,
-        }
+        },
     )
     with walks.walked(settings, dataset) as walk:
         return walk.metrics | {

@@ -26,8 +26,8 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
-from toolkit.settings.run import RunSettings
 from toolkit.submaps.submap import Submap
 from toolkit.taxonomy_building.factory import choose_taxonomy
 from toolkit.tracking.depth_filter import denoised

@@ -35,8 +35,9 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
 from toolkit.geometry import se3
+from toolkit.options import validated
 from toolkit.runs.results import tracked_frames
-from toolkit.settings.run import RunSettings
+from toolkit.runs.settings import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas
 
@@ -190,7 +191,7 @@ def figures_of(options: Options, values: Row, seed: int) -> Row:
         "max_frames": options.frames,
         "seed": seed,
     }
-    settings = RunSettings.model_validate(values)
+    settings = validated(RunSettings, values)
     dataset = open_dataset("synthetic", place, settings.image_size, settings.max_frames)
 
     def prepare(slam: Slam) -> None:

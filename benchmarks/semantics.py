@@ -37,11 +37,12 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.consensus import segments_of
 from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
+from toolkit.options import validated
 from toolkit.rendering import backend
+from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
-from toolkit.settings.run import RunSettings
 
 Part = Literal["cost", "quality", "noise", "ablation", "room"]
 CODES = ("none", "flat", "one-hot", "binary")
@@ -257,7 +258,8 @@ class Subject:
         path = Path(os.environ["SEMSPLAT_DATA"]) / "replica_office0"
         dataset = open_dataset("replica", path, None, 1)
         taxonomy = shipped_taxonomy("replica")
-        settings = RunSettings.model_validate(
+        settings = validated(
+            RunSettings,
             {
                 "mapping": {"first_iterations": 1, "seeding": {"largest_cell": 1}},
                 "semantics": {
@@ -265,7 +267,7 @@ class Subject:
                     "loss": {"inter_pixels": inter or 0, "inter_from": 0},
                     "network": {"use": inter is not None},
                 },
-            }
+            },
         )
         self._mapper = self._build(settings, taxonomy)
         self._mapper.add_keyframe(Keyframe.from_frame(dataset[0], np.eye(4)))

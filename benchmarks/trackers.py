@@ -25,8 +25,8 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 from toolkit.mapping.factory import build_mapper
 from toolkit.settings.mapping import MappingSettings
-from toolkit.settings.tracking import DenseSettings, TrackingSettings
 from toolkit.slam import Slam
+from toolkit.tracking.options import DenseOptions, TrackingOptions
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,11 @@ SEQUENCES = {
     },
 }
 TRACKERS = {
-    "kinds": {"dense": TrackingSettings(), "first-order": TrackingSettings(kind="first-order")},
+    "kinds": {"dense": TrackingOptions(), "first-order": TrackingOptions(kind="first-order")},
     "starts": {
-        "velocity": TrackingSettings(dense=DenseSettings(start="velocity")),
-        "auto": TrackingSettings(dense=DenseSettings(start="auto")),
-        "both": TrackingSettings(dense=DenseSettings(start="both")),
+        "velocity": TrackingOptions(dense=DenseOptions(start="velocity")),
+        "auto": TrackingOptions(dense=DenseOptions(start="auto")),
+        "both": TrackingOptions(dense=DenseOptions(start="both")),
     },
 }
 COLUMNS = ("ATE cm", "rotation RPE deg", "frames", "lost", "renders a frame", "most")
@@ -108,7 +108,7 @@ def main() -> None:
             print(f"| {name} | {tracker} | " + " | ".join(cells) + " |", flush=True)
 
 
-def _tracked(sequence: Sequence, settings: TrackingSettings, seed: int) -> list[str]:
+def _tracked(sequence: Sequence, settings: TrackingOptions, seed: int) -> list[str]:
     """Track and map the frames; the cells of a row."""
     path = Path(os.environ["SEMSPLAT_DATA"]) / sequence.folder
     dataset = open_dataset(sequence.kind, path, sequence.image_size, sequence.until)

@@ -23,8 +23,7 @@ from toolkit.loops.log import read_loop_log
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.results import write_results
-from toolkit.settings.files import dump
-from toolkit.settings.run import RunSettings
+from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
 
@@ -56,7 +55,7 @@ def walked(
     """
     watch, frames_ms = StageRecorder(), []
     with tempfile.TemporaryDirectory() as made:
-        folder = RunFolder.create(Path(made) / "run", dump(settings))
+        folder = RunFolder.create(Path(made) / "run", dump_settings(settings))
         slam = build_slam(dataset, settings, folder, watch)
         if prepare is not None:
             prepare(slam)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from toolkit.runs.evaluation import evaluate
     from toolkit.runs.execution import run
     from toolkit.runs.finished import load_run
-    from toolkit.settings.run import RunSettings
+    from toolkit.runs.settings import RunSettings
 
 _MODULES = {
     "Camera": "toolkit.geometry.camera",

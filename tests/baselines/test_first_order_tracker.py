@@ -22,7 +22,7 @@ from tracked_room import (
 )
 
 from toolkit.baselines.factory import build_tracker
-from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
+from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
@@ -34,8 +34,8 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import backend
 from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.tracking import FirstOrderSettings, TrackingSettings
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.options import FirstOrderOptions, TrackingOptions
 from toolkit.tracking.pose_adam import pose_gradient
 
 BOTH = pytest.mark.parametrize("preset", sorted(PRESETS))
@@ -205,11 +205,11 @@ def test_unknown_presets_are_refused():
 
 
 def test_the_factory_builds_what_the_settings_name():
-    values = FirstOrderSettings(preset="gausem", iterations=7)
-    tracker = build_tracker(TrackingSettings(kind="first-order", first_order=values))
+    values = FirstOrderOptions(preset="gausem", iterations=7)
+    tracker = build_tracker(TrackingOptions(kind="first-order", first_order=values))
     assert isinstance(tracker, FirstOrderTracker)
     assert tracker.options.preset == "gausem" and tracker.options.iterations == 7
-    assert isinstance(build_tracker(TrackingSettings()), DenseTracker)
+    assert isinstance(build_tracker(TrackingOptions()), DenseTracker)
 
 
 class TestLoss:
@@ -346,7 +346,7 @@ def test_semantic_term_is_used_only_where_frames_have_labels(room, opaque_map):
 def test_preset_decides_whether_semantics_are_tracked(preset, wants_labels):
     """G-2 has a semantic term of weight 0.5, H-22 has none; an explicit weight overrides both."""
     code = binary_code(CLASSES)
-    settings = TrackingSettings(kind="first-order", first_order=FirstOrderSettings(preset=preset))
+    settings = TrackingOptions(kind="first-order", first_order=FirstOrderOptions(preset=preset))
     assert build_tracker(settings, code=code).wants_labels is wants_labels
     assert not build_tracker(settings, code=None).wants_labels
     assert FirstOrderTracker(FirstOrderOptions(preset, semantic=0.5), code=code).wants_labels

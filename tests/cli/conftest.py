@@ -10,12 +10,12 @@ import pytest
 from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, poses
 from room_runs import RoomRuns, make_room_runs
 
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs.folder import RunFolder
-from toolkit.settings.files import dump
-from toolkit.settings.run import DatasetSettings, RunSettings
+from toolkit.runs.settings import RunSettings, dump_settings
 
 
 @pytest.fixture(scope="session")
@@ -37,8 +37,8 @@ def recording(tmp_path_factory, gaussians) -> Path:
 @pytest.fixture
 def run(tmp_path, gaussians, recording) -> Path:
     """The folder of a run that was perfect; frame 9 is lost, 4 held out."""
-    settings = RunSettings(dataset=DatasetSettings(kind="synthetic", path=recording), hold_out=5)
-    folder = RunFolder.create(tmp_path / "run", dump(settings))
+    settings = RunSettings(dataset=DatasetOptions(kind="synthetic", path=recording), hold_out=5)
+    folder = RunFolder.create(tmp_path / "run", dump_settings(settings))
     kept = range(9)
     times = np.array([i / 30.0 for i in kept])
     folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))

@@ -22,15 +22,15 @@ from labelled_room import (
 from test_finished_run_programs import one_line_of_error, semsplat
 
 from toolkit.cli.main import main
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.files import dump
-from toolkit.settings.run import DatasetSettings, RunSettings
 
 PLACES = ((0.6, 2.2, 1.7), (3.3, 2.4, 1.6), (2.0, 2.7, 1.9))
 TARGET = (2.1, 1.2, 0.5)
@@ -55,8 +55,8 @@ def finished(tmp_path_factory) -> Path:
     poses = np.stack([looking(place, TARGET) for place in PLACES])
     prepare_folder(folder / "recording")
     write_sequence(folder / "recording", frames_at(gaussians, poses), CAMERA, T_WORLD_MAP @ poses)
-    settings = RunSettings(dataset=DatasetSettings(kind="synthetic", path=folder / "recording"))
-    run = RunFolder.create(folder / "run", dump(settings))
+    settings = RunSettings(dataset=DatasetOptions(kind="synthetic", path=folder / "recording"))
+    run = RunFolder.create(folder / "run", dump_settings(settings))
     times = np.arange(len(poses)) / 30.0
     run.write_trajectory(Trajectory(times, poses))
     write_splat_ply(run.map, gaussians, labels.columns())

@@ -11,13 +11,14 @@ import torch
 from painted_box import box_frames, path
 from torch import Tensor
 
-from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
+from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import map_device
-from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.options import DenseOptions, FirstOrderOptions
 
 SIZE = (96, 72)
 GPU = "cuda:0"

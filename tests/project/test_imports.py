@@ -26,6 +26,16 @@ for module in pkgutil.walk_packages(toolkit.__path__, "toolkit."):
     print(module.name)
 """
 
+# Programs read the declared options before they know whether they need torch at all.
+IMPORT_OPTIONS = """
+import importlib, pathlib, sys
+for file in sorted(pathlib.Path("toolkit").glob("*/options.py")):
+    importlib.import_module(".".join(file.with_suffix("").parts))
+    print(file.parent.name)
+heavy = {"torch", "numpy", "scipy", "cv2", "open3d", "pydantic", "tyro", "yaml"}
+print(sorted(heavy & set(sys.modules)))
+"""
+
 IMPORT_TOOLKIT = """
 import sys, toolkit, toolkit.cli.main
 assert set(toolkit.__all__) <= set(dir(toolkit))
@@ -44,6 +54,14 @@ def test_every_module_can_be_imported(run_python):
     result = run_python("-c", IMPORT_EVERYTHING)
     assert result.returncode == 0, result.stderr
     assert {"toolkit.cli.run", "toolkit.native.loading"} < set(result.stdout.split())
+
+
+def test_declared_options_need_the_standard_library_alone(run_python):
+    result = run_python("-c", IMPORT_OPTIONS)
+    assert result.returncode == 0, result.stderr
+    *packages, heavy = result.stdout.splitlines()
+    assert "tracking" in packages
+    assert heavy == "[]"
 
 
 def test_importing_the_toolkit_and_the_command_is_cheap(run_python):

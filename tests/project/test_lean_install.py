@@ -17,7 +17,8 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.rendering import render
-from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.options import DenseOptions
 
 camera = Camera(40.0, 40.0, 23.5, 17.5, 48, 36)
 v, u = np.mgrid[-8.0:44.0:0.5, -8.0:56.0:0.5].reshape(2, -1)

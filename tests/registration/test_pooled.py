@@ -61,7 +61,7 @@ def test_the_coarse_stage_asks_it_where_no_pair_is_sure(room: Scene, generator):
     T_new_source = motion(4, 7.0, 150.0)
     far = moved(room.source, T_new_source)
     # No dense alignment is believed, so that no pair has an offset of its own.
-    limits = replace(MatchingOptions().limits, least_visible=1.1)
+    limits = replace(MatchingOptions().limits, min_visible=1.1)
     options = CoarseOptions(matching=MatchingOptions(limits=limits))
     found = register_coarse(room.target, far, options, generator)
     assert found.result.converged

@@ -6,7 +6,6 @@ from dataclasses import asdict
 
 import pytest
 
-from toolkit.baselines.first_order_tracker import FirstOrderOptions
 from toolkit.closing.parts import ClosingOptions
 from toolkit.gaussians.seeding import SeedingOptions
 from toolkit.loops.candidates import CandidateOptions
@@ -44,20 +43,14 @@ from toolkit.settings.pose_graph import (
 from toolkit.settings.registration import PlacementSettings
 from toolkit.settings.semantics import SemanticLossSettings
 from toolkit.settings.submaps import AllocationSettings, BoundarySettings
-from toolkit.settings.tracking import DenseSettings, FirstOrderSettings, HealthSettings
 from toolkit.submaps.allocation import AllocationOptions
 from toolkit.submaps.atlas import BoundaryOptions
-from toolkit.tracking.dense import DenseOptions
-from toolkit.tracking.health import HealthLimits
 
 PAIRS = [
     (AllocationOptions(), AllocationSettings(least_divergence=0.4)),  # unset: the segmenter's
     (BoundaryOptions(), BoundarySettings()),
     (VerificationOptions(), VerificationSettings()),
     (ClosingOptions(), ClosingSettings()),
-    (DenseOptions(), DenseSettings()),
-    (FirstOrderOptions(), FirstOrderSettings()),
-    (HealthLimits(), HealthSettings()),
     (PlacementOptions(), PlacementSettings()),
     (MapperOptions(), MappingSettings()),
     (SeedingOptions(), SeedingSettings()),

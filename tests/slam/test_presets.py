@@ -9,8 +9,9 @@ import pytest
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.errors import SettingsError
+from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
-from toolkit.settings.files import load, parse, preset_names
+from toolkit.runs.settings import RunSettings, load_settings, preset_names
 
 
 class TinyDataset:
@@ -24,7 +25,7 @@ class TinyDataset:
 
 
 def test_gausem_has_the_values_of_the_paper():
-    settings = load(Path("gausem"))
+    settings = load_settings(Path("gausem"))
     tracking, mapping, loops = settings.tracking, settings.mapping, settings.loops
     assert (tracking.kind, tracking.first_order.preset) == ("first-order", "gausem")
     assert (mapping.loss.colour, mapping.loss.depth) == (1.0, 0.5)  # G-3
@@ -40,10 +41,10 @@ def test_gausem_has_the_values_of_the_paper():
 @pytest.mark.parametrize("name", preset_names())
 def test_a_preset_builds_a_system_that_tracks_and_maps(name):
     frames, _ = tiny_room(2, 48, 36)
-    settings = load(Path(name)).model_dump()
+    settings = as_plain(load_settings(Path(name)))
     settings["mapping"] |= {"first_iterations": 3, "iterations": 2, "final_iterations": 1}
     settings["tracking"]["first_order"]["iterations"] = 3
-    slam = build_slam(TinyDataset(), parse(settings, name))
+    slam = build_slam(TinyDataset(), validated(RunSettings, settings))
     for frame in frames:
         slam.process_frame(frame)
     slam.finish()
@@ -52,11 +53,11 @@ def test_a_preset_builds_a_system_that_tracks_and_maps(name):
 
 def test_a_name_that_is_no_file_and_no_preset_is_an_error():
     with pytest.raises(SettingsError, match="cannot read settings"):
-        load(Path("gausen"))
+        load_settings(Path("gausen"))
 
 
 def test_a_file_takes_precedence_over_a_preset(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("gausem").write_text("seed: 7\n")
-    assert load(Path("gausem")).seed == 7
-    assert load(Path("gausem")).tracking.kind == "dense"
+    assert load_settings(Path("gausem")).seed == 7
+    assert load_settings(Path("gausem")).tracking.kind == "dense"

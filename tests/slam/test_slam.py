@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from slam_room import FEW, SlamRoom, fed, fingerprint, new_semantic_slam, new_slam
 
-from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
+from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
@@ -24,6 +24,7 @@ from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.options import FirstOrderOptions
 
 
 def errors_m(slam: Slam, room: SlamRoom) -> np.ndarray:

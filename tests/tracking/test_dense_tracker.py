@@ -23,7 +23,8 @@ from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import surface, texture
-from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.result import Health
 
 

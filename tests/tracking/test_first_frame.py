@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from tracked_room import Room, blind_frame, dead_sensor_frame
 
-from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
+from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.tracker import Tracker
 
 

@@ -11,7 +11,8 @@ from tracked_room import Room
 from toolkit.alignment.data import INITIAL_SCALES, ResidualScales
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.health import HealthLimits, believable, forgetting, gone_astray
+from toolkit.tracking.health import believable, forgetting, gone_astray
+from toolkit.tracking.options import HealthLimits
 
 LIMITS = HealthLimits()
 USUAL = ResidualScales(0.02, 0.003)

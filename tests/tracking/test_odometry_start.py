@@ -29,8 +29,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking import dense, odometry
-from toolkit.tracking.dense import DenseOptions, DenseTracker
+from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.odometry import frame_to_model
+from toolkit.tracking.options import DenseOptions
 
 # A step of 15 cm and 15 degrees in these directions (of `small_motion`) is far too large for the
 # tracker's own levels, and not for odometry, on every instruction set: of 300 directions those

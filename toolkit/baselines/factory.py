@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from toolkit.baselines.clouds import CloudOptions, CloudRegistration
 from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
-from toolkit.baselines.first_order_tracker import FirstOrderOptions, FirstOrderTracker
+from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Recorder
@@ -17,30 +17,27 @@ from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, Sgr
 from toolkit.registration.views import ViewDrawer
 from toolkit.semantics.codes import SemanticCode
 from toolkit.settings.registration import FineSettings, RegistrationSettings
-from toolkit.settings.tracking import TrackingSettings
-from toolkit.tracking.factory import build_dense_tracker
-from toolkit.tracking.health import HealthLimits
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.options import TrackingOptions
 from toolkit.tracking.tracker import Tracker
 
 
 def build_tracker(
-    settings: TrackingSettings,
+    options: TrackingOptions,
     backend_name: str = "auto",
     recorder: Recorder | None = None,
     code: SemanticCode | None = None,
     centred: bool = True,
 ) -> Tracker:
-    """Build the tracker that the settings name.
+    """Build the tracker that the options name.
 
     Args:
         code: semantic code of the map's features.
         centred: the map's colours belong to the Gaussians' centres, see `MapperOptions`.
     """
-    if settings.kind == "first-order":
-        limits = HealthLimits(**settings.health.model_dump())
-        options = FirstOrderOptions(**settings.first_order.model_dump())
-        return FirstOrderTracker(options, limits, backend_name, recorder, code)
-    return build_dense_tracker(settings, backend_name, recorder, centred)
+    if options.kind == "first-order":
+        return FirstOrderTracker(options.first_order, options.health, backend_name, recorder, code)
+    return DenseTracker(options.dense, options.health, backend_name, recorder, centred)
 
 
 def build_registrar(

@@ -32,30 +32,11 @@ from toolkit.native.constants import SILHOUETTE
 from toolkit.rendering import RenderOutput, backend
 from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
-from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.health import verdict
 from toolkit.tracking.moving import MovingTracker
+from toolkit.tracking.options import FirstOrderOptions, HealthLimits
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 from toolkit.tracking.result import TrackingResult
-
-
-@dataclass(frozen=True)
-class FirstOrderOptions:
-    """Values of the first-order tracker.
-
-    Attributes:
-        preset: loss weights, "hier-slam" or "gausem".
-        iterations: Adam steps a frame.
-        translation_rate, rotation_rate: step sizes in metres and radians.
-        semantic: weight of the semantic term, or None for the preset's (hier-slam 0, gausem 0.5).
-            The term needs a code and labelled frames; 0 leaves it out.
-    """
-
-    preset: str = "hier-slam"
-    iterations: int = 40
-    translation_rate: float = 0.002
-    rotation_rate: float = 0.001
-    semantic: float | None = None
-
 
 # How the final pose is judged: rounds of the residual scales' fixed point, the gate on depth
 # differences (share of the depth) and the least silhouette. The latter is the dense tracker's,

@@ -1,4 +1,4 @@
-"""Command lines: tyro's parsing, with our one-line errors."""
+"""Command lines: parsed by tyro into dataclasses and validated, with errors on one line."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import tyro
 
 from toolkit.errors import SettingsError
+from toolkit.options import suggestion, validated
 
 Arguments = TypeVar("Arguments")
 
@@ -19,34 +20,47 @@ Arguments = TypeVar("Arguments")
 def parse_arguments(
     kind: type[Arguments], argv: Sequence[str], job: str, **options: Any
 ) -> Arguments:
-    """Arguments of a program as an object of a dataclass or settings model.
+    """The arguments of a program as a validated dataclass.
 
     Args:
-        kind: what to make. argv: the words after the job's name. job: its name.
+        kind: dataclass of the arguments.
+        argv: command line after the job's name.
+        job: name of the job.
         options: passed to `tyro.cli`, for instance a default.
 
     Raises:
-        SettingsError: a word is unknown or a value wrong; one line.
-        SystemExit: help was asked for and printed.
+        SettingsError: an option is unknown or a value is invalid; the message is one line.
+        SystemExit: help was requested and printed.
     """
-    box = io.StringIO()
+    errors = io.StringIO()
     try:
-        with contextlib.redirect_stderr(box):
-            return tyro.cli(kind, args=list(argv), prog=f"semsplat {job}", **options)
+        with contextlib.redirect_stderr(errors):
+            parsed = tyro.cli(kind, args=list(argv), prog=f"semsplat {job}", **options)
     except SystemExit as end:
         if not end.code:
             raise
-    raise SettingsError(f"{_first_fault(box.getvalue())}; see: semsplat {job} --help")
+        message = _first_error(errors.getvalue(), kind)
+        raise SettingsError(f"{message}; see: semsplat {job} --help") from None
+    return validated(kind, parsed, shown=_flag)
 
 
-def _first_fault(box: str) -> str:
-    """The message of tyro's error in one line; its frame is of ASCII where stdout is."""
+def _flag(key: str) -> str:
+    return "--" + key.replace("_", "-")
+
+
+def _first_error(box: str, kind: type) -> str:
+    """The message in the box that tyro prints, on one line; an unknown option with the nearest.
+
+    The box is drawn in ASCII where stdout is ASCII.
+    """
     lines = [line.strip("│ ") for line in box.splitlines()][1:]  # below the title
     if lines and not lines[0].strip("-"):
         del lines[0]
     # Up to the rule above the help text.
     message = itertools.takewhile(lambda line: line.strip("─- "), lines)
-    text = " ".join(" ".join(message).split())
-    text = re.sub(r" ?For further information visit \S+", "", text)
-    text = re.sub(r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r", got \1", text)
-    return text.rstrip(".") or "wrong arguments"
+    text = " ".join(" ".join(message).split()).rstrip(".")
+    unknown = re.match(r"Unrecognized options: (--([\w.-]+))", text)
+    if unknown:
+        key = unknown[2].replace("-", "_")
+        return f"unknown option {unknown[1]}" + suggestion(kind, key, _flag)
+    return text or "invalid arguments"

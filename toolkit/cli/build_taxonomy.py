@@ -15,6 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.datasets.options import DatasetKind
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
@@ -23,7 +24,6 @@ from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURES
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.taxonomy_text import tree_text
-from toolkit.settings.run import DatasetKind
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.taxonomy_building.grouper import Grouper, Grouping, Question
 from toolkit.taxonomy_building.language_model.chat import ChatModel, NoModelError

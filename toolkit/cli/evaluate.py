@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
@@ -12,9 +12,9 @@ import tyro
 from toolkit.cli.arguments import parse_arguments
 from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
+from toolkit.evaluation.options import EvaluationOptions
 from toolkit.runs.evaluation import evaluate
 from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.settings.run import EvaluationSettings
 
 _log = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> EvaluationSettings:
+def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> EvaluationOptions:
     """The run's evaluation settings with the changes from the command line."""
     weights = options.lpips_weights or run.settings.evaluation.lpips_weights
     missing = [str(file) for file in weights if not file.is_file()]
@@ -97,7 +97,7 @@ def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> Evaluati
         weights = ()
     evaluation = run.settings.evaluation
     subset = options.subset or evaluation.subset
-    return evaluation.model_copy(update={"lpips_weights": weights, "subset": subset})
+    return replace(evaluation, lpips_weights=weights, subset=subset)
 
 
 def _earlier_metrics(run: FinishedRun) -> Metrics:

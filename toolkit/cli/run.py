@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 from tqdm import tqdm
@@ -14,22 +13,25 @@ from tqdm import tqdm
 from toolkit.cli.arguments import parse_arguments
 from toolkit.frame import Frame
 from toolkit.runs.execution import run
-from toolkit.settings.files import load
-from toolkit.settings.run import RunSettings
+from toolkit.runs.settings import RunSettings, load_settings
 
 
-@dataclass(frozen=True)
-class RunProgram:
+@dataclass(frozen=True, kw_only=True)
+class RunProgram(RunSettings):
     """Track and map an RGB-D sequence."""
 
     out: Path
-    """Run folder to write."""
-    settings: Annotated[RunSettings, tyro.conf.arg(name="")] = field(default_factory=RunSettings)
+    """Folder of the run, new or empty unless the run is resumed."""
     config: Path | None = None
-    """YAML settings to start from, or the preset `gausem` (the values of GauSem-SLAM's paper).
-    Options on the command line override them."""
+    """YAML file of settings, or the preset gausem (the values of GauSem-SLAM's paper). Options on
+    the command line take precedence."""
     resume: bool = False
-    """Go on from the last checkpoint of an interrupted run."""
+    """Continue an interrupted run from its last checkpoint."""
+
+    @property
+    def settings(self) -> RunSettings:
+        """The settings of the run."""
+        return RunSettings(**{f.name: getattr(self, f.name) for f in fields(RunSettings)})
 
 
 def main(argv: Sequence[str]) -> int:
@@ -46,8 +48,8 @@ def main(argv: Sequence[str]) -> int:
 def _parse(argv: list[str]) -> RunProgram:
     start = RunSettings()
     if "--config" in argv[:-1]:
-        start = load(Path(argv[argv.index("--config") + 1]))
-    default = RunProgram(out=tyro.MISSING, settings=start)
+        start = load_settings(Path(argv[argv.index("--config") + 1]))
+    default = RunProgram(out=tyro.MISSING, **vars(start))
     return parse_arguments(RunProgram, argv, "run", default=default)
 
 

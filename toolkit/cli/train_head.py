@@ -13,10 +13,10 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.base import Dataset
+from toolkit.datasets.options import DatasetKind
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.frame import Frame
-from toolkit.settings.run import DatasetKind
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from toolkit.settings.registration import (
     PlacementSettings,
     RegistrationSettings,
 )
-from toolkit.tracking.health import HealthLimits
 
 
 def build_placement(settings: PlacementSettings) -> KeyframePlacement | None:
@@ -50,7 +49,7 @@ def matching_options(settings: MatchingSettings) -> MatchingOptions:
     """Values of `measure_offset`."""
     values: dict[str, Any] = settings.model_dump()
     values["dense"] = JointOptions(**values["dense"])
-    values["limits"] = HealthLimits(**values["limits"])
+    values["limits"] = settings.limits
     return MatchingOptions(**values)
 
 

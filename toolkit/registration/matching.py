@@ -18,7 +18,8 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.registration.views import observed_level
-from toolkit.tracking.health import HealthLimits, verdict
+from toolkit.tracking.health import verdict
+from toolkit.tracking.options import HealthLimits
 from toolkit.tracking.result import Health
 
 Array = NDArray[np.float64]

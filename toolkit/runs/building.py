@@ -14,9 +14,9 @@ from toolkit.mapping.factory import build_mapper, build_semantic_mapping
 from toolkit.registration.factory import build_placement
 from toolkit.rendering import map_device
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.labeller import Labeller
-from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.factory import build_atlas
 from toolkit.taxonomy_building.factory import build_labeller

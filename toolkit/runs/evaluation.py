@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.options import EvaluationOptions
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.evaluation.semantic_views import SemanticReading
 from toolkit.gaussians.scene import GaussianScene, WholeScene
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
+from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.run import EvaluationSettings, RunSettings
 
 
 def evaluate(
     run: FinishedRun,
     dataset_path: str | os.PathLike[str] | None = None,
     max_views: int = MeasureOptions.max_views,
-    evaluation: EvaluationSettings | None = None,
+    evaluation: EvaluationOptions | None = None,
 ) -> Metrics:
     """Evaluate a finished run.
 
@@ -43,9 +45,9 @@ def evaluate(
     """
     dataset = run.open_dataset(dataset_path)
     path = Path(dataset_path) if dataset_path else run.dataset_path
-    location = run.settings.dataset.model_copy(update={"path": path})
+    location = replace(run.settings.dataset, path=path)
     evaluation = evaluation or run.settings.evaluation
-    settings = run.settings.model_copy(update={"dataset": location, "evaluation": evaluation})
+    settings = replace(run.settings, dataset=location, evaluation=evaluation)
     reading = reading_of(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = WholeScene(run.gaussians)
     figures = measured(scene, run.tracked, dataset, settings, reading, max_views)

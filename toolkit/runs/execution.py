@@ -6,6 +6,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset
@@ -21,8 +22,7 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.results import held_out, write_results
 from toolkit.runs.saved_map import begin_in_map, open_saved_map
-from toolkit.settings.files import dump
-from toolkit.settings.run import RunSettings
+from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
 _log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def run(
     path = _dataset_path(settings, out, resume, progress)
     settings = with_absolute_paths(_with_path(settings, path))
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
-    config = dump(settings)
+    config = dump_settings(settings)
     lpips_of(settings)  # reports unusable weights before the run instead of after it
     # Before the folder is created: the saved map may be unsuitable.
     begun = resume and RunFolder(out).has_checkpoint
@@ -100,8 +100,7 @@ def _dataset_path(settings: RunSettings, out: Path, resume: bool, progress: Prog
 
 
 def _with_path(settings: RunSettings, path: Path) -> RunSettings:
-    dataset = settings.dataset.model_copy(update={"path": path})
-    return settings.model_copy(update={"dataset": dataset})
+    return replace(settings, dataset=replace(settings.dataset, path=path))
 
 
 def _process(

@@ -23,10 +23,9 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.files import load
-from toolkit.settings.run import RunSettings
 from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 
@@ -138,7 +137,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
                 "give its semsplat run command again, with --resume"
             )
     content = _read_frames(folder.frames)
-    settings = load(folder.config)
+    settings = load_settings(folder.config)
     taxonomy = folder.read_taxonomy()
     code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from toolkit.settings.run import RunSettings
+from toolkit.runs.settings import RunSettings
 
 
 def absolute(path: Path) -> Path:
@@ -27,7 +28,7 @@ def with_absolute_paths(settings: RunSettings) -> RunSettings:
     taxonomy = Path(settings.semantics.taxonomy)
     if taxonomy.is_file():
         semantics = settings.semantics.model_copy(update={"taxonomy": str(absolute(taxonomy))})
-        settings = settings.model_copy(update={"semantics": semantics})
+        settings = replace(settings, semantics=semantics)
     return settings
 
 
@@ -36,7 +37,11 @@ def _absolute_in(value: Any) -> Any:
         return absolute(value)
     if isinstance(value, tuple):
         return tuple(_absolute_in(item) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(
+            value, **{f.name: _absolute_in(getattr(value, f.name)) for f in fields(value)}
+        )
     if isinstance(value, BaseModel):
-        fields = {name: _absolute_in(getattr(value, name)) for name in type(value).model_fields}
-        return value.model_copy(update=fields)
+        values = {name: _absolute_in(getattr(value, name)) for name in type(value).model_fields}
+        return value.model_copy(update=values)
     return value

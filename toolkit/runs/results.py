@@ -34,11 +34,10 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.runs.evaluation import alignment_of, measured, reading_of
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.files import dump
-from toolkit.settings.run import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas
 
@@ -246,7 +245,7 @@ def _report(
         alignment=alignment_of(settings),
         views=views,
         stage_times=watch.stage_times(),
-        settings=dump(settings),
+        settings=dump_settings(settings),
         warnings=[f"frame {index} is lost" for index in slam.lost_frames],
         machine=f"semsplat {__version__}, torch {torch.__version__}, "
         f"{torch.get_num_threads()} threads",

@@ -9,7 +9,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.errors import SettingsError
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.settings.run import RunSettings
+from toolkit.runs.settings import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.submap import Submap
 

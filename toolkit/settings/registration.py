@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from toolkit.settings.base import Settings
-from toolkit.settings.tracking import HealthSettings
+from toolkit.tracking.options import HealthLimits
 
 
 class JointAlignmentSettings(Settings):
@@ -34,7 +34,7 @@ class MatchingSettings(Settings):
     least_matches: int = Field(12, ge=3, description="fewest that agree")
     largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
     dense: JointAlignmentSettings = JointAlignmentSettings(levels=3)
-    limits: HealthSettings = HealthSettings()
+    limits: HealthLimits = HealthLimits()
     redundancy: float = Field(5.0, ge=1, description="residuals that count as one")
 
 

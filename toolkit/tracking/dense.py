@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
@@ -33,7 +32,6 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking.health import (
-    HealthLimits,
     believable,
     forgetting,
     gone_astray,
@@ -42,42 +40,11 @@ from toolkit.tracking.health import (
 )
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
+from toolkit.tracking.options import DenseOptions, HealthLimits
 from toolkit.tracking.prepared import FramesAhead, PreparedFrame
 from toolkit.tracking.result import Health, TrackingResult
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class DenseOptions:
-    """Values of the dense tracker.
-
-    Attributes:
-        levels: pyramid levels; the coarsest image should keep at least 30 pixels a side.
-        iterations: most Gauss-Newton steps a level.
-        renders: most views drawn a frame.
-        rerender_distance: draw again when the pose moved by more than this share of the
-            median depth (translation) or this angle in radians.
-        least_silhouette: rendered pixels thinner than this are not trusted.
-        max_distance: gate on depth differences at the finest level, as a share of depth;
-            doubled at every coarser level.
-        exposure: estimate gain and bias of every frame.
-        photometric_weight: weight of the photometric term against the geometric one.
-        start: where alignment begins. "velocity": where constant velocity or standing still
-            put the camera. "auto": where a frame then fits badly, once more where Open3D's
-            odometry puts it, if Open3D is installed. "both": so for every frame. The better
-            fit is kept.
-    """
-
-    levels: int = 4
-    iterations: int = 12
-    renders: int = 3
-    rerender_distance: float = 0.02
-    least_silhouette: float = 0.9
-    max_distance: float = 0.05
-    exposure: bool = True
-    photometric_weight: float = 1.0
-    start: Literal["velocity", "auto", "both"] = "auto"
 
 
 # Fewer residuals than this fix no pose.
@@ -216,7 +183,7 @@ class DenseTracker(MovingTracker):
         return result
 
     def _draw(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
-        camera, thin = task.frame.camera, self.options.least_silhouette
+        camera, thin = task.frame.camera, self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
         with self._recorder.timed("tracking render"):
             options = DrawOptions(thin)

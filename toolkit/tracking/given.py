@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.tracking.health import HealthLimits, may_start_map
+from toolkit.tracking.health import may_start_map
+from toolkit.tracking.options import HealthLimits
 from toolkit.tracking.result import Health, TrackingResult
 
 

@@ -3,38 +3,16 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import INITIAL_SCALES, ResidualScales
 from toolkit.frame import Frame
+from toolkit.tracking.options import HealthLimits
 from toolkit.tracking.result import Health
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class HealthLimits:
-    """Bounds beyond which a frame counts as lost.
-
-    Attributes:
-        least_measured: fewest frame pixels with depth.
-        least_visible: smallest share of them that the map explains.
-        most_intensity: largest photometric scale, intensities in [0, 1].
-        most_depth_m: largest geometric scale at 1 m, metres.
-        least_information: smallest eigenvalue of the information matrix (1 / m^2 or rad^2).
-        most_misfit: largest product of both scales, in units of the frame before.
-    """
-
-    least_measured: int = 200
-    least_visible: float = 0.15
-    most_intensity: float = 0.15
-    most_depth_m: float = 0.04
-    least_information: float = 1e4
-    most_misfit: float = 4.0
-
 
 # Smaller scales do not predict those of the next frame: on ideal images the fit can become
 # several times worse where the map is new.
@@ -53,7 +31,7 @@ def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
     measured = int((np.isfinite(frame.depth_m) & (frame.depth_m > 0)).sum())
     if not np.isfinite(frame.rgb).all():
         fault = "its colour holds values that are not finite"
-    elif measured < limits.least_measured:
+    elif measured < limits.min_measured:
         fault = f"only {measured} pixels have depth"
     else:
         return True
@@ -69,18 +47,18 @@ def verdict(
     measured: float,
 ) -> tuple[Health, str]:
     """GOOD, or LOST with the reason in plain words."""
-    if measured < limits.least_measured:
+    if measured < limits.min_measured:
         return Health.LOST, f"only {measured:.0f} pixels have depth"
-    if visible_fraction < limits.least_visible:
+    if visible_fraction < limits.min_visible:
         return Health.LOST, f"the map explains only {100 * visible_fraction:.0f} % of the frame"
-    if scales.depth_m > limits.most_depth_m:
+    if scales.depth_m > limits.max_depth_residual_m:
         return Health.LOST, f"depth disagrees by {100 * scales.depth_m:.1f} cm at 1 m"
-    if scales.intensity > limits.most_intensity:
+    if scales.intensity > limits.max_intensity_residual:
         return Health.LOST, f"intensity disagrees by {scales.intensity:.2f}"
     if not np.isfinite(information).all():
         return Health.LOST, "the images hold values that are not finite"
     weakest = float(np.linalg.eigvalsh(information)[0])
-    if not weakest > limits.least_information:
+    if not weakest > limits.min_information:
         return Health.LOST, f"the view does not fix the pose (information {weakest:.1e})"
     return Health.GOOD, ""
 
@@ -95,7 +73,7 @@ def gone_astray(limits: HealthLimits, found: ResidualScales, before: ResidualSca
     usual = _USUAL_SCALES
     before_product = max(before.intensity, usual.intensity) * max(before.depth_m, usual.depth_m)
     misfit = found.intensity * found.depth_m / before_product
-    if misfit <= limits.most_misfit:
+    if misfit <= limits.max_residual_ratio:
         return ""
     return f"it fits {misfit:.1f} times worse than the frame before"
 

@@ -7,8 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.tracking.health import HealthLimits, may_start_map
+from toolkit.tracking.health import may_start_map
 from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.options import HealthLimits
 
 
 class MovingTracker:

@@ -1,0 +1,66 @@
+"""The settings of a run: read from YAML, written to it, each option documented."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from toolkit.datasets.options import DatasetOptions
+from toolkit.errors import SettingsError
+from toolkit.options import nested_options
+from toolkit.runs.settings import RunSettings, dump_settings, load_settings
+from toolkit.tracking.options import TrackingOptions
+
+
+def test_settings_survive_a_yaml_file(tmp_path):
+    settings = RunSettings(
+        dataset=DatasetOptions(kind="tum", path=tmp_path),
+        image_size=(320, 240),
+        tracking=TrackingOptions(kind="first-order"),
+    )
+    file = tmp_path / "config.yaml"
+    file.write_text(dump_settings(settings))
+    assert load_settings(file) == settings
+    assert dump_settings(load_settings(file)) == dump_settings(replace(settings))
+
+
+def test_absent_keys_keep_their_defaults(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("")
+    assert load_settings(file) == RunSettings()
+    file.write_text("tracking: {dense: {levels: 3}}\n")
+    assert load_settings(file).tracking.dense.levels == 3
+    assert load_settings(file).tracking.health == RunSettings().tracking.health
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- 1", "must contain keys and values, not list"),
+        ("a: [", "is not YAML"),
+        ("sed: 3", "unknown option 'sed'; did you mean option 'seed'?"),
+        ("seed: x", "option 'seed': input should be a valid integer"),
+        ("tracking: {dense: {min_silhouete: 1}}", "option 'tracking.dense.min_silhouette'?"),
+    ],
+)
+def test_an_invalid_file_is_named_with_the_key(tmp_path, text, message):
+    file = tmp_path / "config.yaml"
+    file.write_text(text)
+    with pytest.raises(SettingsError) as error:
+        load_settings(file)
+    assert str(error.value).startswith(str(file))
+    assert message in str(error.value)
+
+
+def test_an_unreadable_file_is_an_error(tmp_path):
+    with pytest.raises(SettingsError, match=r"cannot read settings .*: No such file"):
+        load_settings(tmp_path / "config.yaml")
+
+
+@pytest.mark.parametrize("option", nested_options(RunSettings), ids=lambda option: option.key)
+def test_every_option_is_described_by_a_complete_phrase(option):
+    if option.key.split(".")[0] in ("mapping", "placement", "semantics", "submaps", "loops"):
+        pytest.skip("its stage still declares settings")
+    assert option.description.endswith(".")
+    assert option.description[0].isupper()

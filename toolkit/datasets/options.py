@@ -1,0 +1,19 @@
+"""Options of datasets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+DatasetKind = Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
+
+
+@dataclass(frozen=True)
+class DatasetOptions:
+    """The dataset of a run."""
+
+    kind: DatasetKind = "synthetic"
+    """Layout of the dataset."""
+    path: Path | None = None
+    """Folder of the dataset. By default, a synthetic room is created beside the run folder."""

@@ -1,0 +1,104 @@
+"""The settings of a run: the options of all stages, and those of the run itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+
+from toolkit.datasets.options import DatasetOptions
+from toolkit.errors import SettingsError
+from toolkit.evaluation.options import EvaluationOptions
+from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
+from toolkit.settings.loop_closure import LoopClosureSettings
+from toolkit.settings.mapping import MappingSettings
+from toolkit.settings.registration import PlacementSettings
+from toolkit.settings.semantics import SemanticsSettings
+from toolkit.settings.submaps import SubmapSettings
+from toolkit.tracking.options import TrackingOptions
+
+# Settings of the papers' systems, for comparison.
+PRESETS = Path(__file__).with_name("presets")
+
+
+@dataclass(frozen=True)
+class CheckpointOptions:
+    """How often a run saves a checkpoint."""
+
+    every_s: PositiveFloat = 30.0
+    """Maximum time between checkpoints, in seconds."""
+    every_keyframes: PositiveInt = 50
+    """Maximum number of keyframes between checkpoints."""
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Everything that determines the result of a run."""
+
+    dataset: DatasetOptions = DatasetOptions()
+    image_size: tuple[PositiveInt, PositiveInt] | None = None
+    """Width and height in pixels to which images are resized. By default, they keep their size."""
+    seed: NonNegativeInt = 0
+    """Seed of all random choices."""
+    max_frames: PositiveInt | None = None
+    """Maximum number of frames to process. By default, all frames are processed."""
+    hold_out: Annotated[int, Range(ge=2)] | None = None
+    """Exclude every n-th frame from mapping and evaluate it as a novel view. By default, no frame
+    is excluded."""
+    denoise: bool = True
+    """Smooth depth images according to their estimated noise."""
+    poses: Literal["slam", "given"] = "slam"
+    """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
+    map: Path | None = None
+    """Folder of a finished run whose map is localised in and extended. By default, a new map is
+    started."""
+    # Not "auto": the GPU path has not been validated on a GPU, so it must be requested.
+    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    """Device for tracking and mapping. CUDA is experimental."""
+    backend: Literal["auto", "native", "reference", "cuda", "gsplat"] = "auto"
+    """Renderer."""
+    tracking: TrackingOptions = TrackingOptions()
+    placement: PlacementSettings = PlacementSettings()
+    mapping: MappingSettings = MappingSettings()
+    semantics: SemanticsSettings = SemanticsSettings()
+    submaps: SubmapSettings = SubmapSettings()
+    loops: LoopClosureSettings = LoopClosureSettings()
+    checkpoint: CheckpointOptions = CheckpointOptions()
+    evaluation: EvaluationOptions = EvaluationOptions()
+
+
+def load_settings(path: Path) -> RunSettings:
+    """Read settings from a YAML file or a preset; absent keys keep their defaults.
+
+    Args:
+        path: the file, or the name of a preset. A file of that name takes precedence.
+
+    Raises:
+        SettingsError: the file is unreadable, or a key is unknown or a value invalid.
+    """
+    if not path.exists() and str(path) in preset_names():
+        path = PRESETS / f"{path}.yaml"
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"cannot read settings {path}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if content is None:
+        content = {}
+    if not isinstance(content, dict):
+        raise SettingsError(f"{path} must contain keys and values, not {type(content).__name__}")
+    return validated(RunSettings, content, str(path))
+
+
+def preset_names() -> list[str]:
+    """Names of the bundled presets."""
+    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+def dump_settings(settings: RunSettings) -> str:
+    """All settings as YAML; identical for equal settings."""
+    content: dict[str, Any] = as_plain(settings)
+    return str(yaml.safe_dump(content, sort_keys=False))

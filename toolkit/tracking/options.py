@@ -1,0 +1,88 @@
+"""Options of tracking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from toolkit.options import (
+    Fraction,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+)
+
+
+@dataclass(frozen=True)
+class HealthLimits:
+    """Limits beyond which a tracked frame counts as lost."""
+
+    min_measured: PositiveInt = 200
+    """Minimum number of pixels with a depth measurement."""
+    min_visible: Fraction = 0.15
+    """Minimum fraction of the measured pixels that the map explains."""
+    max_intensity_residual: PositiveFloat = 0.15
+    """Maximum robust scale of the photometric residuals, for intensities in [0, 1]."""
+    max_depth_residual_m: PositiveFloat = 0.04
+    """Maximum robust scale of the depth residuals at a depth of 1 m, in metres."""
+    min_information: NonNegativeFloat = 1e4
+    """Minimum eigenvalue of the pose's information matrix, in 1/m^2 and 1/rad^2."""
+    max_residual_ratio: PositiveFloat = 4.0
+    """Maximum product of the photometric and the depth scale, relative to the previous frame."""
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """Options of the dense tracker: Gauss-Newton alignment to the rendered map."""
+
+    levels: Annotated[int, Range(ge=1, le=7)] = 4
+    """Number of image pyramid levels. The coarsest image should keep 30 pixels per side."""
+    iterations: PositiveInt = 12
+    """Maximum number of Gauss-Newton iterations per pyramid level."""
+    renders: PositiveInt = 3
+    """Maximum number of renderings of the map per frame."""
+    rerender_distance: PositiveFloat = 0.02
+    """Pose change that triggers a new rendering: translation as a fraction of the median depth,
+    or rotation in radians."""
+    min_silhouette: Annotated[float, Range(gt=0, lt=1)] = 0.9
+    """Minimum silhouette of the rendered pixels used for tracking."""
+    max_distance: PositiveFloat = 0.05
+    """Maximum depth difference of corresponding pixels at the finest pyramid level, as a fraction
+    of depth. It doubles with every coarser level."""
+    exposure: bool = True
+    """Estimate the exposure (gain and bias) of each frame."""
+    photometric_weight: PositiveFloat = 1.0
+    """Weight of the photometric term relative to the geometric term."""
+    start: Literal["velocity", "auto", "both"] = "auto"
+    """Initial pose of a frame. velocity: constant velocity, or the previous pose; auto: also
+    Open3D's odometry if the frame then fits badly; both: also Open3D's odometry for every frame.
+    The better fit is kept."""
+
+
+@dataclass(frozen=True)
+class FirstOrderOptions:
+    """Options of the papers' tracker: Adam on the camera pose."""
+
+    preset: Literal["hier-slam", "gausem"] = "hier-slam"
+    """Loss weights of Hier-SLAM (hier-slam) or GauSem (gausem)."""
+    iterations: PositiveInt = 40
+    """Number of Adam iterations per frame."""
+    translation_rate: PositiveFloat = 0.002
+    """Learning rate of the translation, in metres."""
+    rotation_rate: PositiveFloat = 0.001
+    """Learning rate of the rotation, in radians."""
+    semantic: NonNegativeFloat | None = None
+    """Weight of the semantic term, which needs labels; 0 disables it. By default, the preset's
+    weight (hier-slam 0, gausem 0.5)."""
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """Options of tracking."""
+
+    kind: Literal["dense", "first-order"] = "dense"
+    """Tracker: dense Gauss-Newton (dense) or the papers' Adam (first-order)."""
+    dense: DenseOptions = DenseOptions()
+    first_order: FirstOrderOptions = FirstOrderOptions()
+    health: HealthLimits = HealthLimits()
