@@ -8,13 +8,15 @@
 #include <tuple>
 #include <vector>
 
-#include "alignment/alignment.hpp"
+#include "alignment/levels.hpp"
+#include "alignment/normal_equations.hpp"
 #include "depth_filter/depth_filter.hpp"
 #include "losses/rgbd_loss.hpp"
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
 #include "optimisation/adam.hpp"
 #include "rendering/splats.hpp"
+#include "rendering/surface.hpp"
 
 namespace py = pybind11;
 
@@ -84,33 +86,33 @@ void copy_visible(const Rasterisation& state, Address ids) {
 
 // images, centres: [5, H, W] and [3, H, W] of a rendering; depth: [H, W].
 void depth_of_surface(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
-                      Address images, Address centres, double least_silhouette, Address depth) {
+                      Address images, Address centres, double min_silhouette, Address depth) {
     const py::gil_scoped_release release;
     surface_depth(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
-                  at<const float>(centres), (float)least_silhouette, at<float>(depth));
+                  at<const float>(centres), (float)min_silhouette, at<float>(depth));
 }
 
 // images: [5 + S, H, W] of a rendering; intensity: [H, W].
-void align_intensity(const Size& size, Address images, double least_silhouette, Address intensity) {
+void align_intensity(const Size& size, Address images, double min_silhouette, Address intensity) {
     const py::gil_scoped_release release;
-    intensity_of(pinhole({1, 1, 0, 0}, size), at<const float>(images), (float)least_silhouette,
+    intensity_of(pinhole({1, 1, 0, 0}, size), at<const float>(images), (float)min_silhouette,
                  at<float>(intensity));
 }
 
 // As depth_of_surface; intensity: [H, W].
 void intensity_at_centres(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
-                          Address images, Address centres, double least_silhouette, Address intensity) {
+                          Address images, Address centres, double min_silhouette, Address intensity) {
     const py::gil_scoped_release release;
     centred_intensity(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
-                      at<const float>(centres), (float)least_silhouette, at<float>(intensity));
+                      at<const float>(centres), (float)min_silhouette, at<float>(intensity));
 }
 
 // rgb, out: [3, H, W].
 void sampled_at_centres(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
-                        Address images, Address centres, double least_silhouette, Address rgb, Address out) {
+                        Address images, Address centres, double min_silhouette, Address rgb, Address out) {
     const py::gil_scoped_release release;
     texture_at_centres(pinhole(intrinsics, size), T_camera_map.data(), at<const float>(images),
-                       at<const float>(centres), (float)least_silhouette, at<const float>(rgb), at<float>(out));
+                       at<const float>(centres), (float)min_silhouette, at<const float>(rgb), at<float>(out));
 }
 
 void align_level(const Intrinsics& intrinsics, const Size& size, Address intensity, Address depth,
@@ -120,10 +122,10 @@ void align_level(const Intrinsics& intrinsics, const Size& size, Address intensi
                       at<float>(texture), at<float>(surface));
 }
 
-void align_halve(const Size& size, Address intensity, Address depth, double edge, Address half_intensity,
+void align_halve(const Size& size, Address intensity, Address depth, double max_difference, Address half_intensity,
                  Address half_depth) {
     const py::gil_scoped_release release;
-    halve(size[0], size[1], at<const float>(intensity), at<const float>(depth), (float)edge,
+    halve(size[0], size[1], at<const float>(intensity), at<const float>(depth), (float)max_difference,
           at<float>(half_intensity), at<float>(half_depth));
 }
 
