@@ -48,7 +48,7 @@ test: ready .stamps/emulator
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
-	.venv/bin/python -m benchmarks.renderer
+	.venv/bin/python -m benchmarks.renderer --out runs/bench
 	.venv/bin/python -m benchmarks.compare_open3d --dataset.kind synthetic \
 		--dataset.path $(DEMO_ROOM) --max-frames 100
 

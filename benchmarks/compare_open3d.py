@@ -1,12 +1,14 @@
-"""Ours beside Open3D on the same frames: one Markdown table.
+"""semsplat and Open3D on the same frames.
 
+    SEMSPLAT_DATA=DATA python -m benchmarks.compare_open3d redkitchen
     python -m benchmarks.compare_open3d --dataset.kind seven-scenes --dataset.path DIR \\
         --image-size 320 240
 
-Each row runs in a process of its own: Open3D's dense SLAM (frame-to-model, with its
-iterations and with more), Open3D's frame-to-frame odometry (two methods), and `semsplat run`. With
-`--repeats 3` each row is the median, since Open3D differs from run to run on several
-threads; ours then runs with the seeds 0, 1, 2.
+Named sequences have a file of results, other datasets are printed. Each row runs in a process of
+its own: Open3D's dense SLAM (frame-to-model, with its own number of iterations and with more),
+Open3D's frame-to-frame odometry (two methods) and `semsplat run`. With `--repeats 3` each row is
+the median, since Open3D differs from run to run on several threads; semsplat then runs with the
+seeds 0, 1, 2.
 """
 
 from __future__ import annotations
@@ -25,7 +27,10 @@ from typing import Any, Literal, get_args
 
 import tyro
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import sequence_arguments
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 
 RowName = Literal["dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat"]
 Figures = dict[str, float | None]
@@ -52,10 +57,11 @@ TITLES = {
 }
 
 
-TIMES_NOTE = (
-    "Times: Open3D's are medians over frames; ours are means, since mapping does not run on "
-    "every frame, and the whole frame includes the refinement at the end."
-)
+NOTE = """\
+Default settings of semsplat (`--image-size 320 240` on RedKitchen and fr1/rpy, native size
+elsewhere); Open3D with its normal threads, 1 cm voxels. Open3D's times are medians over frames;
+those of semsplat are means, since mapping does not run on every frame, and its whole frame includes
+labelling and the refinement at the end."""
 
 
 class RowError(Exception):
@@ -66,27 +72,30 @@ class RowError(Exception):
 class DatasetArguments:
     """Which frames: as `semsplat run` takes them."""
 
-    kind: str
-    path: Path
+    kind: str = ""
+    path: Path = Path()
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Compare on one data set.
+    """Compare on one sequence.
 
     Attributes:
-        dataset: kind and folder.
-        image_size: width and height in pixels; native where left out.
-        max_frames: frames from the start; all where left out.
+        sequence: redkitchen, fr1_rpy, office0, room or room-noise.
+        dataset: kind and folder of another dataset.
+        image_size: width and height in pixels; native if unset.
+        max_frames: number of frames from the start; all if unset.
         rows: which methods to run.
         repeats: runs of each, of which the median is shown.
         depth_max_m: Open3D ignores depth beyond this (its own default is 3 m).
-        timeout_s: a run that takes longer is stopped: Open3D's ray casting can hang.
-        keep: folder for our run folders; a temporary one where left out.
+        timeout_s: a longer run is stopped, since Open3D's ray casting can hang.
+        keep: folder for our run folders; a temporary one if unset.
         ours: further options for `semsplat run`, as one string.
+        out: folder of the results file.
     """
 
-    dataset: DatasetArguments
+    sequence: tyro.conf.Positional[str] = ""
+    dataset: DatasetArguments = DatasetArguments()
     image_size: tuple[int, int] | None = None
     max_frames: int | None = None
     rows: tuple[RowName, ...] = get_args(RowName)
@@ -95,6 +104,7 @@ class Arguments:
     timeout_s: float = 1800.0
     keep: Path | None = None
     ours: str = ""
+    out: Path = RESULTS
 
 
 def rival_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> Figures:
@@ -116,28 +126,27 @@ def our_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> F
     metrics: dict[str, Any] = json.loads((out / "metrics.json").read_text())
     track_ms = metrics.get("tracking_ms_per_frame")
     map_ms = metrics.get("mapping_ms_per_frame")
-    refine_ms = metrics.get("refinement_ms_per_frame") or 0.0
+    other_ms = sum(
+        metrics.get(f"{stage}_ms_per_frame") or 0.0 for stage in ("labelling", "refinement")
+    )
     return {
         "ate_rmse_cm": metrics.get("ate_rmse_cm"),
         "rpe_rotation_deg": metrics.get("rpe_rotation_deg"),
         "track_ms": track_ms,
         "integrate_ms": map_ms,
         "ray_cast_ms": None,
-        "frame_ms": None if track_ms is None or map_ms is None else track_ms + map_ms + refine_ms,
+        "frame_ms": None if track_ms is None or map_ms is None else track_ms + map_ms + other_ms,
         "peak_memory_mb": metrics.get("peak_memory_mb"),
     }
 
 
-def markdown_table(rows: dict[str, Figures]) -> str:
-    """A Markdown table of rows by title; a figure that does not exist reads n/a."""
-    lines = [
-        "| method | " + " | ".join(title for title, _, _ in COLUMNS) + " |",
-        "|---|" + "---:|" * len(COLUMNS),
+def comparison_table(rows: dict[str, Figures]) -> Table:
+    """A row for each method; a metric that does not exist reads n/a."""
+    cells = [
+        (title, *(_cell(figures.get(key), digits) for _, key, digits in COLUMNS))
+        for title, figures in rows.items()
     ]
-    for title, figures in rows.items():
-        cells = [_cell(figures.get(key), digits) for _, key, digits in COLUMNS]
-        lines.append(f"| {title} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    return Table(("method", *(title for title, _, _ in COLUMNS)), tuple(cells))
 
 
 def median_figures(runs: list[Figures]) -> Figures:
@@ -148,8 +157,11 @@ def median_figures(runs: list[Figures]) -> Figures:
 
 
 def _frame_options(arguments: Arguments) -> list[str]:
-    options = ["--dataset.kind", arguments.dataset.kind]
-    options += ["--dataset.path", str(arguments.dataset.path)]
+    if arguments.sequence:
+        options = sequence_arguments(arguments.sequence)
+    else:
+        options = ["--dataset.kind", arguments.dataset.kind]
+        options += ["--dataset.path", str(arguments.dataset.path)]
     if arguments.image_size is not None:
         options += ["--image-size", *map(str, arguments.image_size)]
     if arguments.max_frames is not None:
@@ -181,7 +193,10 @@ def _cell(value: float | None, digits: int) -> str:
 
 
 def main(arguments: Arguments) -> int:
-    """Run every row and print the table; 1 where a row failed."""
+    """Run every row; 1 where a row failed."""
+    if bool(arguments.sequence) == bool(arguments.dataset.kind):
+        raise SystemExit("give the name of a sequence, or --dataset.kind and --dataset.path")
+    header = current_header(range(arguments.repeats))
     rows: dict[str, Figures] = {}
     failed = False
     with tempfile.TemporaryDirectory() as temporary:
@@ -196,9 +211,19 @@ def main(arguments: Arguments) -> int:
                 failed = True
                 _log.error("%s: %s", name, error)
                 rows[f"{TITLES[name]}: failed"] = {}
-    print(f"{arguments.dataset.path.name}, median of {arguments.repeats}; {describe_machine()}\n")
-    print(markdown_table(rows))
-    print(f"\n{TIMES_NOTE}")
+    place = arguments.sequence or arguments.dataset.path.name
+    results = Results(
+        f"open3d-{place}",
+        f"Open3D and semsplat on {place}",
+        NOTE,
+        header,
+        (comparison_table(rows),),
+    )
+    everything = arguments.rows == get_args(RowName) and arguments.max_frames is None
+    if arguments.sequence and everything and not failed:
+        publish(results, arguments.out)
+    else:
+        print(results.markdown())
     return int(failed)
 
 

@@ -1,12 +1,9 @@
-"""What a longer walk costs: memory, and time a frame from its first quarter to its last.
+"""What a longer sequence costs: memory, and time per frame from the first quarter to the last.
 
-    python -m benchmarks.length ROOMS HALL [--poses given]
+    python -m benchmarks.length [--poses given]
 
-ROOMS and HALL are made by `semsplat make-room --layout rooms --frames 600` and `--layout hall
---frames 2400`, both with `--image-size 160 120 --sensor-noise`: three rooms and twelve. Each
-walk is a process of its own, fusion and export included, with a small budget for submaps at
-rest so that both fill it. Each quarter is told by its mean: rare steps, such as beginning a
-submap, count.
+Compares three rooms with twelve. Each run is a process of its own, fusion and export included, with
+a small memory budget for inactive submaps so that both exceed it.
 """
 
 from __future__ import annotations
@@ -15,82 +12,93 @@ import json
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
 
-from benchmarks import walks
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import room
+from benchmarks.report import Report, ReportOptions
+from benchmarks.runs import finished_slam
+from benchmarks.tables import Metrics, Target, median_of, table_of, target_table
 from toolkit.datasets.registry import open_dataset
 from toolkit.options import validated
 from toolkit.runs.settings import RunSettings
 
-COLUMNS = ("ms a frame, quarters", "finish s", "submaps", "lost", "gaussians", "peak_memory_mb")
+COLUMNS = (
+    "ms per frame, quarters",
+    "finish_s",
+    "submaps",
+    "frames_lost",
+    "gaussians",
+    "peak_memory_mb",
+)
+ROWS = {"3 rooms, 600 frames": "rooms", "12 rooms, 2400 frames": "hall"}
+DESCRIPTION = """\
+Three rooms on a corridor and twelve (`semsplat make-room --layout rooms --frames 600` and
+`--layout hall --frames 2400`, both with `--image-size 160 120 --sensor-noise`), with
+`--mapping.iterations 3 --mapping.final-iterations 1 --submaps.memory-mb 50`. Times are means over
+the four quarters of the sequence."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """Walk through some rooms, and through more."""
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
+    """Process a short and a long sequence."""
 
-    places: tyro.conf.Positional[tuple[Path, ...]]
-    """Data sets, short to long."""
     poses: Literal["slam", "given"] = "slam"
-    """Track, or take the truth's."""
-    iterations: int = 3
-    """Steps a keyframe."""
-    memory_mb: float = 50.0
-    """Budget of submaps at rest."""
-    child: bool = False
-    """Walk here and print one line; for the program itself."""
+    """Track, or use the true poses."""
+    child: str = ""
+    """Settings of one run as JSON; used by the program itself."""
 
 
 def main() -> None:
-    """Print one row a place, and what the last costs beside the first."""
+    """Measure one row for each sequence."""
     options = tyro.cli(Options)
     if options.child:
-        print(json.dumps(figures(options)))
+        print(json.dumps(measure_here(json.loads(options.child))))
         return
-    print(describe_machine(), flush=True)
-    print("\n| | " + " | ".join(COLUMNS) + " |")
-    print("|---" * (len(COLUMNS) + 1) + "|", flush=True)
-    peaks = []
-    for place in options.places:
-        command = [
-            sys.executable,
-            "-m",
-            "benchmarks.length",
-            str(place),
-            *sys.argv[1 + len(options.places) :],
-        ]
-        command += ["--child"]
-        done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-        row = json.loads(done.stdout.splitlines()[-1])
-        print(f"| {place.name} | " + " | ".join(str(row[c]) for c in COLUMNS) + " |", flush=True)
-        peaks.append(row["peak_memory_mb"])
-    print(f"\nmemory: {peaks[-1] / peaks[0]:.2f} times the first one's", flush=True)
+    given = options.poses == "given"
+    report = Report(
+        f"length{'-given-poses' if given else ''}",
+        f"Longer sequences{', poses given' if given else ''}",
+        DESCRIPTION,
+        options,
+    )
+    jobs = {name: {"room": place, "poses": options.poses} for name, place in ROWS.items()}
+    rows = report.measured(jobs, measure)
+    short, long = (median_of(rows)(name, "peak_memory_mb") for name in ROWS)
+    growth = long / short if short and long else None
+    target = Target("memory of four times the length, ratio", growth, at_most=1.3)
+    report.write(table_of(COLUMNS, rows), target_table([target]))
 
 
-def figures(options: Options) -> dict[str, object]:
-    """Figures of one walk."""
-    (place,) = options.places
+def measure(job: dict[str, str], _seed: int) -> Metrics:
+    """Run one sequence in a process of its own, so that peak memory is its own."""
+    room(job["room"])
+    command = [sys.executable, "-m", "benchmarks.length", "--child", json.dumps(job)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    metrics: Metrics = json.loads(done.stdout.splitlines()[-1])
+    return metrics
+
+
+def measure_here(job: dict[str, Any]) -> Metrics:
+    """Run one sequence in this process."""
+    place = room(job["room"])
     settings = validated(
         RunSettings,
         {
             "dataset": {"kind": "synthetic", "path": str(place)},
-            "poses": options.poses,
-            "mapping": {"iterations": options.iterations, "final_iterations": 1},
-            "submaps": {"memory_mb": options.memory_mb},
+            "poses": job["poses"],
+            "mapping": {"iterations": 3, "final_iterations": 1},
+            "submaps": {"memory_mb": 50.0},
         },
     )
-    with walks.walked(settings, open_dataset("synthetic", place)) as walk:
-        quarters = [float(np.mean(part)) for part in np.array_split(walk.frames_ms, 4)]
-        return walk.metrics | {
-            "ms a frame, quarters": " / ".join(f"{ms:.0f}" for ms in quarters),
-            "finish s": round(walk.finish_s, 1),
-            "submaps": len(walk.slam.atlas),
-            "lost": len(walk.slam.lost_frames),
+    with finished_slam(settings, open_dataset("synthetic", place)) as run:
+        quarters = [float(np.mean(part)) for part in np.array_split(run.frames_ms, 4)]
+        return run.metrics | {
+            COLUMNS[0]: ", ".join(f"{ms:.0f}" for ms in quarters),
+            "finish_s": run.finish_s,
+            "submaps": len(run.slam.atlas),
         }
 
 

@@ -1,19 +1,11 @@
-"""Loop detection on a walk that comes back: what each test is worth, and each encoder.
+"""Loop detection: what each test contributes, and how encoders compare.
 
-    python -m benchmarks.loops ROOMS ... [--image-size 160 120] [--part rows|encoders]
+    python -m benchmarks.loops ring --image-size 160 120
+    python -m benchmarks.loops twins --image-size 160 120 --seeds 5 --part rows \\
+        --rows "and verification (default)"
 
-Rooms are made by `semsplat make-room --out ROOMS --layout ring --frames 900 --sensor-noise`, or
-`--layout twins --frames 1100`, where two rooms are identical.
-
-The first table runs the system. Without verification each registration that comes to rest enters
-the graph and stays there: no bound on it, no odometry to contradict it, no robust kernel.
-"Suspected" figures are of the candidates of the search, the others of the loops held at the end.
-An edge is false where it puts an anchor more than half a metre from where the truth has it.
-
-The second table describes every fifth frame and searches at each of them for earlier ones, at
-true poses: no map is built. Thresholds belong to the encoder, so each stands at its own, at the
-adaptive one, and at the one with the best F1 on this very walk, which flatters all alike; the
-area under the curve (AUC: how often a true pair is nearer than a false one) needs none.
+The first table runs the system. The second one describes every fifth frame and searches at each of
+them for earlier ones, at true poses, without a map.
 """
 
 from __future__ import annotations
@@ -30,8 +22,11 @@ import tyro
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from benchmarks import walks
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import RECORDINGS, room
+from benchmarks.report import Report, ReportOptions, publish
+from benchmarks.results_file import Results, current_header
+from benchmarks.runs import CoveredLens, finished_slam
+from benchmarks.tables import Metrics, Rows, Table, median_cell, table_of
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
@@ -53,7 +48,7 @@ from toolkit.slam import Slam
 Array = NDArray[np.float64]
 Values = dict[str, Any]
 
-# Registrations are believed as they come.
+# Every registration is accepted.
 _BELIEVE_ALL: Values = {
     "verification": {
         "least_overlap": 0.0,
@@ -70,7 +65,7 @@ _BELIEVE_ALL: Values = {
         "solver": {"kernel": "none"},
     },
 }
-# No class is ever seen so often, and landmarks tell nothing.
+# No class is ever seen as often, so that landmarks have no effect.
 _NO_LANDMARKS: Values = {"landmarks": {"least_count": 10**9}}
 ROWS: dict[str, Values] = {
     "no loops": {"use": False},
@@ -97,71 +92,111 @@ COLUMNS = (
 _EVERY = 5  # frames from keyframe to keyframe, for encoders
 
 
-@dataclass(frozen=True)
-class Options:
+ROWS_TEXT = """\
+Runs with these settings of loop closure, without the final refinement. Without verification, each
+registration that converges enters the graph and stays: no bounds on it, no odometry to contradict
+it, no robust kernel. "Suspected" metrics are those of the candidates of the search, the others
+those of the loops held at the end. A false edge places an anchor more than half a metre from where
+the ground truth has it."""
+COVER_TEXT = " The lens is covered from frame {} to before frame {}: black images without depth."
+ENCODERS_TEXT = """\
+Every fifth frame is described and searched for among earlier ones, at true poses, without
+landmarks. Thresholds belong to the encoder: its own, the adaptive one, and the one with the best
+F1 on this very sequence, which flatters all alike. The area under the curve (AUC) needs none: how
+often a true pair is nearer than a false one. The transformers have random weights."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
     """Measure loop detection."""
 
-    rooms: tyro.conf.Positional[tuple[Path, ...]]
-    """Data sets, each with its own tables."""
-    kind: str = "synthetic"
-    """Of the data sets; the truth must be known."""
+    rooms: tyro.conf.Positional[tuple[str, ...]] = ("ring",)
+    """Sequences: ring, ring-ideal, twins, redkitchen, fr1_rpy."""
     image_size: tuple[int, int] | None = None
-    """Width and height; native if unset."""
+    """Width and height in pixels; native if unset."""
     part: Literal["rows", "encoders", "both"] = "both"
     """Which table."""
-    only: tuple[str, ...] = ()
-    """Names of rows of the first table; all without it."""
+    rows: tuple[str, ...] = ()
+    """Rows of the first table; all by default. The results have no others."""
     cover: tuple[int, int] | None = None
-    """Frames of the runs, the first and the one after the last, that show nothing."""
-    seed: int = 0
-    """Of the runs, and of the random weights."""
+    """First covered frame and the one after the last."""
+    seeds: int = 1
+    """Seeds 0, 1, ... of rooms and runs."""
 
 
 def main() -> None:
-    """Print both tables."""
+    """Measure both tables of every sequence."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
-    for room in options.rooms:
-        dataset: Dataset = open_dataset(options.kind, room, options.image_size)
-        if options.cover is not None:
-            dataset = walks.Covered(dataset, *options.cover)
-        width, height = dataset.camera.size
-        print(f"\n{room.name}, {len(dataset)} frames of {width}x{height}\n", flush=True)
+    for name in options.rooms:
         if options.part != "encoders":
-            print_rows(options, room, dataset)
+            measure_rows(options, name)
         if options.part != "rows":
-            print_encoders(options, dataset)
+            measure_encoders(options, name)
 
 
-def print_rows(options: Options, room: Path, dataset: Dataset) -> None:
+def measure_rows(options: Options, name: str) -> None:
     """What each test adds, by running the system."""
-    print("| | " + " | ".join(COLUMNS) + " |")
-    print("|---" * (len(COLUMNS) + 1) + "|", flush=True)
-    for name, loops in ROWS.items():
-        if not options.only or name in options.only:
-            run = figures(options, room, dataset, loops)
-            cells = [_cell(run.get(column)) for column in COLUMNS]
-            print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
-    print(flush=True)
+    covered = "" if options.cover is None else "-covered"
+    size = "" if options.image_size is None else "-{}x{}".format(*options.image_size)
+    report = Report(
+        f"loops-{name}{covered}{size}",
+        f"Loop detection on {name}{covered.replace('-', ', lens ')}{size.replace('-', ', ')}",
+        ROWS_TEXT + (COVER_TEXT.format(*options.cover) if options.cover else ""),
+        options,
+        range(options.seeds),
+    )
+    common = {"sequence": name, "image_size": options.image_size, "cover": options.cover}
+    jobs = {
+        row: {"loops": loops, **common}
+        for row, loops in ROWS.items()
+        if row in (options.rows or tuple(ROWS))
+    }
+    found = report.measured(jobs, measure)
+    tables = [table_of(COLUMNS, found)]
+    if options.seeds > 1:
+        tables.append(each_seed(found, options.seeds))
+    report.write(*tables)
 
 
-def figures(options: Options, room: Path, dataset: Dataset, loops: Values) -> Values:
-    """Figures of one walk with these settings of loop closure, without refinement."""
+def each_seed(rows: Rows, seeds: int) -> Table:
+    """Each sequence by itself: with several seeds, a room is rendered for each."""
+    cells = [
+        (f"{name}, seed {seed}", *(median_cell([runs[seed].get(c)]) for c in COLUMNS))
+        for name, runs in rows.items()
+        for seed in range(seeds)
+    ]
+    return Table(("", *COLUMNS), tuple(cells), "Each seed")
+
+
+def measure(job: Values, seed: int) -> Metrics:
+    """Metrics of one run with these settings of loop closure, without refinement."""
+    name, size = job["sequence"], job["image_size"]
+    kind, place = location(name, seed)
     settings = validated(
         RunSettings,
         {
-            "dataset": {"kind": options.kind, "path": str(room)},
-            "image_size": options.image_size,
+            "dataset": {"kind": kind, "path": str(place)},
+            "image_size": size,
             "mapping": {"final_iterations": 0},
-            "loops": loops,
-            "seed": options.seed,
+            "loops": job["loops"],
+            "seed": seed,
         },
     )
-    with walks.walked(settings, dataset) as walk:
-        return walk.metrics | {
-            "edges": len(walk.slam.loops),
-            "edges_false": false_edges(walk.slam, dataset),
+    dataset: Dataset = open_dataset(kind, place, settings.image_size)
+    if job["cover"] is not None:
+        dataset = CoveredLens(dataset, *job["cover"])
+    with finished_slam(settings, dataset) as run:
+        return run.metrics | {
+            "edges": len(run.slam.loops),
+            "edges_false": false_edges(run.slam, dataset),
         }
+
+
+def location(name: str, seed: int) -> tuple[str, Path]:
+    """Kind and folder of a recording or a synthetic sequence."""
+    if name in RECORDINGS:
+        return RECORDINGS[name].kind, RECORDINGS[name].path
+    return "synthetic", room(name, seed)
 
 
 def false_edges(slam: Slam, dataset: Dataset) -> int:
@@ -180,25 +215,32 @@ def false_edges(slam: Slam, dataset: Dataset) -> int:
     return count
 
 
-def print_encoders(options: Options, dataset: Dataset) -> None:
-    """What each encoder finds by itself."""
-    walk = Walk.of(dataset)
-    print("| encoder | AUC | threshold | precision_percent | recall_percent | f1_percent |")
-    print("|---" * 6 + "|", flush=True)
+def measure_encoders(options: Options, name: str) -> None:
+    """What each encoder finds by itself, at true poses."""
+    header = current_header(
+        [0], ("toolkit/features", "toolkit/loops", "toolkit/evaluation/loops.py")
+    )
+    dataset = open_dataset(*location(name, 0), options.image_size)
+    sequence = DescribedSequence.of(dataset)
+    rows = []
     with tempfile.TemporaryDirectory() as place:
-        for name, encoder in encoders(Path(place), options.seed):
+        for encoder_name, encoder in encoders(Path(place), 0):
             descriptors = described(dataset, encoder)
-            auc = f"{walk.area_under_curve(descriptors):.4f}"
-            for threshold, candidates in searches(walk, encoder, descriptors):
-                score = walk.score(candidates)
-                figures = (score.precision, score.recall, score.f1)
-                cells = [_cell(None if f is None else 100.0 * f) for f in figures]
-                print(f"| {name} | {auc} | {threshold} | " + " | ".join(cells) + " |", flush=True)
+            auc = f"{sequence.area_under_curve(descriptors):.4f}"
+            for threshold, candidates in searches(sequence, encoder, descriptors):
+                score = sequence.score(candidates)
+                shares = (score.precision, score.recall, score.f1)
+                cells = [median_cell([None if s is None else 100.0 * s]) for s in shares]
+                rows.append((encoder_name, auc, threshold, *cells))
+    columns = ("encoder", "AUC", "threshold", "precision %", "recall %", "F1 %")
+    table = Table(columns, tuple(rows))
+    title = f"Image descriptors on {name}"
+    publish(Results(f"encoders-{name}", title, ENCODERS_TEXT, header, (table,)), options.out)
 
 
 @dataclass(frozen=True)
-class Walk:
-    """Every fifth frame of a walk.
+class DescribedSequence:
+    """Every fifth frame of a sequence.
 
     Attributes:
         travelled_m: [K] length of the true path up to each.
@@ -211,7 +253,7 @@ class Walk:
     beyond: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Walk:
+    def of(cls, dataset: Dataset) -> DescribedSequence:
         views = true_views(dataset)
         positions_m = views.T_world_camera[:, :3, 3]
         steps_m = np.linalg.norm(np.diff(positions_m, axis=0, prepend=positions_m[:1]), axis=1)
@@ -279,31 +321,34 @@ def described(dataset: Dataset, encoder: Encoder) -> NDArray[np.float32]:
 
 
 def searches(
-    walk: Walk, encoder: Encoder, descriptors: NDArray[np.float32]
+    sequence: DescribedSequence, encoder: Encoder, descriptors: NDArray[np.float32]
 ) -> Iterator[tuple[str, list[LoopCandidate]]]:
     """A threshold, and the candidates that it accepts."""
     options = CandidateOptions(search_every=1)
-    yield f"own, {encoder.threshold:.3f}", found(walk, encoder, descriptors, options)
+    yield f"own, {encoder.threshold:.3f}", found(sequence, encoder, descriptors, options)
     adaptive = replace(options, threshold="adaptive")
-    yield "adaptive", found(walk, encoder, descriptors, adaptive)
+    yield "adaptive", found(sequence, encoder, descriptors, adaptive)
     everything = replace(options, distance=2.0, kept=options.considered)
-    every = found(walk, encoder, descriptors, everything)
+    every = found(sequence, encoder, descriptors, everything)
 
     def f1(threshold: float) -> float:
-        return walk.score(nearest(every, threshold, options.kept)).f1 or 0.0
+        return sequence.score(nearest(every, threshold, options.kept)).f1 or 0.0
 
     best = max(np.unique([c.distance for c in every if c.distance]) + 1e-9, key=f1)
     yield f"best, {best:.3f}", nearest(every, best, options.kept)
 
 
 def found(
-    walk: Walk, encoder: Encoder, descriptors: NDArray[np.float32], options: CandidateOptions
+    sequence: DescribedSequence,
+    encoder: Encoder,
+    descriptors: NDArray[np.float32],
+    options: CandidateOptions,
 ) -> list[LoopCandidate]:
     """Accepted candidates of the search at every keyframe, by descriptors alone."""
     finder = CandidateFinder(encoder.dimensions, encoder.threshold, options)
     accepted: list[LoopCandidate] = []
     for number, descriptor in enumerate(descriptors):
-        travelled_m = float(walk.travelled_m[number])
+        travelled_m = float(sequence.travelled_m[number])
         no_classes = np.zeros(0, np.int64)
         keyframe = DescribedKeyframe(_EVERY * number, 0, travelled_m, descriptor, no_classes)
         accepted += [c for c in finder.add(keyframe) if c.accepted]
@@ -320,12 +365,6 @@ def nearest(
         if candidate.distance < threshold and len(mine) < kept:
             mine.append(candidate)
     return [candidate for mine in chosen.values() for candidate in mine]
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "n/a"
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
 if __name__ == "__main__":

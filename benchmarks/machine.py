@@ -1,4 +1,4 @@
-"""What a benchmark ran on: one line that belongs beside every figure."""
+"""The machine that a benchmark runs on."""
 
 from __future__ import annotations
 
@@ -7,20 +7,34 @@ import os
 import platform
 from pathlib import Path
 
+from toolkit.native import ISA_VARIABLE, available_instruction_sets, kernels
+
 _PACKAGES = ("torch", "numpy", "open3d")
 
 
 def describe_machine() -> str:
-    """Processor, cores that may be used, load, memory and versions, in one line.
+    """Processor, usable cores, memory, versions and load average, in one line.
 
-    The load average is part of it: on a shared machine times are worth little without.
+    The load average tells whether times can be trusted: it should be near zero at the start.
     """
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    return f"{machine_identity()}; load {load:.1f}"
+
+
+def machine_identity() -> str:
+    """Processor, usable cores, memory and versions: what results may depend on, in one line."""
     versions = ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
     return (
-        f"{_processor()}, {_usable_cores()} cores, load {load:.1f}, {_memory_gb():.0f} GB; "
+        f"{_processor()}, {_usable_cores()} cores, {_memory_gb():.0f} GB; "
         f"{platform.system()} {platform.machine()}, Python {platform.python_version()}, {versions}"
     )
+
+
+def instruction_set() -> str:
+    """The instruction set of the native kernels, "none" where there are none."""
+    if kernels() is None:
+        return "none"
+    return os.environ.get(ISA_VARIABLE) or available_instruction_sets()[-1]
 
 
 def _processor() -> str:

@@ -1,20 +1,20 @@
-"""Published pose graphs: the optimum reached, beside that of GTSAM's own example. No times.
+"""Published pose graphs: the error reached, and that of GTSAM's own example.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.pose_graphs
-
-Errors are half the sum of chi-squares, without kernels, from the chordal initialisation.
+SEMSPLAT_DATA=DATA python -m benchmarks.pose_graphs
 """
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import Recording
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.pose_graph.files import graph_of
 from toolkit.pose_graph.solver import SolverOptions, solve
@@ -29,36 +29,38 @@ OPTIMA = {
 WITHIN = 1e-3
 
 
+DESCRIPTION = """\
+Errors are half the sum of chi-squares, without robust kernels, after the chordal initialisation and
+Levenberg-Marquardt. The optimum is that of GTSAM's own example on the same files."""
+
+
 @dataclass(frozen=True)
 class Options:
     """Solve the pose graphs of the literature."""
 
-    only: tuple[str, ...] = ()
-    """Names of graphs; all without it."""
+    out: Path = RESULTS
+    """Folder of the results file."""
 
 
 def main() -> None:
-    """Print one row a graph; exit with 1 if one misses its optimum."""
+    """Measure one row for each graph; exit with 1 if one misses its optimum."""
     options = tyro.cli(Options)
-    folder = Path(os.environ["SEMSPLAT_DATA"]) / "pose_graphs"
-    print(describe_machine(), flush=True)
-    print("\n| graph | nodes | edges | at start | steps | error | known optimum | within 0.1 % |")
-    print("|---|---:|---:|---:|---:|---:|---:|---|", flush=True)
+    header = current_header((), ("toolkit/pose_graph", "toolkit/io/pose_graphs.py"))
+    folder = Recording("", "pose_graphs").path
+    rows = []
     missed = False
     for name, optimum in OPTIMA.items():
-        if options.only and name not in options.only:
-            continue
         graph = graph_of(read_pose_graph(folder / f"{name}.g2o"))
         solver = SolverOptions(kernel="none", initialise=True)
         solution = solve(graph, solver, covariances=False)
         met = abs(solution.error_after - optimum) <= WITHIN * optimum
         missed |= not met
-        print(
-            f"| {name} | {len(graph.nodes)} | {len(graph.edges)} | {solution.error_before:.1f} "
-            f"| {solution.iterations} | {solution.error_after:.4f} | {optimum} "
-            f"| {'yes' if met else 'NO'} |",
-            flush=True,
-        )
+        cells = (len(graph.nodes), len(graph.edges), f"{solution.error_before:.1f}")
+        errors = (solution.iterations, f"{solution.error_after:.4f}", optimum)
+        rows.append((name, *map(str, (*cells, *errors)), "yes" if met else "**no**"))
+    columns = ("graph", "nodes", "edges", "at start", "iterations", "error", "optimum")
+    table = Table((*columns, "within 0.1 %"), tuple(rows))
+    publish(Results("pose-graphs", "Pose graphs", DESCRIPTION, header, (table,)), options.out)
     sys.exit(missed)
 
 

@@ -1,18 +1,7 @@
-"""Registration of submaps: how often it succeeds, how far off, how long it takes.
+"""Registration of submaps: success rate, error and time.
 
-    python -m benchmarks.registration --pairs 50 --rooms 0 1 2 3 --size 160 120
-    SEMSPLAT_DATA=DATA python -m benchmarks.registration --rooms --kitchen
-
-Submaps are pieces of a recording, mapped at their given poses with the default settings and
-described by the default encoder, each told in a frame of its own that lies anywhere; no frame
-is in two of them. A room is synthetic, with its true labels and 25 frames a submap or more; the
-kitchen is 7-Scenes RedKitchen, whose truth is itself good to 1-2 cm only.
-
-Rows with "(start)" are given the truth moved by up to 0.5 m and 30 degrees, the same for all;
-others begin from nothing. Every row takes a pair before the next pair begins, so that what else
-the machine does falls on all of them. Success is 5 cm and 2 degrees. "converged, wrong" are
-results that are no success and say that they are; "passed, wrong" those of them that a loop's
-verification lets through.
+python -m benchmarks.registration --rooms 0 1 2 3 4 6 --pairs 34 --frames 150 --size 160 120
+SEMSPLAT_DATA=DATA python -m benchmarks.registration --rooms --kitchen --pairs 30
 """
 
 from __future__ import annotations
@@ -30,8 +19,10 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from benchmarks.machine import describe_machine
 from benchmarks.registration_pairs import Pair, draw_pairs, kitchen, pool, room
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table, Target, target_table
 from toolkit.baselines.clouds import CloudOptions, CloudRegistration
 from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
 from toolkit.baselines.two_way import TwoWayRegistration
@@ -48,36 +39,50 @@ from toolkit.registration.views import ViewDrawer
 Array = NDArray[np.float64]
 
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
-HALF = 0.5  # overlap that parts the easy pairs from the hard ones
+HALF = 0.5  # overlap that separates easy from hard pairs
+
+DESCRIPTION = """\
+Submaps are parts of a recording, mapped at their true poses with default settings and described by
+the default encoder; the coordinate frame of each is arbitrary, and no frame of the recording is in
+both submaps of a pair. Synthetic rooms have their true labels. The ground truth of RedKitchen is
+itself accurate to 1-2 cm only.
+
+Rows with "(start)" begin at the ground truth displaced by up to 0.5 m and 30 degrees, the same for
+all; the others have no initial estimate. Success is an error below 5 cm and 2 degrees; the first
+two columns are by the overlap of the submaps. "Converged, wrong" counts failures reported as
+converged, "passed, wrong" those of them that the verification of loops accepts. Methods take turns
+on each pair, so that times are comparable."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Options:
     """Measure registration."""
 
     pairs: int = 10
-    """Most pairs of submaps of each recording."""
+    """Maximum number of pairs of submaps of each recording."""
     rooms: tuple[int, ...] = (0,)
     """Seeds of synthetic rooms."""
     kitchen: bool = False
-    """Take the real recording as well."""
+    """Include the real recording."""
     methods: tuple[str, ...] = ()
-    """Rows to run; without it the main ones."""
+    """Rows to measure; the main ones by default. Others are printed, not written."""
     noise: bool = False
-    """Give the synthetic rooms' camera a sensor's noise."""
+    """Render the synthetic rooms with sensor noise."""
     frames: int = 300
-    """Frames of a synthetic room; 300 is all of its way."""
+    """Frames of a synthetic room; 300 is the whole path."""
     size: tuple[int, int] = (320, 240)
-    """Width and height of the images."""
+    """Width and height of the images in pixels."""
     seed: int = 0
-    """Of pairs, starts and maps."""
+    """Seed of pairs, starts and maps."""
     trials: Path | None = None
-    """Write a line of JSON for every result here."""
+    """File for a line of JSON for each result."""
+    out: Path = RESULTS
+    """Folder of the results file."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What one method made of one pair.
+    """The result of one method on one pair.
 
     Attributes:
         first_s, second_s: seconds of the coarse stage and of what follows it.
@@ -119,18 +124,21 @@ class Timed:
 
 
 def main() -> None:
-    """Print a table for the rooms and one for the kitchen."""
+    """Measure the rooms and the kitchen."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
     if options.rooms:
-        named = "with sensor noise" if options.noise else "ideal images"
-        show(f"synthetic rooms, {named}", room_pairs(options), options)
+        noise = "-noise" if options.noise else ""
+        measure(f"registration-rooms{noise}", room_pairs, options)
     if options.kitchen:
-        generator = np.random.default_rng(options.seed)
-        recording = kitchen(options.size)
-        pieces = pool(recording, generator)
-        pairs = draw_pairs(pieces, options.pairs, recording.semantics, generator, "kitchen")
-        show("RedKitchen", pairs, options)
+        measure("registration-redkitchen", kitchen_pairs, options)
+
+
+def kitchen_pairs(options: Options) -> list[Pair]:
+    """Pairs of the real recording."""
+    generator = np.random.default_rng(options.seed)
+    recording = kitchen(options.size)
+    pieces = pool(recording, generator)
+    return draw_pairs(pieces, options.pairs, recording.semantics, generator, "kitchen")
 
 
 def room_pairs(options: Options) -> list[Pair]:
@@ -145,7 +153,7 @@ def room_pairs(options: Options) -> list[Pair]:
 
 
 class Methods:
-    """Every row, over one pair; its coarse stage is run once and its time told by all."""
+    """Every method on one pair; the coarse stage runs once, and its time counts for all."""
 
     MAIN = (
         "coarse, Z = I (G-5)",
@@ -241,10 +249,10 @@ def _without_features() -> FineOptions:
 
 
 def judged(name: str, pair: Pair, timed: Timed) -> Trial:
-    """A result beside the truth.
+    """A result compared with the ground truth.
 
-    Frames lie anywhere here. A run's lie at a submap's first camera, so errors and information
-    are told there.
+    The coordinate frames of these submaps are arbitrary. In a run they are those of the first
+    cameras, so errors and information are expressed there.
     """
     camera = pair.source.keyframes[0].T_map_camera
     error = se3.inverse(timed.result.T_target_source) @ pair.T_target_source
@@ -268,18 +276,24 @@ def judged(name: str, pair: Pair, timed: Timed) -> Trial:
     )
 
 
-def show(title: str, pairs: list[Pair], options: Options) -> None:
-    """Run every method on every pair and print a row a method."""
+def measure(name: str, make_pairs: Callable[[Options], list[Pair]], options: Options) -> None:
+    """Run every method on every pair and write a row for each method."""
+    header = current_header([options.seed])
     names = options.methods or Methods.MAIN
     trials: list[Trial] = []
-    for pair in tqdm(pairs, desc=title, file=sys.stderr):
+    for pair in tqdm(make_pairs(options), desc=name, file=sys.stderr):
         methods = Methods(pair, options.seed)
-        for name in names:
-            trials.append(judged(name, pair, methods.rows[name]()))
+        for method in names:
+            trials.append(judged(method, pair, methods.rows[method]()))
             if options.trials is not None:
                 with options.trials.open("a") as file:
                     file.write(json.dumps(vars(trials[-1])) + "\n")
-    print_table(title, pairs, trials)
+    title = f"Registration of submaps: {name.removeprefix('registration-')}"
+    results = Results(name, title, DESCRIPTION, header, tables(trials))
+    if options.methods:
+        print(results.markdown())
+    else:
+        publish(results, options.out)
 
 
 COLUMNS = (
@@ -297,19 +311,33 @@ COLUMNS = (
 )
 
 
-def print_table(title: str, pairs: list[Pair], trials: list[Trial]) -> None:
-    """A row a method, then SGR's time against the two-way's."""
-    motions = "".join(trial.motion for trial in trials).encode()
-    print(f"\n### {title}: {len(pairs)} pairs, bits {hashlib.sha256(motions).hexdigest()[:12]}")
-    print("\n| method | " + " | ".join(COLUMNS) + " |")
-    print("|---|" + "---:|" * len(COLUMNS))
+def tables(trials: list[Trial]) -> tuple[Table, ...]:
+    """A row for each method, ratios of times, and targets."""
     by_method: dict[str, list[Trial]] = {}
     for trial in trials:
         by_method.setdefault(trial.method, []).append(trial)
-    for name, own in by_method.items():
-        print(f"| {name} | " + " | ".join(cells(own)) + " |")
-    ratios("SGR", "coarse, then two-way", by_method)
-    ratios("fine (start)", "two-way (start)", by_method)
+    rows = tuple((name, *cells(own)) for name, own in by_method.items())
+    notes = [
+        ratio(by_method, "SGR", "coarse, then two-way"),
+        ratio(by_method, "fine (start)", "two-way (start)"),
+    ]
+    found = [Table(("method", *COLUMNS), rows, note=" ".join(filter(None, notes)))]
+    if "SGR" in by_method:
+        found.append(target_table(targets(by_method["SGR"])))
+    return tuple(found)
+
+
+def targets(trials: list[Trial]) -> list[Target]:
+    """What the default registration should reach."""
+
+    def success(chosen: list[Trial]) -> float | None:
+        return 100.0 * sum(t.success for t in chosen) / len(chosen) if chosen else None
+
+    easy, hard = ([t for t in trials if (t.overlap >= HALF) == half] for half in (True, False))
+    return [
+        Target("SGR, success at 50 % overlap and more, %", success(easy), at_least=95),
+        Target("SGR, success at 30-50 % overlap, %", success(hard), at_least=80),
+    ]
 
 
 def cells(trials: list[Trial]) -> list[str]:
@@ -342,18 +370,20 @@ def rate(trials: list[Trial]) -> str:
     return f"{good}/{len(trials)} ({100 * good / len(trials):.0f} %)"
 
 
-def ratios(name: str, other: str, by_method: dict[str, list[Trial]]) -> None:
-    """One method's time as a share of another's, on the same pairs."""
+def ratio(by_method: dict[str, list[Trial]], name: str, other: str) -> str:
+    """One method's time relative to another's, as the median over pairs; empty without both."""
     if name not in by_method or other not in by_method:
-        return
-    mine, others = by_method[name], by_method[other]
-    for what in ("seconds", "second_s"):
-        a, b = (np.array([getattr(t, what) for t in trials]) for trials in (mine, others))
-        stage = "in all" if what == "seconds" else "after the coarse stage"
-        print(
-            f"\n{name} / {other}, time {stage}: median of pairs {np.median(a / b):.2f}, "
-            f"of the sums {a.sum() / b.sum():.2f}"
+        return ""
+    medians = []
+    for stage in ("seconds", "second_s"):
+        a, b = (
+            np.array([getattr(t, stage) for t in by_method[method]]) for method in (name, other)
         )
+        medians.append(f"{np.median(a / b):.2f}")
+    return (
+        f"Time of {name} relative to {other}: {medians[0]}, after the coarse stage {medians[1]} "
+        "(medians over pairs)."
+    )
 
 
 if __name__ == "__main__":

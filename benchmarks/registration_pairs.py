@@ -6,16 +6,15 @@ anywhere; no frame is in two of them. Pairs are drawn from it by their overlap.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.recordings import RECORDINGS
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import SensorModel, tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
@@ -91,8 +90,7 @@ def room(frames: int, size: tuple[int, int], seed: int, noise: bool) -> Recordin
 
 def kitchen(size: tuple[int, int]) -> Recording:
     """A real recording, out and back, without labels."""
-    path = Path(os.environ["SEMSPLAT_DATA"]) / "7scenes_redkitchen"
-    dataset = open_dataset("seven-scenes", path, size, None)
+    dataset = open_dataset("seven-scenes", RECORDINGS["redkitchen"].path, size, None)
     assert dataset.ground_truth is not None
     frames = [dataset[i] for i in range(len(dataset))]
     return Recording(frames, dataset.ground_truth.T_world_camera, SemanticMapping())

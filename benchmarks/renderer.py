@@ -1,20 +1,10 @@
-"""Times the native renderer and prints Markdown tables.
+"""Times the native renderer.
 
     python -m benchmarks.renderer [--repeats 9] [--rival RAS_SO] [--quick]
 
-Forward is one call that projects, sorts, bins and composites; backward returns the
-gradients of all parameters and of the pose. A width of C channels is 3 colour, 1 depth
-and C - 4 features; the silhouette comes with them. Figures are medians in milliseconds;
-all contestants of a row take turns within each repetition, so that a busy machine slows
-them alike.
-
-Scene: per layer one Gaussian a pixel, 0.7-1.5 px standard deviation, opacity 0.3-0.95,
-around a wavy surface at 2 m.
-
---rival takes a compiled rasteriser with the C functions `bin`, `fwd` and `bwd` of the rough
-prototype (widths 4, 7, 24 and 32) and adds its argsort + bin + fwd, its bwd, and the ratio of
-its time to ours at the widths both have. SEMSPLAT_ISA forces an instruction set.
---quick leaves out the widest scene and the growth tables: a check that the program works.
+--rival takes a compiled rasteriser with the C functions `bin`, `fwd` and `bwd` (widths 4, 7, 24 and
+32) and adds a table of its times beside ours. SEMSPLAT_ISA forces an instruction set. --quick
+leaves out the larger scenes and the growth tables: a check that the program works.
 """
 
 from __future__ import annotations
@@ -24,7 +14,7 @@ import ctypes
 import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +22,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native import require_kernels
@@ -42,6 +35,14 @@ CHANNELS = (4, 18, 30, 32, 105)
 RIVAL_CHANNELS = (4, 7, 24, 32)
 SCENES = ((320, 240, 1), (320, 240, 2), (640, 480, 2))
 THREADS = 2
+MEASURES = ("toolkit/native", "toolkit/rendering")
+DESCRIPTION = """\
+Forward is one call that projects, sorts, bins and composites; backward returns the gradients of all
+parameters and of the pose. A width of C channels is 3 colour, 1 depth and C - 4 features; the
+silhouette is included. All cases of a row take turns within each repetition. Scene: one Gaussian
+per pixel and layer around a wavy surface at 2 m, standard deviation 0.7-1.5 px, opacity 0.3-0.95.
+An exponent of 1 is linear growth. A rival's forward pass is argsort, binning and compositing; its
+ratio is its time divided by ours."""
 Array = NDArray[np.float32]
 Step = Callable[[], None]
 
@@ -212,36 +213,27 @@ def measure(ours: Ours, repeats: int, threads: tuple[int, ...] = (THREADS,)) -> 
     return interleaved_medians_ms(steps, repeats)
 
 
-def table(*columns: str) -> None:
-    """Start a Markdown table."""
-    print("\n| " + " | ".join(columns) + " |")
-    print("|" + " ---: |" * len(columns))
-
-
-def row(*cells: object) -> None:
+def row(*cells: object) -> tuple[str, ...]:
     """One row; floats with two digits."""
-    texts = [f"{c:.2f}" if isinstance(c, float) else str(c) for c in cells]
-    print("| " + " | ".join(texts) + " |", flush=True)
+    return tuple(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in cells)
 
 
-def print_widths(scenes: tuple[tuple[int, int, int], ...], repeats: int) -> None:
+def width_table(scenes: tuple[tuple[int, int, int], ...], repeats: int) -> Table:
     """Every width on every scene, and what a second thread gains."""
-    table(
-        *("Gaussians", "image", "channels", "forward ms", "backward ms"),
-        *(f"gain of {THREADS} threads, forward", "backward"),
-    )
+    columns = ("Gaussians", "image", "channels", "forward ms", "backward ms")
+    gains = (f"gain of {THREADS} threads, forward", "gain, backward")
+    rows = []
     for width, height, layers in scenes:
         scene = make_scene(width, height, layers)
         for channels in CHANNELS:
             ms = measure(Ours(scene.cloud(channels), scene.camera), repeats, (1, THREADS))
             forward, backward = ms[f"forward {THREADS}"], ms[f"backward {THREADS}"]
-            row(
-                *(len(scene), f"{width}x{height}", channels, forward, backward),
-                *(ms["forward 1"] / forward, ms["backward 1"] / backward),
-            )
+            cells = (len(scene), f"{width}x{height}", channels, forward, backward)
+            rows.append(row(*cells, ms["forward 1"] / forward, ms["backward 1"] / backward))
+    return Table((*columns, *gains), tuple(rows))
 
 
-def print_growth(repeats: int) -> None:
+def growth_tables(repeats: int) -> Iterator[Table]:
     """Time against the number of Gaussians, then of pixels, the other held still.
 
     The exponent is that of a power law through this row and the one before: 1 is linear.
@@ -254,13 +246,15 @@ def print_growth(repeats: int) -> None:
         zoomed = camera.scaled(scale, scale, scale * camera.width, scale * camera.height)
         finer.append((zoomed.width * zoomed.height, cloud, zoomed))
     for name, points in (("Gaussians at 320x240", more), ("pixels of 153600 Gaussians", finer)):
-        table(name, "forward ms", "backward ms", "forward exponent", "backward exponent")
+        columns = (name, "forward ms", "backward ms", "forward exponent", "backward exponent")
+        rows = []
         before: tuple[int, float, float] | None = None
         for size, gaussians, view in points:
             ms = measure(Ours(gaussians, view), repeats)
             now = size, ms[f"forward {THREADS}"], ms[f"backward {THREADS}"]
-            row(*now, *(exponents(before, now) if before else ("", "")))
+            rows.append(row(*now, *(exponents(before, now) if before else ("", ""))))
             before = now
+        yield Table(columns, tuple(rows), f"Growth with {name}")
 
 
 def exponents(a: tuple[int, float, float], b: tuple[int, float, float]) -> tuple[float, float]:
@@ -269,12 +263,10 @@ def exponents(a: tuple[int, float, float], b: tuple[int, float, float]) -> tuple
     return math.log(b[1] / a[1]) / growth, math.log(b[2] / a[2]) / growth
 
 
-def print_rival(library: Path, scenes: tuple[tuple[int, int, int], ...], repeats: int) -> None:
-    """Ours and the rival's in turn; a ratio above 1 says that ours is faster."""
-    table(
-        *("Gaussians", "image", "channels", "forward ms", "rival ms", "ratio"),
-        *("backward ms", "rival ms", "ratio"),
-    )
+def rival_table(library: Path, scenes: tuple[tuple[int, int, int], ...], repeats: int) -> Table:
+    """Our times and the rival's; a ratio above 1 means that ours is faster."""
+    columns = ("Gaussians", "image", "channels", "forward ms", "rival's forward ms", "ratio")
+    rows = []
     for width, height, layers in scenes:
         scene = make_scene(width, height, layers)
         for channels in RIVAL_CHANNELS:
@@ -289,14 +281,17 @@ def print_rival(library: Path, scenes: tuple[tuple[int, int, int], ...], repeats
             ms = interleaved_medians_ms(steps, repeats)
             pairs = [(ms[f"ours {step}"], ms[f"rival {step}"]) for step in ("forward", "backward")]
             cells = [cell for a, b in pairs for cell in (a, b, b / a)]
-            row(len(scene), f"{width}x{height}", channels, *cells)
+            rows.append(row(len(scene), f"{width}x{height}", channels, *cells))
+    backward = ("backward ms", "rival's backward ms", "ratio, backward")
+    return Table((*columns, *backward), tuple(rows), "Beside another rasteriser")
 
 
 def main() -> None:
-    """Print all tables."""
+    """Measure all tables."""
     parser = argparse.ArgumentParser(description="Time the native renderer.")
     parser.add_argument("--repeats", type=int, default=9, help="runs behind each median")
     parser.add_argument("--rival", type=Path, help="the rough prototype's compiled library")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results file")
     parser.add_argument("--quick", action="store_true", help="only check that this works")
     arguments = parser.parse_args()
     if arguments.repeats < 1:
@@ -304,13 +299,20 @@ def main() -> None:
     if arguments.rival and not arguments.rival.is_file():
         parser.error(f"--rival {arguments.rival} is not a file; compile the prototype first")
     scenes = SCENES[:1] if arguments.quick else SCENES
-    name = require_kernels().instruction_set
-    print(f"Instruction set {name}; medians of {arguments.repeats}; times with {THREADS} threads.")
-    print_widths(scenes, arguments.repeats)
+    require_kernels()
+    header = current_header([0], MEASURES, str(THREADS))
+    tables = [width_table(scenes, arguments.repeats)]
     if not arguments.quick:
-        print_growth(arguments.repeats)
+        tables += growth_tables(arguments.repeats)
     if arguments.rival:
-        print_rival(arguments.rival.resolve(), scenes, arguments.repeats)
+        tables.append(rival_table(arguments.rival.resolve(), scenes, arguments.repeats))
+    title = "Native renderer"
+    description = f"{DESCRIPTION} Medians of {arguments.repeats}."
+    results = Results("renderer", title, description, header, tuple(tables))
+    if arguments.quick:
+        print(results.markdown())
+    else:
+        publish(results, arguments.out)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,7 @@
-"""Kills runs at random moments, resumes them, and compares with an uninterrupted one.
+"""Kills runs at random moments, resumes them, and compares the results with an uninterrupted run.
 
-    python -m benchmarks.resume --room DIR --kills 10
-    python -m benchmarks.resume --room DIR --frames 150 "--extra=--image-size 160 120 ..."
-
-The results must be the same bytes: trajectory.txt, map.ply, loops.jsonl, and metrics.json
-but for times and memory.
+python -m benchmarks.resume
+python -m benchmarks.resume --frames 150 "--extra=--image-size 160 120"
 """
 
 from __future__ import annotations
@@ -20,34 +17,43 @@ from pathlib import Path
 
 import tyro
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import sequence_arguments
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 
 SAME_BYTES = ("trajectory.txt", "map.ply", "loops.jsonl", "frames.json", "config.yaml")
 DIFFERENT_EACH_TIME = ("_ms_per_frame", "_memory_mb")
+
+
+DESCRIPTION = """\
+`semsplat run` on the synthetic room is killed (SIGKILL) at random moments and resumed with
+`--resume`. `trajectory.txt`, `map.ply`, `loops.jsonl`, `frames.json` and `config.yaml` are compared
+byte by byte, `metrics.json` except for times and memory."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Kill and resume."""
 
-    room: Path
-    """A synthetic room."""
     kills: int = 10
-    """Interrupted runs."""
+    """Number of interrupted runs."""
     frames: int = 60
     """Frames of each run."""
     seed: int = 0
-    """Of the moments."""
+    """Seed of the moments."""
     extra: str = ""
     """Further options of every run, in one string."""
+    out: Path = RESULTS
+    """Folder of the results file."""
 
 
 def main() -> int:
-    """Print one line a killed run; exit 1 if any differs."""
+    """Measure one row for each killed run; exit with 1 if any differs."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
+    header = current_header([0], ("toolkit",))
     moments = random.Random(options.seed)
-    failures = 0
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "whole"
         begin = time.monotonic()
@@ -62,15 +68,16 @@ def main() -> int:
                 resume = _command(options, out)
             subprocess.run(resume, check=True, stderr=subprocess.DEVNULL)
             different = _differences(whole, out)
-            failures += bool(different)
-            verdict = f"differs in {', '.join(different)}" if different else "identical"
-            print(f"killed after {after_s:5.1f} s, checkpoint at frame {at_frame}: {verdict}")
-    return 1 if failures else 0
+            verdict = f"**differs** in {', '.join(different)}" if different else "identical"
+            rows.append((str(number), f"{after_s:.1f}", at_frame, verdict))
+    table = Table(("run", "killed after s", "checkpoint at frame", "result"), tuple(rows))
+    publish(Results("resume", "Kill and resume", DESCRIPTION, header, (table,)), options.out)
+    return 1 if any(row[-1] != "identical" for row in rows) else 0
 
 
 def _command(options: Options, out: Path) -> list[str]:
     command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
-    command += ["--dataset.kind", "synthetic", "--dataset.path", str(options.room)]
+    command += sequence_arguments("room")
     command += ["--max-frames", str(options.frames), "--checkpoint.every-s", "1"]
     return [*command, *options.extra.split()]
 

@@ -1,19 +1,20 @@
-"""Maps the first half of a sequence and shows the second half to the frozen map.
+"""Maps the first half of a sequence and locates the second half on the frozen map.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.returning_frames
-
-RedKitchen goes along a kitchen and comes back: the frames of the way back are located on
-the map of the way out, and rendered there, at their own exposure.
+SEMSPLAT_DATA=DATA python -m benchmarks.returning_frames
 """
 
 from __future__ import annotations
 
-import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tyro
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import RECORDINGS
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.geometry import se3
@@ -24,12 +25,25 @@ from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.depth_filter import DepthFilter
 
+DESCRIPTION = """\
+RedKitchen moves along a kitchen and back: the frames of the way back are located on the map of the
+way out and rendered there, at their own exposure. 320x240 pixels."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Locate returning frames."""
+
+    out: Path = RESULTS
+    """Folder of the results file."""
+
 
 def main() -> None:
-    """Print the share of frames located and their PSNR."""
-    print(describe_machine())
-    path = Path(os.environ["SEMSPLAT_DATA"]) / "7scenes_redkitchen"
-    dataset = open_dataset("seven-scenes", path, (320, 240))
+    """Measure how many frames are located, and their PSNR."""
+    options = tyro.cli(Options)
+    header = current_header([0])
+    recording = RECORDINGS["redkitchen"]
+    dataset = open_dataset(recording.kind, recording.path, recording.image_size)
     half = len(dataset) // 2
     tracker = DenseTracker()
     slam = Slam(tracker, Mapper(), placement=KeyframePlacement())
@@ -50,7 +64,10 @@ def main() -> None:
             continue
         drawn = render(gaussians, frame.camera, se3.inverse(result.T_map_camera))
         values.append(psnr_db(result.exposure.undo(drawn.colour), frame.rgb))
-    print(f"returning frames: {len(values)} located, {lost} lost, PSNR {np.mean(values):.2f} dB")
+    row = ("RedKitchen", str(len(values)), str(lost), f"{np.mean(values):.2f}")
+    table = Table(("sequence", "located", "lost", "PSNR dB"), (row,))
+    title = "Returning frames"
+    publish(Results("returning-frames", title, DESCRIPTION, header, (table,)), options.out)
 
 
 if __name__ == "__main__":

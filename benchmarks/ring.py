@@ -1,27 +1,24 @@
-"""A long walk through a ring of rooms, with and without what takes its drift out.
+"""A long sequence through a ring of rooms, with and without what corrects its drift.
 
-    python -m benchmarks.ring RING [--table loops] [--image-size 160 120] [--drift 0.08]
+    python -m benchmarks.ring --table summary
+    python -m benchmarks.ring --table ablation --seeds 5 --image-size 160 120
 
-RING is made by `semsplat make-room --out RING --layout ring --frames 900 --sensor-noise`; with
-several seeds, RING-0, RING-1 and so on, made with `--seed N`, where they exist. Tables:
+Tables:
 
+summary       odometry alone, everything, and everything with added drift
 loops         each row adds one thing: loops between submaps, loops inside them, refinement
 ablation      each row leaves one thing out, or does it otherwise
-allocation    when the next submap begins
-registration  how submaps are joined
+allocation    when the next submap starts
+registration  how submaps are registered
 
-`--drift` moves each new submap by so many metres, and turns it by a quarter of a radian a metre,
-in a direction of its own: that is where odometry can go wrong without a word, since within a
-submap the map itself holds the camera. Submaps and links between them are off alike, and only
-loops can tell.
+Added drift moves each new submap by 0.13 m in a random direction and turns it by a quarter of a
+radian per metre. Only loops can correct it, since submaps and the odometry edges between them are
+displaced alike.
 """
 
 from __future__ import annotations
 
-import json
-import statistics
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import cv2
@@ -29,8 +26,19 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks import walks
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import room
+from benchmarks.report import Report, ReportOptions
+from benchmarks.runs import FinishedSlam, finished_slam
+from benchmarks.tables import (
+    Metrics,
+    Rows,
+    Table,
+    Target,
+    median_cell,
+    median_of,
+    table_of,
+    target_table,
+)
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
@@ -41,65 +49,103 @@ from toolkit.runs.settings import RunSettings
 from toolkit.slam import Slam
 from toolkit.submaps.atlas import Atlas
 
-RADIANS_A_METRE = 0.25
-# Frames on either side of a boundary whose renders are scored apart.
+TableName = Literal["summary", "loops", "ablation", "allocation", "registration"]
+
+DRIFT_M = 0.13
+RADIANS_PER_METRE = 0.25
+# Frames on either side of a boundary whose renders are evaluated separately.
 AROUND = 5
-# Of the image, for a piece of a class to be an object in view.
-LEAST_OBJECT = 0.01
+# Share of the image that a component of a class must cover to count as an object in view.
+MIN_OBJECT = 0.01
 SHELL = ("wall", "floor", "ceiling", "window", "door")
 
 QUALITY = ("ate_rmse_cm", "psnr_db", "ssim", "miou_percent")
 WALLS = ("wall_thickness_cm", "wall_thickness_p95_cm")
 TIMES = ("tracking_ms_per_frame", "mapping_ms_per_frame", "refinement_ms_per_frame")
-LOOPS = ("loop_precision_percent", "loop_recall_percent", "loops", "keyframes moved")
+RECALL = ("loop_precision_percent", "loop_recall_percent")
+LOOPS = (*RECALL, "loops", "keyframes moved")
 SIZE = ("submaps", "gaussians", "frames_lost", "peak_memory_mb")
 BOUNDARIES = ("submaps", "objects cut", "psnr at boundaries", *QUALITY)
+EVERYTHING = "loops and refinement"
+ODOMETRY = "no loops, no refinement"
+DRIFTED = f"{EVERYTHING}, {DRIFT_M} m of drift per submap"
 
-Row = dict[str, Any]
-NO_REFINEMENT: Row = {"mapping": {"final_iterations": 0}}
-NO_LOOPS: Row = {"loops": {"use": False}}
-PLACES_ALONE: Row = {"submaps": {"allocation": {"least_divergence": 0.0}}}
-MOTION: Row = {"submaps": {"allocation": {"rule": "motion"}}}
+DESCRIPTION = """\
+The synthetic ring (`semsplat make-room --layout ring --frames 900 --sensor-noise --seed SEED`):
+four rooms, 26 m of path, the last quarter revisits the first room. With several seeds, each has a
+ring of its own, and a row is the median over them."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One variant.
+
+    Attributes:
+        settings: those that differ from the defaults.
+        room: a key of ROOMS.
+        drift_m: displacement of each new submap.
+    """
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    room: str = "ring"
+    drift_m: float = 0.0
+
+
+NO_REFINEMENT = {"mapping": {"final_iterations": 0}}
+NO_LOOPS = {"loops": {"use": False}}
+PLACES_ONLY = {"submaps": {"allocation": {"least_divergence": 0.0}}}
+MOTION = {"submaps": {"allocation": {"rule": "motion"}}}
 
 
 def _registered_by(kind: str) -> Row:
-    return {"loops": {"registration": {"kind": kind}}}
+    return Row({"loops": {"registration": {"kind": kind}}})
 
 
-TABLES: dict[str, tuple[tuple[str, ...], dict[str, Row]]] = {
+TABLES: dict[TableName, tuple[tuple[str, ...], dict[str, Row]]] = {
+    "summary": (
+        (*QUALITY, *WALLS, *LOOPS, *SIZE, *TIMES),
+        {
+            ODOMETRY: Row({**NO_LOOPS, **NO_REFINEMENT}),
+            EVERYTHING: Row(),
+            DRIFTED: Row(drift_m=DRIFT_M),
+        },
+    ),
     "loops": (
         (*QUALITY, *WALLS, *LOOPS, *SIZE, *TIMES),
         {
-            "one map, no loops": {"submaps": {"use": False}, **NO_LOOPS, **NO_REFINEMENT},
-            "submaps, no loops": {**NO_LOOPS, **NO_REFINEMENT},
-            "loops between submaps": {"loops": {"closing": {"within": False}}, **NO_REFINEMENT},
-            "and inside them": NO_REFINEMENT,
-            "and refinement": {},
+            "one map, no loops": Row({"submaps": {"use": False}, **NO_LOOPS, **NO_REFINEMENT}),
+            "submaps, no loops": Row({**NO_LOOPS, **NO_REFINEMENT}),
+            "loops between submaps": Row(
+                {"loops": {"closing": {"within": False}}, **NO_REFINEMENT}
+            ),
+            "and inside them": Row(NO_REFINEMENT),
+            "and refinement": Row(),
+            "and refinement, ring without noise": Row(room="ring-ideal"),
         },
     ),
     "ablation": (
-        (*QUALITY, "submaps"),
+        (*QUALITY, *WALLS, *RECALL, "submaps", "loops"),
         {
-            "everything": {},
-            "allocation by places alone": PLACES_ALONE,
-            "seeds by class (G)": {"mapping": {"seeding": {"choice": "semantic"}}},
-            "as many seeds, uniform": {"mapping": {"seeding": {"choice": "uniform"}}},
-            "no loops": NO_LOOPS,
-            "no refinement": NO_REFINEMENT,
+            EVERYTHING: Row(),
+            "allocation by overlap alone": Row(PLACES_ONLY),
+            "seeds by class (G)": Row({"mapping": {"seeding": {"choice": "semantic"}}}),
+            "as many seeds, uniform": Row({"mapping": {"seeding": {"choice": "uniform"}}}),
+            "no loops": Row(NO_LOOPS),
+            "no refinement": Row(NO_REFINEMENT),
         },
     ),
     "allocation": (
         BOUNDARIES,
         {
-            "places and classes": {},
-            "places alone": PLACES_ALONE,
-            "motion (0.5 m or 50 degrees)": MOTION,
+            "overlap and classes": Row(),
+            "overlap alone": Row(PLACES_ONLY),
+            "motion (0.5 m or 50 degrees)": Row(MOTION),
         },
     ),
     "registration": (
         (*QUALITY, *LOOPS),
         {
-            "SGR (default)": {},
+            "SGR (default)": Row(),
             "coarse alone": _registered_by("coarse"),
             "fine alone": _registered_by("fine"),
             "coarse, then two-way": _registered_by("two-way"),
@@ -109,110 +155,121 @@ TABLES: dict[str, tuple[tuple[str, ...], dict[str, Row]]] = {
 }
 
 
-@dataclass(frozen=True)
-class Options:
-    """Walk through a ring of rooms."""
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
+    """Run the ring of rooms."""
 
-    room: tyro.conf.Positional[Path]
-    """The rooms."""
-    table: Literal["loops", "ablation", "allocation", "registration"] = "loops"
+    table: TableName = "summary"
     """Which rows."""
     image_size: tuple[int, int] | None = None
-    """Width and height; native if unset."""
-    drift: float = 0.0
-    """Error of each new submap's place, in metres."""
+    """Width and height in pixels; native (320x240) if unset."""
     seeds: int = 1
-    """Seeds 0, 1, ...; a row is their median."""
-    store: Path | None = None
-    """Where figures of finished walks are kept; what is in there is not walked again."""
-    only: tuple[str, ...] = ()
-    """Names of rows; all without it."""
+    """Seeds 0, 1, ... of rings and runs; a row is their median."""
     frames: int | None = None
-    """Only so many."""
-
-
-def let_drift(atlas: Atlas, metres: float, seed: int) -> None:
-    """Put each new submap somewhat elsewhere than the camera is."""
-    begin_next, generator = atlas.begin_next, np.random.default_rng(seed)
-
-    def begin_elsewhere() -> NDArray[np.float64]:
-        T_new_old = begin_next()
-        directions = generator.normal(size=(2, 3))
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        error = se3.exp(metres * np.concatenate([directions[0], RADIANS_A_METRE * directions[1]]))
-        atlas.move(atlas.active, atlas.T_world_submap(atlas.active) @ error)
-        return T_new_old
-
-    atlas.begin_next = begin_elsewhere  # type: ignore[method-assign]
+    """Number of frames from the start; all if unset. Give --out with it."""
 
 
 def main() -> None:
-    """Print one row a variant."""
+    """Measure one table."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
-    print(f"\n{options.room.name}, drift {options.drift}, {options.seeds} seeds\n")
     columns, rows = TABLES[options.table]
-    chosen = {name: row for name, row in rows.items() if not options.only or name in options.only}
-    runs: dict[str, list[Row]] = {name: [] for name in chosen}
-    for seed in range(options.seeds):
-        for name, values in chosen.items():
-            runs[name].append(remembered(options, name, values, seed))
-    print("| | " + " | ".join(columns) + " |")
-    print("|---" * (len(columns) + 1) + "|", flush=True)
-    for name, found in runs.items():
-        cells = [_median([run.get(column) for run in found]) for column in columns]
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
-
-
-def remembered(options: Options, name: str, values: Row, seed: int) -> Row:
-    """The figures of a walk, from the store if they are there."""
-    key = [options.room.name, options.image_size, options.frames, options.drift, name, seed]
-    known = []
-    if options.store is not None and options.store.exists():
-        known = [json.loads(line) for line in options.store.read_text().splitlines()]
-    for entry in known:
-        if entry["walk"] == json.loads(json.dumps(key)):
-            figures: Row = entry["figures"]
-            return figures
-    figures = figures_of(options, values, seed)
-    if options.store is not None:
-        with options.store.open("a") as file:
-            file.write(json.dumps({"walk": key, "figures": figures}) + "\n")
-    return figures
-
-
-def figures_of(options: Options, values: Row, seed: int) -> Row:
-    """metrics.json of one walk, and what its loops did."""
-    own = options.room.with_name(f"{options.room.name}-{seed}")
-    place = own if own.is_dir() else options.room
-    values = values | {
-        "dataset": {"kind": "synthetic", "path": str(place)},
-        "image_size": options.image_size,
-        "max_frames": options.frames,
-        "seed": seed,
+    size = "" if options.image_size is None else "-{}x{}".format(*options.image_size)
+    report = Report(
+        f"ring-{options.table}{size}",
+        f"Ring of rooms: {options.table}{size.replace('-', ', ')}",
+        DESCRIPTION,
+        options,
+        range(options.seeds),
+    )
+    jobs = {
+        name: {**vars(row), "image_size": options.image_size, "max_frames": options.frames}
+        for name, row in rows.items()
     }
-    settings = validated(RunSettings, values)
+    found = report.measured(jobs, lambda job, seed: measure(job, seed, options.table))
+    tables = [table_of(columns, found)]
+    if options.seeds > 1:
+        tables.append(each_ring(found, options.seeds))
+    targets = summary_targets(found) if options.table == "summary" else []
+    report.write(*tables, *([target_table(targets)] if targets else []))
+
+
+def each_ring(rows: Rows, seeds: int) -> Table:
+    """ATE and loops of each ring by itself."""
+    cells = []
+    for name, runs in rows.items():
+        for column in ("ate_rmse_cm", *RECALL):
+            cells.append((f"{name}: {column}", *(median_cell([r.get(column)]) for r in runs)))
+    columns = ("", *(f"ring {seed}" for seed in range(seeds)))
+    return Table(columns, tuple(cells), "Each ring")
+
+
+def summary_targets(rows: Rows) -> list[Target]:
+    """What loops and refinement should reach."""
+    median = median_of(rows)
+    return [
+        Target("ATE in cm", median(EVERYTHING, "ate_rmse_cm"), at_most=0.5),
+        Target(
+            "precision of loops in %", median(EVERYTHING, "loop_precision_percent"), at_least=100
+        ),
+        Target("recall of loops in %", median(EVERYTHING, "loop_recall_percent"), at_least=85),
+        Target("ATE with added drift in cm", median(DRIFTED, "ate_rmse_cm"), at_most=1.5),
+    ]
+
+
+def measure(job: dict[str, Any], seed: int, table: TableName) -> Metrics:
+    """Run one variant; metrics.json and what its loops did."""
+    place = room(job["room"], seed)
+    settings = validated(
+        RunSettings,
+        job["settings"]
+        | {
+            "dataset": {"kind": "synthetic", "path": str(place)},
+            "image_size": job["image_size"],
+            "max_frames": job["max_frames"],
+            "seed": seed,
+        },
+    )
     dataset = open_dataset("synthetic", place, settings.image_size, settings.max_frames)
 
     def prepare(slam: Slam) -> None:
-        if options.drift:
-            let_drift(slam.atlas, options.drift, seed)
+        if job["drift_m"]:
+            add_drift(slam.atlas, job["drift_m"], seed)
 
-    with walks.walked(settings, dataset, prepare) as walk:
-        closed = [r for r in walk.records if r["kind"] == "correction between"]
-        moved = [r for r in walk.records if r["kind"] == "correction within" and r["applied"]]
-        found = walk.metrics | {
-            "submaps": len(walk.slam.atlas),
-            "loops": closed[-1]["loops"] if closed else 0,
-            "keyframes moved": len(moved),
-        }
-        if options.table == "allocation":
-            found |= at_boundaries(walk.slam, dataset, settings)
-        return found
+    with finished_slam(settings, dataset, prepare) as run:
+        metrics = run.metrics | loop_counts(run)
+        if table == "allocation":
+            metrics |= at_boundaries(run.slam, dataset, settings)
+        return metrics
 
 
-def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Row:
-    """How many objects are in view where submaps meet, and how good the map is there."""
+def loop_counts(run: FinishedSlam) -> Metrics:
+    """Submaps, loops between them, and corrections inside them."""
+    between = [r for r in run.records if r["kind"] == "correction between"]
+    within = [r for r in run.records if r["kind"] == "correction within" and r["applied"]]
+    return {
+        "submaps": len(run.slam.atlas),
+        "loops": between[-1]["loops"] if between else 0,
+        "keyframes moved": len(within),
+    }
+
+
+def add_drift(atlas: Atlas, metres: float, seed: int) -> None:
+    """Displace each new submap from where the camera is."""
+    begin_next, generator = atlas.begin_next, np.random.default_rng(seed)
+
+    def begin_displaced() -> NDArray[np.float64]:
+        T_new_old = begin_next()
+        directions = generator.normal(size=(2, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        error = se3.exp(metres * np.concatenate([directions[0], RADIANS_PER_METRE * directions[1]]))
+        atlas.move(atlas.active, atlas.T_world_submap(atlas.active) @ error)
+        return T_new_old
+
+    atlas.begin_next = begin_displaced  # type: ignore[method-assign]
+
+
+def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Metrics:
+    """Number of objects in view where submaps meet, and image quality of the map there."""
     numbers = range(1, len(slam.atlas))
     boundaries = [next(iter(slam.atlas.keyframe_poses(number))) for number in numbers]
     near = [
@@ -231,22 +288,15 @@ def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Row:
 
 
 def _objects(labels: NDArray[np.int32] | None, shell: list[int]) -> int:
-    """Connected pieces of one class that are no part of the room's shell."""
+    """Number of connected components of one class, walls, floor and the like excluded."""
     if labels is None:
         return 0
     count = 0
     for number in np.setdiff1d(np.unique(labels), [0, *shell]):
         mask = (labels == number).astype(np.uint8)
-        _, _, figures, _ = cv2.connectedComponentsWithStats(mask)
-        count += int((figures[1:, cv2.CC_STAT_AREA] >= LEAST_OBJECT * labels.size).sum())
+        _, _, statistics, _ = cv2.connectedComponentsWithStats(mask)
+        count += int((statistics[1:, cv2.CC_STAT_AREA] >= MIN_OBJECT * labels.size).sum())
     return count
-
-
-def _median(values: list[Any]) -> str:
-    if any(value is None for value in values):
-        return "n/a"
-    middle = statistics.median(values)
-    return str(middle) if isinstance(middle, int) else f"{middle:.4g}"
 
 
 if __name__ == "__main__":

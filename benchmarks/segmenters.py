@@ -1,23 +1,10 @@
-"""Labels sequences with the geometric segmenter, poses given, and prints how good that is.
+"""Accuracy and consistency of the geometric segmenter on labelled sequences, poses given.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.segmenters --room DIR [--noisy-room DIR --truth DIR]
-
-Rooms are made by `semsplat make-room --out DIR [--sensor-noise]`; `--truth` is the same room
-with as many frames, without noise. Truth comes from the names of the classes:
-
-- floor, ceiling and wall by name; what hangs flat on a wall (doors, windows, blinds, curtains,
-  pictures, ...) is wall, because depth cannot tell it from one;
-- surface: the parts of tables, beds, seats, shelves and the like whose true normal, from the
-  noise-free depth, is within 25 degrees of up; everything else is an object.
-
-`consistency` is the share of pixels whose class is the same in the frame before, carried over
-by the true poses where depths agree within 2 %: the mean and the worst pair of frames. Void is
-left out of everything. `structure` is the accuracy with surface and object as one class.
+SEMSPLAT_DATA=DATA python -m benchmarks.segmenters
 """
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +13,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import RECORDINGS, room
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
@@ -51,22 +41,29 @@ COLOURS = np.array(
 )
 
 
+DESCRIPTION = """\
+The segmenter labels floor, wall, ceiling, level surfaces and objects from depth. The ground truth
+comes from the names of the classes: floor, ceiling and wall by name; what hangs flat on a wall
+(doors, windows, pictures, ...) is wall, because depth cannot distinguish it; surface is the parts
+of tables, beds, seats, shelves and the like whose true normal, from noise-free depth, is within 25
+degrees of up; everything else is an object. "Structure" is the accuracy with surface and object as
+one class. "Consistency" is the share of pixels whose class is the same in the previous frame,
+warped by the true poses where depths agree within 2 %: the mean and the worst pair of frames. Void
+is excluded. Percent."""
+
+
 @dataclass(frozen=True)
 class Options:
-    """Score the geometric segmenter."""
+    """Evaluate the geometric segmenter."""
 
-    room: Path | None = None
-    """A noise-free synthetic room."""
-    noisy_room: Path | None = None
-    """A synthetic room with sensor noise; needs --truth."""
-    truth: Path | None = None
-    """The noisy room without its noise."""
     every: int = 1
     """Use every n-th frame."""
     no_poses: bool = False
-    """Withhold the poses, so that every frame is judged by itself."""
+    """Withhold the poses, so that every frame is labelled by itself."""
     pictures: Path | None = None
-    """Write pictures of some frames into this folder."""
+    """Folder for pictures of some frames."""
+    out: Path = RESULTS
+    """Folder of the results file."""
 
 
 class Sequence(NamedTuple):
@@ -85,35 +82,36 @@ class Score:
 
 
 def main() -> None:
-    """Print one row a sequence."""
+    """Measure one row for each sequence."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
+    header = current_header((), ("toolkit/semantics/segmenters",))
     names = list(CLASS_NAMES.values())
     columns = ["sequence", "accuracy", "structure", "mIoU", *(f"IoU {n}" for n in names)]
-    columns += ["consistency", "worst"]
-    print("\n| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|", flush=True)
-    for name, sequence in _sequences(options).items():
-        score = _score(name, sequence, options)
-        print("| " + " | ".join([name, *_cells(score)]) + " |", flush=True)
+    rows = [
+        (name, *_cells(_score(name, sequence, options))) for name, sequence in _sequences().items()
+    ]
+    table = Table((*columns, "consistency", "worst"), tuple(rows))
+    results = Results("segmenter", "Geometric segmenter", DESCRIPTION, header, (table,))
+    if options.every == 1 and not options.no_poses:
+        publish(results, options.out)
+    else:
+        print(results.markdown())
 
 
-def _sequences(options: Options) -> dict[str, Sequence]:
-    found: dict[str, Sequence] = {}
-    if "SEMSPLAT_DATA" in os.environ:
-        data = Path(os.environ["SEMSPLAT_DATA"])
-        small = (320, 240)
-        office = open_dataset("replica", data / "replica_office0")
-        found["replica_office0"] = Sequence(office, office)
-        kitchen = open_dataset("seven-scenes", data / "7scenes_redkitchen", small)
-        found["7scenes_redkitchen"] = Sequence(kitchen, None)
-        found["tum_fr1_rpy"] = Sequence(open_dataset("tum", data / "tum_fr1_rpy", small), None)
-    if options.room:
-        room = open_dataset("synthetic", options.room)
-        found["room"] = Sequence(room, room)
-    if options.noisy_room and options.truth:
-        noisy = open_dataset("synthetic", options.noisy_room)
-        found["room, sensor noise"] = Sequence(noisy, open_dataset("synthetic", options.truth))
-    return found
+def _sequences() -> dict[str, Sequence]:
+    def recording(name: str) -> RecordedDataset:
+        found = RECORDINGS[name]
+        return open_dataset(found.kind, found.path, found.image_size)
+
+    office, ideal = recording("office0"), open_dataset("synthetic", room("room"))
+    noisy = open_dataset("synthetic", room("room-noise"))
+    return {
+        "office0": Sequence(office, office),
+        "redkitchen": Sequence(recording("redkitchen"), None),
+        "fr1_rpy": Sequence(recording("fr1_rpy"), None),
+        "room": Sequence(ideal, ideal),
+        "room, sensor noise": Sequence(noisy, ideal),
+    }
 
 
 def _score(name: str, sequence: Sequence, options: Options) -> Score:

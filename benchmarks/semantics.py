@@ -1,71 +1,60 @@
-"""What semantics cost and what they are worth, code by code.
+"""What semantics cost and how accurate labels are, code by code.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.semantics cost quality noise ablation room \
-        [--room DIR]
+    SEMSPLAT_DATA=DATA python -m benchmarks.semantics quality [room noise ablation cost] [--seeds 3]
 
-Each part prints a table; each run is a process of its own with the default settings but for
-what its row names. `quality`, `noise` and `ablation` map replica_office0 with its poses
-given and every fifth view held back; `room` tracks and maps a synthetic room (`semsplat
-make-room --out DIR`); `cost` times one mapping step on a map of replica_office0, codes in turn.
+Each part is a table in a file of results of its own. Each run is a process of its own with default
+settings except for what its row names.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import shutil
-import statistics
-import subprocess
-import sys
 import tempfile
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
-import torch
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.machine import describe_machine
-from toolkit.datasets.registry import open_dataset
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
+from benchmarks.recordings import RECORDINGS, sequence_arguments
+from benchmarks.report import Report, ReportOptions
+from benchmarks.runs import run_metrics
+from benchmarks.semantics_cost import measure_cost
+from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
 from toolkit.mapping.consensus import segments_of
-from toolkit.mapping.factory import build_mapper, build_semantic_mapping
-from toolkit.mapping.mapper import Mapper
-from toolkit.options import validated
-from toolkit.rendering import backend
-from toolkit.runs.settings import RunSettings
-from toolkit.semantics.factory import build_code
-from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.trees import shipped_taxonomy
 
-Part = Literal["cost", "quality", "noise", "ablation", "room"]
+PartName = Literal["quality", "room", "noise", "ablation", "cost"]
 CODES = ("none", "flat", "one-hot", "binary")
-GEOMETRY = ("ate_rmse_cm", "psnr_db", "psnr_unseen_db", "ssim", "depth_l1_cm")
-SEMANTIC = ("miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent")
-COSTS = (
+GEOMETRY = ("psnr_db", "psnr_unseen_db", "ssim", "depth_l1_cm")
+LABELS = ("miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent")
+SUBSET = ("miou_visible_percent", "miou_subset_percent", "miou_subset_unseen_percent")
+TIMES = (
     "tracking_ms_per_frame",
     "labelling_ms_per_frame",
     "mapping_ms_per_frame",
     "refinement_ms_per_frame",
-    "map_mb",
-    "peak_memory_mb",
 )
+MEMORY = ("map_mb", "peak_memory_mb")
 WRONG_SHARE = 0.2  # of the segments of each frame
+WRONG_LABELS = "WRONG_LABELS"  # stands in a job for the folder of the changed labels
+
+OFFICE_TEXT = """\
+`semsplat run` on Replica office0 (600x340) with `--poses given --hold-out 5`: every fifth view is
+kept out of the map and is an unseen view. The tree is the shipped one of Replica's 101 classes
+(5 levels)."""
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
     """Measure semantics."""
 
-    parts: tyro.conf.Positional[tuple[Part, ...]] = ("cost", "quality", "noise")
-    room: Path | None = None
-    """A noise-free synthetic room, for the part `room`."""
+    parts: tyro.conf.Positional[tuple[PartName, ...]] = ("quality",)
+    """Which tables."""
     seeds: int = 1
     """Seeds 0, 1, ...; a row is their median."""
     rounds: int = 15
@@ -73,97 +62,182 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Table:
-    """Rows of options, and the columns of metrics.json that are shown."""
+class Part:
+    """One table.
 
+    Attributes:
+        title, description: of the results file.
+        columns: metrics.
+        rows: a sequence and options of `semsplat run`.
+        targets: what the rows should reach, None without targets.
+    """
+
+    title: str
+    description: str
     columns: tuple[str, ...]
-    rows: dict[str, list[str]] = field(default_factory=dict)
+    rows: dict[str, list[str]]
+    targets: Callable[[Rows], list[Target]] | None = None
 
 
-def main() -> None:
-    """Print the tables that were asked for."""
-    options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
-    parts: dict[Part, Callable[[Options], None]] = {
-        "cost": cost,
-        "quality": quality,
-        "noise": noise,
-        "ablation": ablation,
-        "room": room,
-    }
-    for part in options.parts:
-        print(f"\n### {part}", flush=True)
-        parts[part](options)
-
-
-def office() -> list[str]:
-    """Options of a run on replica_office0 with given poses and held-out views."""
-    path = Path(os.environ["SEMSPLAT_DATA"]) / "replica_office0"
-    place = ["--dataset.kind", "replica", "--dataset.path", str(path)]
-    return [*place, "--poses", "given", "--hold-out", "5"]
+def office(*options: str) -> list[str]:
+    """A run on office0 with given poses and held-out views."""
+    return ["office0", "--poses", "given", "--hold-out", "5", *options]
 
 
 def code(kind: str) -> list[str]:
+    """Options that choose a code."""
     return ["--semantics.code.kind", kind]
 
 
-def quality(options: Options) -> None:
-    """Codes on the same views: geometry must not suffer, labels must be right."""
-    show(
-        Table(
-            (*GEOMETRY[1:], *SEMANTIC, "miou_level_0_unseen_percent", *COSTS[2:]),
-            {kind: [*office(), *code(kind)] for kind in (*CODES, "colour")},
-        ),
-        options,
-    )
+def quality_targets(rows: Rows) -> list[Target]:
+    """Accuracy of labels with given poses; codes beside each other."""
+    median = median_of(rows)
+
+    def below(row: str, other: str, column: str = "miou_percent") -> float | None:
+        a, b = median(other, column), median(row, column)
+        return None if a is None or b is None else a - b
+
+    one_hot, binary = "one-hot", "binary"
+    unseen = "miou_unseen_percent"
+    return [
+        Target("one-hot, mIoU of mapped views in %", median(one_hot, "miou_percent"), at_least=97),
+        Target("one-hot, mIoU of unseen views in %", median(one_hot, unseen), at_least=94.5),
+        Target("one-hot, coarsest level in %", median(one_hot, LABELS[2]), at_least=99),
+        Target("one-hot below flat, mapped, points", below(one_hot, "flat"), at_most=1),
+        Target("binary below flat, mapped, points", below(binary, "flat"), at_most=2),
+        Target("binary below one-hot, mapped, points", below(binary, one_hot), at_most=1),
+        Target("binary below one-hot, unseen, points", below(binary, one_hot, unseen), at_most=1),
+        Target("one-hot below none, PSNR in dB", below(one_hot, "none", "psnr_db"), at_most=0.1),
+    ]
 
 
-def room(options: Options) -> None:
-    """Codes on a synthetic room, tracked and mapped."""
-    if options.room is None:
-        raise SystemExit("--room DIR is needed; make one with: semsplat make-room --out DIR")
-    place = ["--dataset.kind", "synthetic", "--dataset.path", str(options.room)]
-    rows = {kind: [*place, *code(kind)] for kind in CODES}
-    columns = (*GEOMETRY, *SEMANTIC, "miou_unseen_refined_percent", "classes_scored", *COSTS)
-    show(Table(columns, rows), options)
+def room_targets(rows: Rows) -> list[Target]:
+    """Accuracy of labels on a tracked room."""
+    median = median_of(rows)
 
+    def lost(row: str, column: str) -> float | None:
+        mapped, unseen = median(row, "miou_percent"), median(row, column)
+        return None if mapped is None or unseen is None else mapped - unseen
 
-def noise(options: Options) -> None:
-    """A share of the segments of every frame with a wrong class."""
-    with tempfile.TemporaryDirectory() as folder:
-        write_wrong_labels(Path(folder), np.random.default_rng(0))
-        wrong = [
-            *("--semantics.segmenter.kind", "images"),
-            *("--semantics.segmenter.images.folder", folder),
-            *("--semantics.segmenter.images.pairing", "number"),
+    targets = []
+    for row, bound in (("one-hot", 95), ("binary", 93)):
+        mapped = median(row, "miou_percent")
+        refined, unrefined = (lost(row, f"miou_unseen{kind}_percent") for kind in ("_refined", ""))
+        targets += [
+            Target(f"{row}, mIoU of mapped views in %", mapped, at_least=bound),
+            Target(f"{row}, less on unseen views, poses refined, points", refined, at_most=3),
+            Target(f"{row}, less on unseen views, true poses, points", unrefined, at_most=3),
         ]
-        rounds = "--mapping.consensus.rounds"
-        rows = {
-            "20 % wrong": [*office(), *wrong],
-            "20 % wrong, votes alone": [*office(), *wrong, rounds, "0"],
-            "20 % wrong, binary": [*office(), *wrong, *code("binary")],
-        }
-        show(Table(SEMANTIC, rows), options)
+    return targets
 
 
-def ablation(options: Options) -> None:
-    """Terms of the loss, ways to read the code, ways to seed."""
-    network = ["--semantics.network.use"]
-    share = ["--mapping.seeding.share", "0.35", "--mapping.seeding.choice"]
-    rows = {
-        "intra + inter, by path": [*office(), *network],
-        "intra + inter, by network": [*office(), *network, "--semantics.reader", "network"],
-        "geometry moved by semantics": [*office(), "--semantics.loss.moves-geometry"],
-        "35 % of pixels seed, uniform": [*office(), *share, "uniform"],
-        "35 % of pixels seed, semantic": [*office(), *share, "semantic"],
-    }
-    columns = ("psnr_db", "psnr_unseen_db", *SEMANTIC, "gaussians", *COSTS[2:4])
-    show(Table(columns, rows), options)
+_NETWORK = ["--semantics.network.use"]
+_SHARE = ["--mapping.seeding.share", "0.35", "--mapping.seeding.choice"]
+_WRONG = [
+    *("--semantics.segmenter.kind", "images"),
+    *("--semantics.segmenter.images.folder", WRONG_LABELS),
+    *("--semantics.segmenter.images.pairing", "number"),
+]
+PARTS: dict[str, Part] = {
+    "quality": Part(
+        "Semantic codes, poses given",
+        f"{OFFICE_TEXT} Subset mIoU decodes each view among the classes of its own ground truth "
+        "(`--evaluation.subset`).",
+        (*GEOMETRY, *LABELS, "miou_level_0_unseen_percent", *SUBSET, *TIMES[2:], *MEMORY),
+        {kind: office(*code(kind), "--evaluation.subset") for kind in (*CODES, "colour")},
+        quality_targets,
+    ),
+    "room": Part(
+        "Semantic codes, tracked",
+        "`semsplat run` on the synthetic room (`semsplat make-room`, 300 frames of 320x240), "
+        "tracked and mapped. Unseen views lie off the path; refined ones have their poses refined "
+        "on the map.",
+        (
+            "ate_rmse_cm",
+            *GEOMETRY,
+            *LABELS,
+            "miou_unseen_refined_percent",
+            "classes_scored",
+            *TIMES,
+            *MEMORY,
+        ),
+        {kind: ["room", *code(kind)] for kind in CODES},
+        room_targets,
+    ),
+    "noise": Part(
+        "Wrong labels",
+        f"{OFFICE_TEXT} Rows '20 % wrong': {100 * WRONG_SHARE:.0f} % of the segments of each frame "
+        "have another class of the sequence. The row without segment consensus has "
+        "`--mapping.consensus.rounds 0`.",
+        LABELS,
+        {
+            "right labels": office(),
+            "20 % wrong": office(*_WRONG),
+            "20 % wrong, without segment consensus": office(
+                *_WRONG, "--mapping.consensus.rounds", "0"
+            ),
+            "20 % wrong, binary": office(*_WRONG, *code("binary")),
+        },
+    ),
+    "ablation": Part(
+        "Semantic loss, decoding and seeding",
+        f"{OFFICE_TEXT} Code: one-hot.",
+        ("psnr_db", "psnr_unseen_db", *LABELS, "gaussians", *TIMES[2:]),
+        {
+            "default: intra-level loss, decoded by path": office(),
+            "intra + inter, decoded by path": office(*_NETWORK),
+            "intra + inter, decoded by network": office(*_NETWORK, "--semantics.reader", "network"),
+            "geometry moved by semantics": office("--semantics.loss.moves-geometry"),
+            "35 % of pixels seed, uniform": office(*_SHARE, "uniform"),
+            "35 % of pixels seed, by class": office(*_SHARE, "semantic"),
+        },
+    ),
+}
+
+
+def main() -> None:
+    """Measure the parts that were asked for."""
+    options = tyro.cli(Options)
+    for name in options.parts:
+        if name == "cost":
+            measure_cost(options.rounds, options.out)
+        else:
+            measure_part(name, PARTS[name], options)
+
+
+def measure_part(name: str, part: Part, options: Options) -> None:
+    """Measure one table."""
+    report = Report(
+        f"semantics-{name}", part.title, part.description, options, range(options.seeds)
+    )
+    with wrong_labels() as folder:
+
+        def measure(job: list[str], seed: int) -> Metrics:
+            sequence, *arguments = [str(folder()) if a == WRONG_LABELS else a for a in job]
+            return run_metrics([*sequence_arguments(sequence), *arguments], seed)
+
+        rows = report.measured(part.rows, measure)
+    targets = [target_table(part.targets(rows))] if part.targets else []
+    report.write(table_of(part.columns, rows), *targets)
+
+
+@contextmanager
+def wrong_labels() -> Iterator[Callable[[], Path]]:
+    """A function that writes the changed labels when they are first needed."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+
+        def written() -> Path:
+            if not (folder / "classes.json").exists():
+                write_wrong_labels(folder, np.random.default_rng(0))
+            return folder
+
+        yield written
 
 
 def write_wrong_labels(folder: Path, generator: np.random.Generator) -> None:
-    """The labels of replica_office0 with a share of each frame's segments renamed."""
-    source = Path(os.environ["SEMSPLAT_DATA"]) / "replica_office0" / "labels"
+    """Write the labels of office0 with a share of each frame's segments changed."""
+    source = RECORDINGS["office0"].path / "labels"
     shutil.copy(source / "classes.json", folder)
     files = sorted(source.glob("label*.png"))
     images = [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files]
@@ -176,131 +250,12 @@ def write_wrong_labels(folder: Path, generator: np.random.Generator) -> None:
 def renamed(
     labels: NDArray[np.integer], present: NDArray[np.integer], generator: np.random.Generator
 ) -> NDArray[np.integer]:
-    """A label image with WRONG_SHARE of its segments given another class of the sequence."""
+    """A label image in which WRONG_SHARE of the segments have another class of the sequence."""
     segments, own = segments_of(labels)
     wrong = (generator.random(len(own)) < WRONG_SHARE) & (own > 0)
     shift = generator.integers(1, len(present), len(own))
     place = (np.searchsorted(present, own) + shift) % len(present)
     return np.where(wrong, present[place], own)[segments].astype(labels.dtype)
-
-
-def show(table: Table, options: Options) -> None:
-    """Run the rows of a table and print it."""
-    print("| | " + " | ".join(table.columns) + " |")
-    print("|---" * (len(table.columns) + 1) + "|", flush=True)
-    for name, arguments in table.rows.items():
-        runs = [run(arguments, seed) for seed in range(options.seeds)]
-        cells = [_median([metrics.get(column) for metrics in runs]) for column in table.columns]
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
-
-
-def run(arguments: list[str], seed: int) -> dict:
-    """metrics.json of `semsplat run`."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "run"
-        command = [sys.executable, "-m", "toolkit.cli.main", "run", *arguments]
-        command += ["--seed", str(seed), "--out", str(out)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise SystemExit(f"{' '.join(command)}\n{done.stderr[-2000:]}")
-        return json.loads((out / "metrics.json").read_text())
-
-
-def _median(values: list) -> str:
-    if any(value is None for value in values):
-        return ""
-    middle = statistics.median(values)
-    return str(middle) if isinstance(middle, int) else f"{middle:.4g}"
-
-
-def cost(options: Options) -> None:
-    """One step by code on the same map and view, taking turns so that noise hits all alike."""
-    subjects = {name: Subject(name, kind, inter) for name, kind, inter in SUBJECTS}
-    times: dict[str, dict[str, list[float]]] = {name: {} for name in subjects}
-    for turn in range(options.rounds + 1):
-        for name, subject in subjects.items():
-            for stage, seconds in subject.step().items():
-                if turn:
-                    times[name].setdefault(stage, []).append(1e3 * seconds)
-    stages = ("forward", "backward", "renderer", "step")
-    print("| | channels | map MB | " + " | ".join(f"{s} ms | of flat" for s in stages) + " |")
-    print("|---" * (3 + 2 * len(stages)) + "|")
-    medians = {n: {s: statistics.median(t[s]) for s in stages} for n, t in times.items()}
-    for name, subject in subjects.items():
-        flat = medians["flat, inter sampled" if "inter" in name else "flat"]
-        cells = [f"{medians[name][s]:.1f} | {medians[name][s] / flat[s]:.2f}" for s in stages]
-        print(f"| {name} | {subject.channels} | {subject.map_mb:.1f} | " + " | ".join(cells) + " |")
-
-
-SUBJECTS = (
-    ("none", "none", None),
-    ("flat", "flat", None),
-    ("one-hot", "one-hot", None),
-    ("binary", "binary", None),
-    ("flat, inter sampled", "flat", 2048),
-    ("one-hot, inter sampled", "one-hot", 2048),
-    ("binary, inter sampled", "binary", 2048),
-    ("flat, inter on all", "flat", 0),
-    ("one-hot, inter on all", "one-hot", 0),
-    ("binary, inter on all", "binary", 0),
-)
-
-
-class Subject:
-    """A map of one view of replica_office0 under one code.
-
-    Args:
-        inter: pixels of the inter-level term, 0 for all, None without the term.
-    """
-
-    def __init__(self, name: str, kind: str, inter: int | None) -> None:
-        self.name = name
-        path = Path(os.environ["SEMSPLAT_DATA"]) / "replica_office0"
-        dataset = open_dataset("replica", path, None, 1)
-        taxonomy = shipped_taxonomy("replica")
-        settings = validated(
-            RunSettings,
-            {
-                "mapping": {"first_iterations": 1, "seeding": {"largest_cell": 1}},
-                "semantics": {
-                    "code": {"kind": kind},
-                    "loss": {"inter_pixels": inter or 0, "inter_from": 0},
-                    "network": {"use": inter is not None},
-                },
-            },
-        )
-        self._mapper = self._build(settings, taxonomy)
-        self._mapper.add_keyframe(Keyframe.from_frame(dataset[0], np.eye(4)))
-        self.channels = 4 + self._mapper.semantics.channels
-        cloud = self._mapper.gaussians
-        self.map_mb = len(cloud) * (8 + self._mapper.semantics.channels) * 4 / 1e6
-
-    @staticmethod
-    def _build(settings: RunSettings, taxonomy: Taxonomy) -> Mapper:
-        chosen = build_code(settings.semantics.code, taxonomy)
-        semantics = build_semantic_mapping(settings.semantics, chosen, 0)
-        generator = np.random.default_rng(0)
-        return build_mapper(settings.mapping, generator, "auto", None, semantics)
-
-    def step(self) -> dict[str, float]:
-        """Seconds of the renderer's two passes, alone, and of a whole mapping step."""
-        mapper = self._mapper
-        cloud, keyframe = mapper.gaussians, mapper.keyframes[0]
-        T_camera_map = se3.inverse(keyframe.T_map_camera)
-        times = {}
-        start = time.perf_counter()
-        drawn = backend().forward(cloud, keyframe.camera, T_camera_map, cloud.features, None)
-        times["forward"] = time.perf_counter() - start
-        gradient = torch.ones_like(drawn.images)
-        start = time.perf_counter()
-        drawn.backward(gradient)
-        times["backward"] = time.perf_counter() - start
-        times["renderer"] = times["forward"] + times["backward"]
-        del drawn
-        start = time.perf_counter()
-        mapper._step(keyframe, (0, 4))  # of a call's steps one with semantics
-        times["step"] = time.perf_counter() - start
-        return times
 
 
 if __name__ == "__main__":

@@ -1,25 +1,21 @@
-"""Runs `semsplat run` with its default settings on every sequence and prints a table.
+"""`semsplat run` with its default settings on every sequence.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.sequences --room DIR --noisy-room DIR
+    SEMSPLAT_DATA=DATA python -m benchmarks.sequences [--seeds 3] [--only NAMES]
 
-Rooms are made by `semsplat make-room --out DIR [--sensor-noise]`. Each run is a process of
-its own. A row is the median over the seeds, for times too.
+Each run is a process of its own. A row is the median over its seeds, for times too.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import statistics
-import subprocess
-import sys
-import tempfile
+import shlex
 from dataclasses import dataclass
-from pathlib import Path
 
 import tyro
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import sequence_arguments
+from benchmarks.report import Report, ReportOptions
+from benchmarks.runs import run_metrics
+from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
 
 COLUMNS = (
     "ate_rmse_cm",
@@ -30,83 +26,108 @@ COLUMNS = (
     "psnr_unseen_refined_db",
     "ssim",
     "depth_l1_cm",
+    "miou_percent",
+    "miou_unseen_percent",
+    "loop_precision_percent",
+    "loop_recall_percent",
+    "loops_searched_with_truth",
     "gaussians",
     "tracking_ms_per_frame",
     "labelling_ms_per_frame",
     "mapping_ms_per_frame",
     "refinement_ms_per_frame",
+    "frames",
     "peak_memory_mb",
 )
+KITCHEN, RPY, OFFICE = "7-Scenes RedKitchen", "TUM fr1/rpy", "Replica office0"
+GIVEN = "Replica office0, poses given"
+ROOM, NOISY = "synthetic room", "synthetic room, sensor noise"
+DESCRIPTION = """\
+`semsplat run` with default settings: labels recorded with the dataset, or those of planes on
+RedKitchen and fr1/rpy. RedKitchen and fr1/rpy are resized to 320x240, office0 has 600x340 pixels,
+the rooms (`semsplat make-room`, with and without `--sensor-noise`) 320x240. ATE after SE(3)
+alignment; PSNR is the mean over views of the dB over all pixels, of at most 100 evenly spaced
+views. Unseen views of office0 are every fifth frame, those of the rooms lie off the path;
+"refined" ones have their poses refined on the map. Loop recall is over the searched keyframes with
+a true loop before them (`loops_searched_with_truth`). Times are milliseconds per frame; the
+refinement of the whole map at the end is spread over the frames."""
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
     """Run every sequence."""
 
-    room: Path | None = None
-    """A noise-free synthetic room."""
-    noisy_room: Path | None = None
-    """A synthetic room with sensor noise."""
-    seeds: int = 3
+    seeds: int = 1
     """Seeds 0, 1, ... of each sequence."""
-    only: tuple[str, ...] = ()
-    """Names of rows to run; all without it."""
     extra: str = ""
     """Further options of every run, in one string."""
+    name: str = "sequences"
+    """Name of the results file; give another one with --extra."""
+
+
+# The sequence of each row, and further options of its run.
+ROWS: dict[str, list[str]] = {
+    KITCHEN: ["redkitchen"],
+    RPY: ["fr1_rpy"],
+    OFFICE: ["office0"],
+    GIVEN: ["office0", "--poses", "given", "--hold-out", "5"],
+    ROOM: ["room"],
+    NOISY: ["room-noise"],
+}
 
 
 def main() -> None:
-    """Print one row a sequence."""
+    """Measure one row for each sequence."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
-    print("\n| sequence | " + " | ".join(COLUMNS) + " |")
-    print("|---" * (len(COLUMNS) + 1) + "|", flush=True)
-    for name, arguments in _sequences(options).items():
-        if options.only and name not in options.only:
-            continue
-        runs = [_run([*arguments, *options.extra.split()], seed) for seed in range(options.seeds)]
-        cells = [_median([run.get(column) for run in runs]) for column in COLUMNS]
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+    extra = shlex.split(options.extra)
+    if extra and options.name == Options.name:
+        raise SystemExit("--extra changes what is measured; give the results a --name of their own")
+    report = Report(options.name, "Sequences", DESCRIPTION, options, range(options.seeds))
+    jobs = {
+        name: [*row, *extra]
+        for name, row in ROWS.items()
+        if not (extra and options.only) or name in options.only
+    }
+    rows = report.measured(jobs, measure)
+    tables = [table_of(COLUMNS, rows, "sequence")]
+    report.write(*tables, *([] if extra else [target_table(targets(rows))]))
 
 
-def _sequences(options: Options) -> dict[str, list[str]]:
-    rows: dict[str, list[str]] = {}
-    if "SEMSPLAT_DATA" in os.environ:
-        data = Path(os.environ["SEMSPLAT_DATA"])
-        small = ["--image-size", "320", "240"]
-        kitchen, office = str(data / "7scenes_redkitchen"), str(data / "replica_office0")
-        rows["7scenes_redkitchen"] = [*_dataset("seven-scenes", kitchen), *small]
-        rows["tum_fr1_rpy"] = [*_dataset("tum", str(data / "tum_fr1_rpy")), *small]
-        rows["replica_office0"] = _dataset("replica", office)
-        given = ["--poses", "given", "--hold-out", "5"]
-        rows["replica_office0, poses given"] = [*_dataset("replica", office), *given]
-    if options.room:
-        rows["room"] = _dataset("synthetic", str(options.room))
-    if options.noisy_room:
-        rows["room, sensor noise"] = _dataset("synthetic", str(options.noisy_room))
-    return rows
+def measure(job: list[str], seed: int) -> Metrics:
+    """Run one sequence."""
+    sequence, *options = job
+    return run_metrics([*sequence_arguments(sequence), *options], seed)
 
 
-def _dataset(kind: str, path: str) -> list[str]:
-    return ["--dataset.kind", kind, "--dataset.path", path]
-
-
-def _run(arguments: list[str], seed: int) -> dict[str, float | str | None]:
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "run"
-        command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
-        command += [*arguments, "--seed", str(seed)]
-        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
-        metrics: dict[str, float | str | None] = json.loads((out / "metrics.json").read_text())
-        return metrics
-
-
-def _median(values: list[float | str | None]) -> str:
-    numbers = [float(v) for v in values if v is not None]
-    if not numbers:
-        return "n/a"
-    median = statistics.median(numbers)
-    return f"{median:.0f}" if abs(median) >= 100 or median == int(median) else f"{median:.3f}"
+def targets(rows: Rows) -> list[Target]:
+    """What the default settings should reach."""
+    median = median_of(rows)
+    times = [
+        median(GIVEN, f"{stage}_ms_per_frame") for stage in ("tracking", "mapping", "refinement")
+    ]
+    frames = median(GIVEN, "frames")
+    minutes = None
+    if frames is not None and None not in times:
+        minutes = frames * sum(time for time in times if time is not None) / 60e3
+    return [
+        Target("RedKitchen, ATE in cm", median(KITCHEN, "ate_rmse_cm"), at_most=2.1),
+        Target("fr1/rpy, ATE in cm", median(RPY, "ate_rmse_cm"), at_most=1.3),
+        Target("office0 tracked, ATE in cm", median(OFFICE, "ate_rmse_cm"), at_most=0.3),
+        Target("room, ATE in cm", median(ROOM, "ate_rmse_cm"), at_most=0.3),
+        Target("room with sensor noise, ATE in cm", median(NOISY, "ate_rmse_cm"), at_most=1.0),
+        Target("room, mapped views in dB", median(ROOM, "psnr_db"), at_least=37.0),
+        Target(
+            "room, unseen views with refined poses in dB",
+            median(ROOM, "psnr_unseen_refined_db"),
+            at_least=34.0,
+        ),
+        Target("room, depth L1 in cm", median(ROOM, "depth_l1_cm"), at_most=0.5),
+        Target("office0, poses given, mapped dB", median(GIVEN, "psnr_db"), at_least=40.5),
+        Target("office0, poses given, held-out dB", median(GIVEN, "psnr_unseen_db"), at_least=37.5),
+        Target("office0, poses given, depth L1 in cm", median(GIVEN, "depth_l1_cm"), at_most=0.25),
+        Target("office0, poses given, Gaussians", median(GIVEN, "gaussians"), at_most=800_000),
+        Target("office0, poses given, minutes of mapping and refinement", minutes, at_most=5.0),
+    ]
 
 
 if __name__ == "__main__":

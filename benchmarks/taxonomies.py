@@ -1,18 +1,9 @@
-"""Builds class trees by the offline rules and prints how wide their codes are.
+"""Builds class trees with the offline rules and measures how wide their codes are.
 
     python -m benchmarks.taxonomies [--picture DIR]
 
-Lists: the classes of three data sets, and 200 and 550 object names in benchmarks/data. For each,
-beside our tree: a random and an alphabetical tree of the same form (same widths, so the same
-channels: what they lack is meaning), and no tree at all (flat, one channel a class).
-
-Channels: one-hot is the sum of the level widths (H-7), binary the sum of their logarithms to
-base 2, rounded up (H-8). "alike" is the share of pairs of classes under one lowest group that
-the vocabulary gives the same function; a tree without meaning has few. It is counted by the
-same vocabulary that built our tree, so it shows what chance gives, not how good ours is.
-
-Checks, each an error where it fails: every class appears exactly once; a second process with
-another hash seed builds the same bytes; another order of the names builds the same tree.
+Checks, each an error if it fails: every class appears exactly once; a second process with another
+hash seed builds the same bytes; another order of the names builds the same tree.
 """
 
 from __future__ import annotations
@@ -28,6 +19,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
@@ -36,6 +30,14 @@ from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_t
 from toolkit.taxonomy_building.rules import RuleGrouper
 from toolkit.taxonomy_building.vocabulary import built_in
 
+DESCRIPTION = """\
+Classes of three datasets, and 200 and 550 object names (`benchmarks/data`). Beside the tree that
+the rules build: a random and an alphabetical tree of the same widths, which have no meaning, and no
+tree at all. One-hot channels are the sum of the level widths (H-7), binary channels the sum of
+their logarithms to base 2, rounded up (H-8). "Related" is the share of pairs of sibling classes
+that have the same function in the vocabulary; since the rules use the same vocabulary, it shows
+what chance gives, not how good the rules are. Every class appears once, two processes build the
+same tree, and the order of the names does not matter."""
 DATA = Path(__file__).with_name("data")
 DATASETS = ("replica", "nyu40", "scannet20")
 
@@ -59,8 +61,8 @@ def channels(taxonomy: Taxonomy) -> tuple[int, int]:
     return sum(widths), sum(math.ceil(math.log2(width)) for width in widths)
 
 
-def alike(taxonomy: Taxonomy) -> float:
-    """Share of sibling classes' pairs that have the same function in the vocabulary."""
+def related(taxonomy: Taxonomy) -> float:
+    """Share of pairs of sibling classes that have the same function in the vocabulary."""
     families: dict[tuple[str, ...], list[str]] = {}
     for node in taxonomy.nodes:
         if node.leaf:
@@ -72,10 +74,10 @@ def alike(taxonomy: Taxonomy) -> float:
 
 
 def check(name: str, classes: Sequence[str], taxonomy: Taxonomy) -> None:
-    """The promises of the docstring.
+    """Check that every class appears once and the order of the names does not matter.
 
     Raises:
-        SystemExit: one is broken.
+        SystemExit: one of them is not true.
     """
     leaves = [node.name for node in taxonomy.nodes if node.leaf]
     if sorted(leaves) != sorted(classes) or len(set(leaves)) != len(leaves):
@@ -100,23 +102,24 @@ def digests_of_another_process() -> dict[str, str]:
 
 
 def main() -> None:
-    """Print the table."""
+    """Measure one row for each tree."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--picture", type=Path, help="folder for a drawing of each tree")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results file")
     parser.add_argument("--digests", action="store_true", help="print hashes alone, as JSON")
     arguments = parser.parse_args()
     if arguments.digests:
         print(json.dumps(digests()))
         return
-    print("| list | classes | tree | widths | one-hot | binary | alike |")
-    print("| --- | ---: | --- | --- | ---: | ---: | ---: |")
-    elsewhere = digests_of_another_process()
+    header = current_header((), ("toolkit/semantics", "toolkit/taxonomy_building"))
+    others = digests_of_another_process()
+    rows: list[tuple[str, ...]] = []
     for name, classes in class_lists().items():
         ours = build(name, classes)
         check(name, classes, ours)
-        if elsewhere[name] != ours.digest:
+        if others[name] != ours.digest:
             raise SystemExit(f"{name}: two processes build different trees")
         trees = {
             "rules": ours,
@@ -126,12 +129,14 @@ def main() -> None:
         }
         for kind, taxonomy in trees.items():
             widths = " + ".join(map(str, taxonomy.level_widths))
-            one_hot, binary = channels(taxonomy)
-            row = (name, len(classes), kind, widths, one_hot, binary, f"{alike(taxonomy):.0%}")
-            print("| " + " | ".join(map(str, row)) + " |", flush=True)
+            cells = (name, len(classes), kind, widths, *channels(taxonomy))
+            rows.append((*map(str, cells), f"{related(taxonomy):.0%}"))
         if arguments.picture:
             draw_taxonomy(ours, arguments.picture / f"{name}.png")
-    print("\nevery class once, two processes agree, the order of the names does not matter: yes")
+    columns = ("list", "classes", "tree", "widths", "one-hot", "binary", "related")
+    table = Table(columns, tuple(rows))
+    title = "Widths of class trees"
+    publish(Results("taxonomies", title, DESCRIPTION, header, (table,)), arguments.out)
 
 
 if __name__ == "__main__":

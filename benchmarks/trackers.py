@@ -1,25 +1,22 @@
-"""Trackers beside each other: error, and how often each draws the map. No times.
+"""Trackers compared: error, and how often each renders the map. No times.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.trackers
-    SEMSPLAT_DATA=DATA python -m benchmarks.trackers --table starts
-
-"kinds": the dense tracker against the papers' first-order one. "starts": the dense tracker's
-starts, where frames are left out of a recording so that the camera jumps.
+SEMSPLAT_DATA=DATA python -m benchmarks.trackers
+SEMSPLAT_DATA=DATA python -m benchmarks.trackers --table starts
 """
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import RECORDINGS
+from benchmarks.report import Report, ReportOptions
+from benchmarks.tables import Metrics, table_of
 from toolkit.baselines.factory import build_tracker
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
@@ -28,17 +25,19 @@ from toolkit.settings.mapping import MappingSettings
 from toolkit.slam import Slam
 from toolkit.tracking.options import DenseOptions, TrackingOptions
 
+DESCRIPTIONS = {
+    "kinds": "The dense tracker and the papers' first-order tracker, without loops.",
+    "starts": "Initial estimates of the dense tracker. Frames are left out of a recording, so that "
+    "the camera jumps.",
+}
 
-@dataclass(frozen=True)
-class Options:
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
     """Compare trackers on real recordings."""
 
     table: Literal["kinds", "starts"] = "kinds"
     """What to compare."""
-    only: tuple[str, ...] = ()
-    """Names of sequences to run; all without it."""
-    seed: int = 0
-    """Of the mapper's choices."""
 
 
 @dataclass(frozen=True)
@@ -46,23 +45,19 @@ class Sequence:
     """Frames of a recording.
 
     Attributes:
-        kind, folder, image_size: as `semsplat run` takes them.
+        name: a key of RECORDINGS.
         until: frames before this one.
         every: every n-th of them.
-        without: (first, last) frames left out, the last one not.
+        without: first frame left out, and the first one after that is not.
     """
 
-    kind: str
-    folder: str
-    image_size: tuple[int, int] | None = None
+    name: str
     until: int | None = None
     every: int = 1
     without: tuple[int, int] = (0, 0)
 
 
-RPY = Sequence("tum", "tum_fr1_rpy", (320, 240))
-OFFICE = Sequence("replica", "replica_office0")
-KITCHEN = Sequence("seven-scenes", "7scenes_redkitchen", (320, 240))
+RPY, OFFICE, KITCHEN = Sequence("fr1_rpy"), Sequence("office0"), Sequence("redkitchen")
 
 SEQUENCES = {
     "kinds": {
@@ -91,27 +86,36 @@ TRACKERS = {
         "both": TrackingOptions(dense=DenseOptions(start="both")),
     },
 }
-COLUMNS = ("ATE cm", "rotation RPE deg", "frames", "lost", "renders a frame", "most")
+COLUMNS = (
+    "ate_rmse_cm",
+    "rpe_rotation_deg",
+    "frames",
+    "frames_lost",
+    "renders_per_frame",
+    "renders_max",
+)
 
 
 def main() -> None:
-    """Print one row a sequence and tracker."""
+    """Measure one row for each sequence and tracker."""
     options = tyro.cli(Options)
-    print(describe_machine(), flush=True)
-    print("\n| sequence | tracker | " + " | ".join(COLUMNS) + " |")
-    print("|---|---|" + "---:|" * len(COLUMNS), flush=True)
-    for name, sequence in SEQUENCES[options.table].items():
-        if options.only and name not in options.only:
-            continue
-        for tracker, settings in TRACKERS[options.table].items():
-            cells = _tracked(sequence, settings, options.seed)
-            print(f"| {name} | {tracker} | " + " | ".join(cells) + " |", flush=True)
+    table = options.table
+    name, title = f"trackers-{table}", f"Trackers: {table}"
+    report = Report(name, title, DESCRIPTIONS[table], options)
+    jobs = {
+        f"{sequence}, {tracker}": [table, sequence, tracker]
+        for sequence in SEQUENCES[table]
+        for tracker in TRACKERS[table]
+    }
+    report.write(table_of(COLUMNS, report.measured(jobs, measure)))
 
 
-def _tracked(sequence: Sequence, settings: TrackingOptions, seed: int) -> list[str]:
-    """Track and map the frames; the cells of a row."""
-    path = Path(os.environ["SEMSPLAT_DATA"]) / sequence.folder
-    dataset = open_dataset(sequence.kind, path, sequence.image_size, sequence.until)
+def measure(job: list[str], seed: int) -> Metrics:
+    """Track and map the frames."""
+    table, name, tracker = job
+    sequence, settings = SEQUENCES[table][name], TRACKERS[table][tracker]
+    recording = RECORDINGS[sequence.name]
+    dataset = open_dataset(recording.kind, recording.path, recording.image_size, sequence.until)
     missing = range(*sequence.without)
     indices = [i for i in range(0, len(dataset), sequence.every) if i not in missing]
     mapping = MappingSettings(centred=settings.kind == "dense")
@@ -126,14 +130,14 @@ def _tracked(sequence: Sequence, settings: TrackingOptions, seed: int) -> list[s
     assert dataset.ground_truth is not None
     error = absolute_trajectory_error(slam.trajectory, dataset.ground_truth)
     steps = relative_pose_error(slam.trajectory, dataset.ground_truth)
-    return [
-        f"{100 * error.rmse_m:.3f}",
-        f"{steps.rotation_rmse_deg:.3f}" if steps else "n/a",
-        str(len(indices)),
-        str(len(slam.lost_frames)),
-        f"{np.mean(renders):.2f}",
-        str(max(renders)),
-    ]
+    return {
+        "ate_rmse_cm": 100 * error.rmse_m,
+        "rpe_rotation_deg": steps.rotation_rmse_deg if steps else None,
+        "frames": len(indices),
+        "frames_lost": len(slam.lost_frames),
+        "renders_per_frame": float(np.mean(renders)),
+        "renders_max": max(renders),
+    }
 
 
 if __name__ == "__main__":

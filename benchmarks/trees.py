@@ -1,22 +1,11 @@
-"""Does the tree matter? Maps of one scene under trees of the same widths.
+"""Does the semantic tree matter? Maps of one scene under trees of the same widths.
 
-    SEMSPLAT_DATA=DATA python -m benchmarks.trees [--table meaning|shapes] [--seeds N]
-
-"meaning": our tree of Replica's classes beside a random and an alphabetical one of the same
-widths. "shapes": trees by the rules alone beside trees whose last level was sorted by the shapes
-measured in the labelled frames. replica_office0, poses given, every fifth view held back.
-
-All are asked the same questions: the class of each pixel decides, and a coarse query is a node
-of **our** tree, whichever tree the map was made with. "kin" is the share of wrong pixels whose
-class still belongs to the right group of our tree's third level, void aside.
+SEMSPLAT_DATA=DATA python -m benchmarks.trees [--table meaning|shapes] [--seeds N]
 """
 
 from __future__ import annotations
 
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +15,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.machine import describe_machine
+from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table
 from toolkit.evaluation.segmentation import class_iou, confusion
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
@@ -38,40 +30,51 @@ from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_t
 KIN_LEVEL = 2
 
 
-@dataclass(frozen=True)
+DESCRIPTIONS = {
+    "meaning": "Our tree of Replica's classes, a random and an alphabetical tree of the same "
+    "widths.",
+    "shapes": "Trees built by the rules alone, and trees whose last level is sorted by the shapes "
+    "measured in the labelled frames (`semsplat build-taxonomy --shapes scans`).",
+}
+COMMON = """\
+mIoU in percent on held-out views of Replica office0 (`--poses given --hold-out 5`). All trees are
+asked the same questions: the class of each pixel decides, and a coarse query is a node of **our**
+tree, whichever tree the map has. "kin" is the share of wrong pixels whose class belongs to the
+right group of our tree's third level, without void."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Options:
     """Compare trees."""
 
     table: Literal["meaning", "shapes"] = "meaning"
     """What to compare."""
     seeds: int = 1
-    """Seeds 0, 1, ... of run and tree; a row each."""
+    """Seeds 0, 1, ... of run and tree; a row for each."""
+    out: Path = RESULTS
+    """Folder of the results file."""
 
 
 def main() -> None:
-    """Print one row a tree and seed, and the mean of each tree."""
+    """Measure one row for each tree and seed, and the mean of each tree."""
     options = tyro.cli(Options)
+    header = current_header(range(options.seeds))
     ours = shipped_taxonomy("replica")
-    levels = [f"coarse query, level {level}" for level in range(ours.depth - 1)]
-    columns = ["one-hot channels", "own coarsest level", *levels, "class", "kin"]
-    print(describe_machine(), flush=True)
-    print("\nmIoU in percent on held-back views\n\n| tree | " + " | ".join(columns) + " |")
-    print("|---" * (len(columns) + 1) + "|", flush=True)
+    rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
         for name, path in trees(options, ours, Path(folder)):
-            figures = measured(path, ours, Path(folder), options.seeds)
-            for seed, row in enumerate(figures):
-                print(f"| {name}, seed {seed} | " + " | ".join(f"{x:.4g}" for x in row) + " |")
-            mean = [statistics.mean(column) for column in zip(*figures, strict=True)]
-            if len(figures) > 1:
-                print(f"| {name}, mean | " + " | ".join(f"{x:.4g}" for x in mean) + " |")
-            sys.stdout.flush()
-
-
-def office() -> list[str]:
-    """Options that name the scene."""
-    path = Path(os.environ["SEMSPLAT_DATA"]) / "replica_office0"
-    return ["--dataset.kind", "replica", "--dataset.path", str(path)]
+            found = measured(path, ours, Path(folder), options.seeds)
+            for seed, values in enumerate(found):
+                rows.append((f"{name}, seed {seed}", *(f"{value:.4g}" for value in values)))
+            if len(found) > 1:
+                means = [statistics.mean(column) for column in zip(*found, strict=True)]
+                rows.append((f"{name}, mean", *(f"{value:.4g}" for value in means)))
+    levels = [f"coarse query, level {level}" for level in range(ours.depth - 1)]
+    columns = ("tree", "one-hot channels", "own coarsest level", *levels, "class", "kin")
+    description = f"{DESCRIPTIONS[options.table]} {COMMON}"
+    title = f"Semantic trees: {options.table}"
+    table = Table(columns, tuple(rows))
+    publish(Results(f"trees-{options.table}", title, description, header, (table,)), options.out)
 
 
 def trees(options: Options, ours: Taxonomy, folder: Path) -> list[tuple[str, Path]]:
@@ -88,7 +91,15 @@ def trees(options: Options, ours: Taxonomy, folder: Path) -> list[tuple[str, Pat
     for seed in range(options.seeds):
         for name, more in (("rules", []), ("shapes", ["--shapes", "scans"])):
             out = folder / f"{name}{seed}.yaml"
-            semsplat("build-taxonomy", *office(), *more, "--seed", str(seed), "--out", str(out))
+            semsplat(
+                "build-taxonomy",
+                *sequence_arguments("office0"),
+                *more,
+                "--seed",
+                str(seed),
+                "--out",
+                str(out),
+            )
     return [
         ("rules alone", folder / "rules{seed}.yaml"),
         ("shape-aware", folder / "shapes{seed}.yaml"),
@@ -102,20 +113,20 @@ def measured(path: Path, ours: Taxonomy, folder: Path, seeds: int) -> list[list[
         tree = Path(str(path).format(seed=seed))
         out = folder / f"run_{tree.stem}_{seed}"
         given = ["--poses", "given", "--hold-out", "5", "--seed", str(seed)]
-        semsplat("run", *office(), *given, "--semantics.taxonomy", str(tree), "--out", str(out))
-        rows.append(figures_of(load_run(out), ours))
+        semsplat(
+            "run",
+            *sequence_arguments("office0"),
+            *given,
+            "--semantics.taxonomy",
+            str(tree),
+            "--out",
+            str(out),
+        )
+        rows.append(tree_metrics(load_run(out), ours))
     return rows
 
 
-def semsplat(*arguments: str) -> None:
-    """One program, which must succeed."""
-    command = [sys.executable, "-m", "toolkit.cli.main", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"{' '.join(command)}\n{done.stderr[-2000:]}")
-
-
-def figures_of(run: FinishedRun, ours: Taxonomy) -> list[float]:
+def tree_metrics(run: FinishedRun, ours: Taxonomy) -> list[float]:
     """One row: channels, own coarsest level, our levels, classes, kin."""
     assert run.taxonomy is not None
     dataset = run.open_dataset()

@@ -8,16 +8,15 @@ from pathlib import Path
 import pytest
 
 from benchmarks import compare_open3d as compare
+from benchmarks.machine import describe_machine
 
 
 def test_the_table_shows_units_and_missing_figures() -> None:
     figures = {"ate_rmse_cm": 2.3456, "track_ms": None, "peak_memory_mb": 295.4}
-    header, rule, row = compare.markdown_table({"ours": figures}).splitlines()
-    assert header.count("|") == rule.count("|") == row.count("|") == len(compare.COLUMNS) + 2
-    cells = [cell.strip() for cell in row.strip("|").split("|")]
-    assert cells[:2] == ["ours", "2.35"]
-    assert cells[3] == "n/a"
-    assert cells[-1] == "295"
+    table = compare.comparison_table({"ours": figures})
+    assert table.cell("ours", "ATE RMSE cm (SE(3))") == "2.35"
+    assert table.cell("ours", "track ms") == "n/a"
+    assert table.cell("ours", "peak MB") == "295"
 
 
 def test_repeats_are_reduced_to_medians_of_what_exists() -> None:
@@ -41,7 +40,7 @@ def test_our_row_is_read_from_the_run_folder(
 
     monkeypatch.setattr(compare, "_run", run)
     dataset = compare.DatasetArguments("tum", Path("somewhere"))
-    arguments = compare.Arguments(dataset, (320, 240), ours="--tracking.iterations 3")
+    arguments = compare.Arguments("", dataset, (320, 240), ours="--tracking.iterations 3")
     figures = compare.our_figures("semsplat", arguments, tmp_path, 2)
     assert (figures["ate_rmse_cm"], figures["frame_ms"]) == (1.5, 80.0)
     assert figures["peak_memory_mb"] is None
@@ -64,7 +63,7 @@ def test_a_child_that_hangs_or_fails_is_one_line() -> None:
 
 
 def test_the_machine_is_described_in_one_line() -> None:
-    line = compare.describe_machine()
+    line = describe_machine()
     assert "\n" not in line
     assert "cores" in line
     assert "torch" in line

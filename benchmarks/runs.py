@@ -1,4 +1,4 @@
-"""One run of the system, from settings to results, in a folder that is gone afterwards."""
+"""Runs of the system whose results last only as long as they are needed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.recordings import semsplat
+from benchmarks.tables import Metrics
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
@@ -27,54 +29,71 @@ from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
 
+def run_metrics(arguments: Sequence[str], seed: int) -> Metrics:
+    """metrics.json of `semsplat run` in a process of its own.
+
+    Raises:
+        SystemExit: the run failed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        semsplat("run", *arguments, "--seed", str(seed), "--out", str(out))
+        metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+        return metrics
+
+
 @dataclass(frozen=True)
-class Walk:
-    """What a run came to.
+class FinishedSlam:
+    """A run in this process.
 
     Attributes:
         slam: the finished system.
         metrics: metrics.json. records: loops.jsonl.
-        frames_ms: of each frame in turn. finish_s: refinement and fusion.
+        frames_ms: processing time of each frame. finish_s: of refinement and fusion.
     """
 
     slam: Slam
-    metrics: dict[str, Any]
+    metrics: Metrics
     records: list[dict[str, Any]]
     frames_ms: list[float]
     finish_s: float
 
 
 @contextmanager
-def walked(
+def finished_slam(
     settings: RunSettings, dataset: Dataset, prepare: Callable[[Slam], None] | None = None
-) -> Iterator[Walk]:
-    """Run through a data set, fusion and export included; the folder lives as long as this.
+) -> Iterator[FinishedSlam]:
+    """Process a dataset and write the results into a folder that exists within this context.
 
     Args:
-        prepare: is given the system before the first frame.
+        prepare: called with the system before the first frame.
     """
     watch, frames_ms = StageRecorder(), []
-    with tempfile.TemporaryDirectory() as made:
-        folder = RunFolder.create(Path(made) / "run", dump_settings(settings))
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = RunFolder.create(Path(temporary) / "run", dump_settings(settings))
         slam = build_slam(dataset, settings, folder, watch)
         if prepare is not None:
             prepare(slam)
         for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
             frame = dataset[index]
-            began = time.perf_counter()
+            begin = time.perf_counter()
             slam.process_frame(frame)
-            frames_ms.append(1e3 * (time.perf_counter() - began))
-        began = time.perf_counter()
+            frames_ms.append(1e3 * (time.perf_counter() - begin))
+        begin = time.perf_counter()
         slam.finish()
-        finish_s = time.perf_counter() - began
+        finish_s = time.perf_counter() - begin
         folder.check_taxonomy(slam.taxonomy)
         write_results(slam, dataset, folder, settings, watch)
-        metrics = json.loads(folder.metrics.read_text())
-        yield Walk(slam, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
+        metrics = json.loads(folder.metrics.read_text(encoding="utf-8"))
+        yield FinishedSlam(slam, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
 
 
-class Covered:
-    """A data set whose lens is covered from one frame to before another: black, no depth."""
+class CoveredLens:
+    """A dataset in which the lens is covered for some frames: black images without depth.
+
+    Args:
+        first, end: the covered frames, `end` excluded.
+    """
 
     def __init__(self, dataset: Dataset, first: int, end: int) -> None:
         self._dataset, self._covered = dataset, range(first, end)

@@ -1,0 +1,213 @@
+"""Fills README's figures from the files of results.
+
+    python -m benchmarks.readme_figures            replace what lies between the markers
+    python -m benchmarks.readme_figures --check    exit with 1 if README differs from the results
+
+The markers are `<!-- figures -->` and `<!-- /figures -->`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from pathlib import Path
+
+from benchmarks import ring, sequences
+from benchmarks.repository import ROOT
+from benchmarks.results_file import RESULTS, Results, read_results
+from benchmarks.tables import MISSING, Table
+
+README = ROOT / "README.md"
+BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
+
+_DENSE_SLAM = "Open3D dense SLAM (1 cm voxels, its 6/3/1 iterations)"
+_MISSED = "**missed**"
+
+
+class Figures:
+    """Cells of the files of results.
+
+    Args:
+        folder: of the files.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files: dict[str, Results] = {}
+
+    def file(self, name: str) -> Results:
+        """A file of results by its name."""
+        if name not in self._files:
+            self._files[name] = read_results(self._folder / f"{name}.md")
+        return self._files[name]
+
+    def cell(self, name: str, row: str, column: str, unit: str = "", digits: int = 2) -> str:
+        """A number of the first table with its unit; n/a where there is none."""
+        try:
+            text = self.file(name).table().cell(row, column)
+            return f"{float(text):.{digits}f}{unit}"
+        except (KeyError, ValueError):
+            return MISSING
+
+    def source(self, *names: str) -> str:
+        """Where numbers come from: links to the files, with commits."""
+        return ", ".join(
+            f"[{name}](benchmarks/{RESULTS.name}/{name}.md) at {self.file(name).header.code.commit}"
+            for name in names
+        )
+
+
+def readme_figures(folder: Path = RESULTS) -> str:
+    """The Markdown between the markers."""
+    figures = Figures(folder)
+    parts = [_sequences(figures), _open3d(figures), _labels(figures), _ring(figures)]
+    return "\n".join(_wrapped(line) for line in "\n\n".join([*parts, _weak(figures)]).split("\n"))
+
+
+def _wrapped(line: str) -> str:
+    """A line of prose wrapped at 100 characters; tables stay as they are."""
+    if line.startswith("|"):
+        return line
+    indent = "  " if line.startswith("- ") else ""
+    return textwrap.fill(
+        line, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _sequences(figures: Figures) -> str:
+    columns = (
+        ("ATE RMSE", "ate_rmse_cm", " cm", 2),
+        ("mapped views", "psnr_db", " dB", 1),
+        ("unseen views", "psnr_unseen_db", " dB", 1),
+        ("unseen, refined", "psnr_unseen_refined_db", " dB", 1),
+        ("loop recall", "loop_recall_percent", " %", 1),
+        ("tracking", "tracking_ms_per_frame", " ms", 0),
+        ("mapping", "mapping_ms_per_frame", " ms", 0),
+        ("refinement", "refinement_ms_per_frame", " ms", 0),
+    )
+    rows = []
+    for name in sequences.ROWS:
+        cells = [figures.cell("sequences", name, key, unit, n) for _, key, unit, n in columns]
+        if name == sequences.GIVEN:
+            cells[0] = MISSING
+        rows.append((name, *cells))
+    table = Table(("sequence", *(title for title, *_ in columns)), tuple(rows))
+    header = figures.file("sequences").header
+    seeds = "seed 0" if header.seeds == (0,) else f"medians of {len(header.seeds)} seeds"
+    return (
+        f"Default settings, semantics on, {seeds}, {header.machine.split(';')[0]}, "
+        f"{header.threads} threads; times per frame. {figures.source('sequences')}. All results "
+        "are listed in [benchmarks/RESULTS.md](benchmarks/RESULTS.md).\n\n" + table.markdown()
+    )
+
+
+def _open3d(figures: Figures) -> str:
+    names = {"open3d-redkitchen": "RedKitchen", "open3d-fr1_rpy": "fr1/rpy"}
+    parts = []
+    for name, title in names.items():
+        ate = [figures.cell(name, row, "ATE RMSE cm (SE(3))") for row in (_DENSE_SLAM, "semsplat")]
+        ms = [
+            figures.cell(name, row, "whole frame ms", digits=0) for row in (_DENSE_SLAM, "semsplat")
+        ]
+        parts.append(f"{title} {ate[0]} cm, {ms[0]} ms (semsplat {ate[1]} cm, {ms[1]} ms)")
+    return (
+        f"Open3D's dense SLAM on the same machine, ATE and whole frame: {'; '.join(parts)}. "
+        f"{figures.source(*names)}."
+    )
+
+
+def _labels(figures: Figures) -> str:
+    quality, room = "semantics-quality", "semantics-room"
+    mapped, unseen = "miou_percent", "miou_unseen_percent"
+
+    def cell(name: str, column: str) -> str:
+        return figures.cell(name, "one-hot", column, " %", 1)
+
+    return (
+        f"Labels, mIoU over classes: office0 with given poses {cell(quality, mapped)} on mapped "
+        f"and {cell(quality, unseen)} on unseen views; synthetic room of 40 classes, tracked, "
+        f"{cell(room, mapped)} and {cell(room, unseen)} "
+        f"({cell(room, 'miou_unseen_refined_percent')} with refined poses). "
+        f"{figures.source(quality, room)}."
+    )
+
+
+def _ring(figures: Figures) -> str:
+    name = "ring-summary"
+
+    def cell(row: str, column: str, unit: str = " cm") -> str:
+        return figures.cell(name, row, column, unit)
+
+    everything = ring.EVERYTHING
+    return (
+        "Ring of four rooms, 26 m, with sensor noise at 320x240: ATE "
+        f"{cell(ring.ODOMETRY, 'ate_rmse_cm')} without loops, {cell(everything, 'ate_rmse_cm')} "
+        f"with loops, {cell(ring.DRIFTED, 'ate_rmse_cm')} with added drift of {ring.DRIFT_M} m per "
+        f"submap; walls are {cell(everything, 'wall_thickness_cm')} thick "
+        f"(95th percentile {cell(everything, 'wall_thickness_p95_cm')}). {figures.source(name)}."
+    )
+
+
+def _weak(figures: Figures) -> str:
+    """Metrics that are poor, and targets that are missed."""
+    lines = []
+    recall = figures.cell("sequences", sequences.ROOM, "loop_recall_percent", " %", 1)
+    if recall != MISSING:
+        searched = figures.cell("sequences", sequences.ROOM, "loops_searched_with_truth", digits=0)
+        lines.append(
+            f"- Loop recall in the synthetic room is {recall}, over {searched} searched keyframes "
+            "with a true loop."
+        )
+    pairs = figures.file("registration-redkitchen")
+    easy, hard = (pairs.table().cell("SGR", column) for column in ("overlap >= 50 %", "30-50 %"))
+    wrong = pairs.table().cell("SGR", "passed, wrong")
+    lines.append(
+        f"- Registration of RedKitchen's submaps succeeds in {easy} of the pairs with at least "
+        f"half overlap and in {hard} below; {wrong} wrong results pass verification. "
+        f"{figures.source('registration-redkitchen')}."
+    )
+    for name in ("sequences", "semantics-quality", "semantics-room", "ring-summary"):
+        for row in _targets(figures.file(name)):
+            if _MISSED in row[-1]:
+                lines.append(f"- Missed target in {name}: {row[0]}, {row[1]}, measured {row[2]}.")
+    return "What is poor:\n\n" + "\n".join(lines)
+
+
+def _targets(results: Results) -> tuple[tuple[str, ...], ...]:
+    try:
+        return results.table("Targets").rows
+    except KeyError:
+        return ()
+
+
+def filled(readme: str, figures: str) -> str:
+    """The text of README with other figures between the markers.
+
+    Raises:
+        ValueError: a marker is missing.
+    """
+    before, begin, rest = readme.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"README.md lacks {END if begin else BEGIN}")
+    return f"{before}{BEGIN}\n{figures}\n{END}{after}"
+
+
+def main() -> int:
+    """Fill README's figures or check them."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--check", action="store_true", help="change nothing")
+    arguments = parser.parse_args()
+    before = README.read_text(encoding="utf-8")
+    after = filled(before, readme_figures())
+    if arguments.check:
+        return int(after != before)
+    README.write_text(after, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""The data of the benchmarks: real recordings and synthetic rooms."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.report import WORK
+
+# Options of `semsplat make-room` for each synthetic sequence; a number behind the name is its seed.
+_RING = ("--layout", "ring", "--frames", "900")
+_SMALL = ("--image-size", "160", "120", "--sensor-noise")
+ROOMS: dict[str, tuple[str, ...]] = {
+    "room": (),
+    "room-noise": ("--sensor-noise",),
+    "ring": (*_RING, "--sensor-noise"),
+    "ring-ideal": _RING,
+    "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
+    "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
+    "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
+}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A sequence as `semsplat run` takes it.
+
+    Attributes:
+        kind: of the dataset.
+        folder: its folder below SEMSPLAT_DATA.
+        image_size: width and height in pixels; native if None.
+    """
+
+    kind: str
+    folder: str
+    image_size: tuple[int, int] | None = None
+
+    @property
+    def path(self) -> Path:
+        """Its folder.
+
+        Raises:
+            SystemExit: SEMSPLAT_DATA is not set or lacks it.
+        """
+        if "SEMSPLAT_DATA" not in os.environ:
+            raise SystemExit("set SEMSPLAT_DATA to the folder of the recordings")
+        path = Path(os.environ["SEMSPLAT_DATA"]) / self.folder
+        if not path.is_dir():
+            raise SystemExit(f"{path} does not exist; SEMSPLAT_DATA must hold {self.folder}")
+        return path
+
+
+RECORDINGS = {
+    "redkitchen": Recording("seven-scenes", "7scenes_redkitchen", (320, 240)),
+    "fr1_rpy": Recording("tum", "tum_fr1_rpy", (320, 240)),
+    "office0": Recording("replica", "replica_office0"),
+}
+
+
+def sequence_arguments(name: str, seed: int = 0) -> list[str]:
+    """Command-line arguments of `semsplat run` for a recording or a synthetic sequence.
+
+    Args:
+        name: a key of RECORDINGS or of ROOMS.
+        seed: of the room.
+    """
+    if name in RECORDINGS:
+        recording = RECORDINGS[name]
+        size = recording.image_size
+        resize = [] if size is None else ["--image-size", *map(str, size)]
+        return [*_dataset_arguments(recording.kind, recording.path), *resize]
+    return _dataset_arguments("synthetic", room(name, seed))
+
+
+def room(name: str, seed: int = 0) -> Path:
+    """The folder of a synthetic sequence, which is rendered when it is first needed.
+
+    Args:
+        name: a key of ROOMS.
+        seed: of furniture, textures, the camera's sway and the sensor noise.
+    """
+    folder = WORK / "rooms" / f"{name}-{seed}"
+    if not folder.is_dir():
+        partial = folder.with_name(f"{folder.name}.partial")
+        print(f"rendering {folder.name}", flush=True)
+        semsplat("make-room", "--out", str(partial), *ROOMS[name], "--seed", str(seed))
+        partial.rename(folder)
+    return folder
+
+
+def semsplat(*arguments: str) -> None:
+    """Run a semsplat program in a process of its own.
+
+    Raises:
+        SystemExit: it failed.
+    """
+    command = [sys.executable, "-m", "toolkit.cli.main", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path.cwd())
+    if done.returncode:
+        raise SystemExit(f"semsplat {' '.join(arguments)}\n{done.stderr[-2000:]}")
+
+
+def _dataset_arguments(kind: str, path: Path) -> list[str]:
+    return ["--dataset.kind", kind, "--dataset.path", str(path)]
