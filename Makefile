@@ -44,7 +44,7 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
 # One thread a worker: two workers share the machine, and pools would fight.
-test: ready .stamps/emulator
+test: ready .stamps/emulator .stamps/vulkan
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
@@ -102,6 +102,13 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 		( $(call apt,qemu-user-static,the emulator for tests of older CPUs is) ) || true; \
 	fi
 	@if command -v qemu-x86_64-static >/dev/null; then touch $@; fi
+
+# Open3D's off-screen renderer needs a Vulkan driver; without one its test is skipped.
+.stamps/vulkan: | .stamps
+	@if ! PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libvulkan.so.1; then \
+		( $(call apt,libvulkan1 mesa-vulkan-drivers,the Vulkan driver for off-screen rendering is) ) || true; \
+	fi
+	@if PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libvulkan.so.1; then touch $@; fi
 
 clean:
 	rm -rf .stamps build *.egg-info toolkit/native/variants
