@@ -1,4 +1,4 @@
-"""The pinhole camera: projection round trips, and images resized and cropped under it."""
+"""Pinhole camera: projection round trips, resizing and cropping."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from toolkit.errors import SettingsError
 from toolkit.geometry.camera import Camera
 
-PATIENT = settings(deadline=None, max_examples=50)
+PROFILE = settings(deadline=None, max_examples=50)
 
 cameras = st.builds(
     Camera,
@@ -27,7 +27,7 @@ cameras = st.builds(
 seeds = st.integers(0, 2**32 - 1)
 
 
-@PATIENT
+@PROFILE
 @given(camera=cameras, seed=seeds)
 def test_project_undoes_unproject(camera: Camera, seed: int) -> None:
     depth_m = np.random.default_rng(seed).uniform(0.1, 8.0, (camera.height, camera.width))
@@ -37,9 +37,9 @@ def test_project_undoes_unproject(camera: Camera, seed: int) -> None:
     np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1), atol=1e-9)
 
 
-@PATIENT
+@PROFILE
 @given(camera=cameras, seed=seeds)
-def test_project_is_the_intrinsic_matrix(camera: Camera, seed: int) -> None:
+def test_project_agrees_with_the_intrinsic_matrix(camera: Camera, seed: int) -> None:
     points = np.random.default_rng(seed).uniform(0.2, 3.0, (7, 3))
     homogeneous = points @ camera.matrix.T
     np.testing.assert_allclose(
@@ -47,11 +47,11 @@ def test_project_is_the_intrinsic_matrix(camera: Camera, seed: int) -> None:
     )
 
 
-def test_missing_depth_unprojects_to_the_camera() -> None:
+def test_zero_depth_unprojects_to_the_camera_centre() -> None:
     assert not Camera(50, 50, 2, 2, 5, 4).unproject(np.zeros((4, 5))).any()
 
 
-@PATIENT
+@PROFILE
 @given(camera=cameras, seed=seeds, left=st.integers(0, 9), top=st.integers(0, 9))
 def test_crop_shifts_pixels(camera: Camera, seed: int, left: int, top: int) -> None:
     points = np.random.default_rng(seed).uniform(0.2, 3.0, (7, 3))
@@ -63,7 +63,7 @@ def test_crop_shifts_pixels(camera: Camera, seed: int, left: int, top: int) -> N
     assert cropped.focal == camera.focal
 
 
-@PATIENT
+@PROFILE
 @given(
     camera=cameras,
     seed=seeds,
@@ -73,7 +73,7 @@ def test_crop_shifts_pixels(camera: Camera, seed: int, left: int, top: int) -> N
 def test_scaling_moves_pixel_edges(
     camera: Camera, seed: int, scale_x: float, scale_y: float
 ) -> None:
-    """The image's outer corner, at (-0.5, -0.5), stays; all else scales from there."""
+    """The image's outer corner at (-0.5, -0.5) is the fixed point of the scaling."""
     points = np.random.default_rng(seed).uniform(0.2, 3.0, (7, 3))
     scaled = camera.scaled(scale_x, scale_y, 20, 30)
     expected = (camera.project(points) + 0.5) * [scale_x, scale_y] - 0.5
@@ -84,7 +84,7 @@ def test_scaling_moves_pixel_edges(
 
 @pytest.mark.parametrize("factor", [2, 3, 4])
 def test_scaling_fits_area_averaged_images(factor: int) -> None:
-    """A ramp that shows each pixel's ray still does after OpenCV's area resize."""
+    """OpenCV's area resize of the image of rays yields the rays of the scaled camera."""
     camera = Camera(40.0, 55.0, 23.2, 16.7, 48, 36)
     small = camera.scaled(1 / factor, 1 / factor, 48 // factor, 36 // factor)
     resized = cv2.resize(camera.rays(), small.size, interpolation=cv2.INTER_AREA)
@@ -119,12 +119,12 @@ def test_focal_is_the_geometric_mean() -> None:
         {"height": -1},
     ],
 )
-def test_impossible_cameras_are_refused(change: dict) -> None:
+def test_invalid_intrinsics_raise(change: dict) -> None:
     values = {"fx": 50.0, "fy": 50.0, "cx": 2.0, "cy": 2.0, "width": 5, "height": 4}
     with pytest.raises(SettingsError, match="camera"):
         Camera(**(values | change))
 
 
-def test_depth_of_another_size_is_refused() -> None:
+def test_depth_of_a_different_size_raises() -> None:
     with pytest.raises(ValueError, match=r"depth must have shape \[4, 5\], got \[5, 4\]"):
         Camera(50, 50, 2, 2, 5, 4).unproject(np.zeros((5, 4)))

@@ -1,4 +1,4 @@
-"""The door to Open3D: what it says where the library cannot be loaded."""
+"""Lazy import of Open3D: the error message if the library cannot be loaded."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from toolkit.geometry import open3d_bridge
     "fault",
     [
         ModuleNotFoundError("No module named 'open3d'"),
-        # What ctypes raises, through which Open3D loads its own libraries.
+        # Raised by ctypes, with which Open3D loads its own libraries.
         OSError("libusb-1.0.so.0: cannot open shared object file"),
     ],
 )
-def test_a_failure_names_the_line_that_mends_it(monkeypatch, fault):
+def test_import_error_names_the_command_that_installs_open3d(monkeypatch, fault):
     known = builtins.__import__
 
     def failing(name, *args, **kwargs):

@@ -1,4 +1,4 @@
-"""SE(3): the laws of the group, near zero and near pi as well, and scipy as oracle."""
+"""SE(3): group axioms, including rotations near zero and near pi, and comparison with SciPy."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
-PATIENT = settings(deadline=None, max_examples=60)
+PROFILE = settings(deadline=None, max_examples=60)
 
 seeds = st.integers(0, 2**32 - 1)
-# From far below the switch to the series to just short of a half turn, each scale as likely.
+# From far below the threshold of the series to just below pi, log-uniform near both ends.
 angles_rad = st.one_of(
     st.just(0.0),
     st.floats(-14.0, -3.0).map(lambda e: 10.0**e),
@@ -41,23 +41,23 @@ def tangent_of(seed: int, angle_rad: float) -> Array:
     return np.concatenate([translation, angle_rad * direction(seed)])
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds, angle_rad=angles_rad)
-@example(seed=0, angle_rad=0.99e-4)  # both sides of the switch to the series
+@example(seed=0, angle_rad=0.99e-4)  # both sides of the series' threshold
 @example(seed=0, angle_rad=1.01e-4)
 def test_log_undoes_exp(seed: int, angle_rad: float) -> None:
     tangent = tangent_of(seed, angle_rad)
     np.testing.assert_allclose(se3.log(se3.exp(tangent)), tangent, rtol=0, atol=1e-9)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds, angle_rad=angles_rad)
 def test_exp_undoes_log(seed: int, angle_rad: float) -> None:
     T = se3.exp(tangent_of(seed, angle_rad))
     np.testing.assert_allclose(se3.exp(se3.log(T)), T, rtol=0, atol=1e-12)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds, angle_rad=angles_rad)
 @example(seed=0, angle_rad=0.99e-4)
 @example(seed=0, angle_rad=1.01e-4)
@@ -69,34 +69,34 @@ def test_exp_is_the_matrix_exponential(seed: int, angle_rad: float) -> None:
     np.testing.assert_allclose(se3.exp(tangent), expm(generator), rtol=0, atol=1e-12)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds)
-def test_exp_of_a_long_rotation_is_taken_modulo_a_turn(seed: int) -> None:
+def test_log_of_a_rotation_beyond_pi_wraps(seed: int) -> None:
     axis = direction(seed)
     log = se3.log_so3(se3.exp_so3(axis * (math.pi + 0.5)))
     np.testing.assert_allclose(log, -axis * (math.pi - 0.5), atol=1e-9)
 
 
 @pytest.mark.parametrize("axis", np.eye(3).tolist() + (-np.eye(3)).tolist())
-def test_exactly_half_a_turn(axis: list[float]) -> None:
+def test_rotation_by_exactly_pi(axis: list[float]) -> None:
     R = 2.0 * np.outer(axis, axis) - np.eye(3)
     log = se3.log_so3(R)
     assert np.linalg.norm(log) == pytest.approx(math.pi, abs=1e-12)
     np.testing.assert_allclose(se3.exp_so3(log), R, atol=1e-12)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds, angle_rad=angles_rad)
 def test_log_and_angle_agree_with_scipy(seed: int, angle_rad: float) -> None:
     R = se3.exp_so3(angle_rad * direction(seed))
     rotation = Rotation.from_rotvec(angle_rad * direction(seed))
     np.testing.assert_allclose(R, rotation.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(se3.log_so3(R), rotation.as_rotvec(), atol=1e-9)
-    # Near pi an arc tangent of the matrix's sine is good to the square root at worst.
+    # atan2 of the sine and cosine is accurate both near zero and near pi.
     assert float(se3.rotation_angle_rad(R)) == pytest.approx(angle_rad, abs=1e-12, rel=1e-9)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds, angle_rad=angles_rad)
 def test_quaternions_agree_with_scipy(seed: int, angle_rad: float) -> None:
     rotation = Rotation.from_rotvec(angle_rad * direction(seed))
@@ -104,7 +104,7 @@ def test_quaternions_agree_with_scipy(seed: int, angle_rad: float) -> None:
     assert q[3] >= 0.0
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-14)
     expected = rotation.as_quat()
-    if expected @ q < 0:  # at a half turn w is 0 and both signs are right
+    if expected @ q < 0:  # at an angle of pi w is 0 and both signs are correct
         expected = -expected
     np.testing.assert_allclose(q, expected, atol=1e-9)
     np.testing.assert_allclose(
@@ -112,7 +112,7 @@ def test_quaternions_agree_with_scipy(seed: int, angle_rad: float) -> None:
     )
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds)
 def test_inverse(seed: int) -> None:
     T = np.stack([random_motion(seed + k, scale=2.0) for k in range(6)]).reshape(2, 3, 4, 4)
@@ -121,44 +121,44 @@ def test_inverse(seed: int) -> None:
     np.testing.assert_allclose(se3.inverse(T) @ T, identity, atol=1e-12)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds, angle_rad=st.floats(0.0, 2.0))
-def test_adjoint_moves_tangents(seed: int, angle_rad: float) -> None:
+def test_adjoint_transforms_tangents(seed: int, angle_rad: float) -> None:
     T = random_motion(seed)
     tangent = tangent_of(seed + 7, angle_rad)
     moved = T @ se3.exp(tangent) @ se3.inverse(T)
     np.testing.assert_allclose(se3.exp(se3.adjoint(T) @ tangent), moved, atol=1e-11)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds)
 def test_adjoint_is_a_homomorphism(seed: int) -> None:
     A, B = random_motion(seed), random_motion(seed + 1)
     np.testing.assert_allclose(se3.adjoint(A @ B), se3.adjoint(A) @ se3.adjoint(B), atol=1e-12)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds)
 def test_hat_is_the_cross_product(seed: int) -> None:
     a, b = np.random.default_rng(seed).normal(size=(2, 3))
     np.testing.assert_allclose(se3.hat(a) @ b, np.cross(a, b), atol=1e-14)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds)
-def test_orthonormalise_mends_what_drifted(seed: int) -> None:
+def test_orthonormalise_corrects_drift(seed: int) -> None:
     T = random_motion(seed)
     np.testing.assert_allclose(se3.orthonormalise(T), T, atol=1e-12)
     drifted = T.copy()
     drifted[:3, :3] += np.random.default_rng(seed).normal(scale=1e-4, size=(3, 3))
-    mended = se3.orthonormalise(drifted)
-    assert se3.is_rigid(mended, tolerance=1e-12)
-    np.testing.assert_allclose(mended, T, atol=1e-3)
+    corrected = se3.orthonormalise(drifted)
+    assert se3.is_rigid(corrected, tolerance=1e-12)
+    np.testing.assert_allclose(corrected, T, atol=1e-3)
     reflected = np.diag([1.0, 1.0, -1.0, 1.0]) @ T
     assert np.linalg.det(se3.orthonormalise(reflected)[:3, :3]) == pytest.approx(1.0)
 
 
-def test_is_rigid_refuses_what_is_not() -> None:
+def test_is_rigid_rejects_other_matrices() -> None:
     T = random_motion(1)
     assert se3.is_rigid(T)
     scaled, reflected, skewed, broken = T.copy(), T.copy(), T.copy(), T.copy()
@@ -170,9 +170,9 @@ def test_is_rigid_refuses_what_is_not() -> None:
         assert not se3.is_rigid(wrong)
 
 
-@PATIENT
+@PROFILE
 @given(seed=seeds)
-def test_points_move_as_their_frames_say(seed: int) -> None:
+def test_transform_points_composes(seed: int) -> None:
     T_a_b, T_b_c = random_motion(seed), random_motion(seed + 1)
     points_c = np.random.default_rng(seed).normal(size=(2, 5, 3))
     through = se3.transform_points(T_a_b, se3.transform_points(T_b_c, points_c))

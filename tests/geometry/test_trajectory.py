@@ -1,4 +1,4 @@
-"""Trajectories check themselves, measure themselves and find poses by time."""
+"""Trajectories: validation, length and lookup of poses by time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolkit.geometry.trajectory import Trajectory
 seeds = st.integers(0, 2**32 - 1)
 
 
-def wandering(seed: int, poses: int = 12) -> Trajectory:
+def random_walk(seed: int, poses: int = 12) -> Trajectory:
     rng = np.random.default_rng(seed)
     T = [se3.exp(rng.normal(size=6))]
     for tangent in rng.normal(scale=0.1, size=(poses - 1, 6)):
@@ -28,7 +28,7 @@ def straight(count: int = 5) -> Trajectory:
     return Trajectory(np.arange(count, dtype=float), T)
 
 
-def test_measures_itself() -> None:
+def test_length_and_number_of_poses() -> None:
     path = straight()
     assert len(path) == 5
     assert path.path_length_m == pytest.approx(2.0)
@@ -47,19 +47,19 @@ def test_empty_and_single() -> None:
 @pytest.mark.parametrize(
     ("times", "message"),
     [
-        ([0.0, 1.0], "2 times but 3 poses"),
+        ([0.0, 1.0], "2 timestamps but 3 poses"),
         ([0.0, 1.0, 1.0], "strictly increasing"),
         ([0.0, 2.0, 1.0], "strictly increasing"),
         ([0.0, np.nan, 1.0], "finite"),
         ([0.0, 1.0, np.inf], "finite"),
     ],
 )
-def test_bad_times_are_refused(times: list[float], message: str) -> None:
+def test_invalid_timestamps_raise(times: list[float], message: str) -> None:
     with pytest.raises(FormatError, match=message):
         Trajectory(np.array(times), straight(3).T_world_camera)
 
 
-def test_a_pose_that_is_no_motion_is_named_by_its_time() -> None:
+def test_error_for_a_non_rigid_pose_states_its_timestamp() -> None:
     T = straight(3).T_world_camera.copy()
     T[1, :3, :3] *= 1.1
     with pytest.raises(FormatError, match=r"pose at 1\.000000 s is not a rigid motion"):
@@ -68,8 +68,8 @@ def test_a_pose_that_is_no_motion_is_named_by_its_time() -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(seed=seeds)
-def test_a_new_world_changes_no_relative_motion(seed: int) -> None:
-    path = wandering(seed)
+def test_world_transform_preserves_relative_motion(seed: int) -> None:
+    path = random_walk(seed)
     moved = path.transformed(se3.exp(np.random.default_rng(seed).normal(size=6)))
     assert moved.path_length_m == pytest.approx(path.path_length_m)
 
@@ -82,7 +82,7 @@ def test_a_new_world_changes_no_relative_motion(seed: int) -> None:
 @settings(deadline=None, max_examples=30)
 @given(seed=seeds, time=st.floats(-0.1, 0.8), tolerance_s=st.floats(0.0, 0.05))
 def test_at_finds_the_nearest_pose_or_none(seed: int, time: float, tolerance_s: float) -> None:
-    path = wandering(seed)
+    path = random_walk(seed)
     found = path.at(time, tolerance_s)
     differences = np.abs(path.timestamps_s - time)
     if differences.min() > tolerance_s:
@@ -91,16 +91,16 @@ def test_at_finds_the_nearest_pose_or_none(seed: int, time: float, tolerance_s: 
         np.testing.assert_array_equal(found, path.T_world_camera[np.argmin(differences)])
 
 
-def test_association_keeps_the_asked_times() -> None:
+def test_association_keeps_the_requested_timestamps() -> None:
     path = straight()
-    asked = np.array([-3.0, 0.02, 1.4, 2.98, 9.0])
-    found = path.associated_to(asked, max_difference_s=0.05)
+    requested = np.array([-3.0, 0.02, 1.4, 2.98, 9.0])
+    found = path.associated_to(requested, max_difference_s=0.05)
     np.testing.assert_array_equal(found.timestamps_s, [0.02, 2.98])
     np.testing.assert_array_equal(found.positions_m[:, 0], [0.0, 1.5])
     assert len(path.associated_to(np.array([50.0]), 0.1)) == 0
 
 
 def test_association_with_itself_changes_nothing() -> None:
-    path = wandering(3)
+    path = random_walk(3)
     again = path.associated_to(path.timestamps_s, 0.0)
     np.testing.assert_array_equal(again.T_world_camera, path.T_world_camera)

@@ -11,7 +11,7 @@ import torch
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
 from toolkit.features.builtin import BuiltinEncoder
-from toolkit.geometry.frustum import far_end_m, observed_points
+from toolkit.geometry.frustum import far_depth_m, observed_points
 from toolkit.loops.candidates import CandidateFinder, CandidateOptions, DescribedKeyframe
 
 pytest.importorskip("faiss")
@@ -47,7 +47,7 @@ def test_the_way_back_is_recognised(kitchen):
         dataset.camera,
         poses,
         np.stack([observed_points(dataset.camera, f.depth_m, 300) for f in frames]),
-        np.array([far_end_m(f.depth_m) for f in frames]),
+        np.array([far_depth_m(f.depth_m) for f in frames]),
     )
     strict = LoopTruthOptions(least_gap_frames=4)
     score = score_loops(views, range(len(frames)), accepted, strict)

@@ -18,7 +18,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import RunFolderError
 from toolkit.frame import Frame
 from toolkit.geometry import se3
-from toolkit.geometry.frustum import Frustum, contained_share, far_end_m, observed_points
+from toolkit.geometry.frustum import Frustum, contained_fraction, far_depth_m, observed_points
 from toolkit.io.images import write_rgb
 from toolkit.io.pictures import (
     LegendEntry,
@@ -192,7 +192,7 @@ def _overlap(run: FinishedRun, frames: Sequence[Frame]) -> str:
     query, match = frames
     points = observed_points(query.camera, query.depth_m, _POINTS)
     points = se3.transform_points(poses[query.index], points[np.isfinite(points).all(axis=1)])
-    volume = Frustum(match.camera, poses[match.index], far_m=far_end_m(match.depth_m))
-    share = contained_share(points, [volume])
+    volume = Frustum(match.camera, poses[match.index], far_m=far_depth_m(match.depth_m))
+    share = contained_fraction(points, [volume])
     apart = np.linalg.norm(poses[query.index][:3, 3] - poses[match.index][:3, 3])
     return f"{100 * share:.0f} % of the first view is in the second, cameras {apart:.2f} m apart"

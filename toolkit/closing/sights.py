@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.frustum import Frustum, far_end_m
+from toolkit.geometry.frustum import Frustum, far_depth_m
 from toolkit.submaps.submap import Submap
 
 # Of a submap's keyframes, so many are asked, evenly spread.
@@ -32,7 +32,7 @@ class Sights:
             if len(keyframe.points) == 0:
                 continue
             T_world_camera = submap.T_world_camera(keyframe)
-            reach_m = far_end_m(keyframe.points[:, 2])
+            reach_m = far_depth_m(keyframe.points[:, 2])
             volumes.append(Frustum(keyframe.camera, T_world_camera, far_m=max(reach_m, 0.2)))
             seen = keyframe.points_in_map() @ submap.T_world_submap[:3, :3].T
             points.append(seen + submap.T_world_submap[:3, 3])

@@ -67,7 +67,7 @@ class TrueViews:
         T_world_camera: [N, 4, 4] true poses by frame index; NaN where there is none.
         points_m: [N, P, 3] observed points in camera coordinates, NaN where missing
             (`toolkit.geometry.frustum.observed_points`).
-        far_m: [N] z-depths where the frusta end (`far_end_m`).
+        far_m: [N] z-depths where the frusta end (`far_depth_m`).
 
     Raises:
         ValueError: lengths differ.

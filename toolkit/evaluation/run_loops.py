@@ -11,7 +11,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, loop_metrics
 from toolkit.evaluation.metrics import Metrics
-from toolkit.geometry.frustum import far_end_m, observed_points
+from toolkit.geometry.frustum import far_depth_m, observed_points
 
 # Observed points of a frame by which overlap is judged.
 _POINTS = 300
@@ -90,5 +90,5 @@ def true_views(dataset: Dataset) -> TrueViews:
         T_world_camera = truth.at(frame.timestamp_s)
         poses.append(np.full((4, 4), np.nan) if T_world_camera is None else T_world_camera)
         points.append(observed_points(frame.camera, frame.depth_m, _POINTS))
-        far_m.append(far_end_m(frame.depth_m))
+        far_m.append(far_depth_m(frame.depth_m))
     return TrueViews(dataset.camera, np.array(poses), np.array(points), np.array(far_m))

@@ -1,4 +1,4 @@
-"""The pinhole camera: x right, y down, z forward, pixel centres at integers."""
+"""Pinhole camera with x right, y down, z forward and pixel centres at integer coordinates."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def scaled(self, scale_x: float, scale_y: float, width: int, height: int) -> Camera:
-        """The camera of the image resized by these factors to width x height.
+        """Return the camera of the image resized by these factors to width x height.
 
-        With area-averaged pixels and centres at integers, c' = (c + 0.5) s - 0.5.
+        Pixel centres are at integers, so the principal point becomes c' = (c + 0.5) s - 0.5.
         """
         return Camera(
             fx=self.fx * scale_x,
@@ -68,22 +68,32 @@ class Camera:
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The camera of the sub-image that starts at pixel (left, top)."""
+        """Return the camera of the image cropped to start at pixel (left, top)."""
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
 
     def halved(self) -> Camera:
-        """The camera of the next pyramid level (2x2 pixel averages, odd rests cut)."""
+        """Return the camera of the next pyramid level.
+
+        The level averages 2x2 pixels; an odd last row or column is dropped.
+        """
         return self.scaled(0.5, 0.5, max(1, self.width // 2), max(1, self.height // 2))
 
     def rays(self) -> NDArray[np.float64]:
-        """Points [height, width, 3] on the plane z = 1, one per pixel centre."""
+        """Return the intersections [height, width, 3] of the pixels' rays with the plane z = 1."""
         x = (np.arange(self.width) - self.cx) / self.fx
         y = (np.arange(self.height) - self.cy) / self.fy
         grid_x, grid_y = np.meshgrid(x, y)
         return np.stack([grid_x, grid_y, np.ones_like(grid_x)], axis=-1)
 
     def unproject(self, depth_m: NDArray) -> NDArray[np.float64]:
-        """Points [height, width, 3] in camera coordinates (m) of a z-depth image."""
+        """Unproject a z-depth image to points [height, width, 3] in camera coordinates (m).
+
+        Args:
+            depth_m: [height, width] z-depths.
+
+        Raises:
+            ValueError: the depth image has a different size.
+        """
         if depth_m.shape != (self.height, self.width):
             raise ValueError(
                 f"depth must have shape [{self.height}, {self.width}], got {list(depth_m.shape)}"
@@ -91,7 +101,7 @@ class Camera:
         return self.rays() * depth_m[..., None]
 
     def unproject_grid(self, columns: NDArray, rows: NDArray, depth_m: NDArray) -> NDArray:
-        """Points [R, C, 3] in camera coordinates (m) of a regular grid of pixels.
+        """Unproject a regular grid of pixels to points [R, C, 3] in camera coordinates (m).
 
         Args:
             columns, rows: pixel coordinates [C] and [R].
@@ -103,7 +113,7 @@ class Camera:
         return np.stack([x, y, z], axis=-1)
 
     def project(self, points: NDArray) -> NDArray[np.float64]:
-        """Pixel coordinates [..., 2] (x, y) of points [..., 3] with z > 0."""
+        """Project points [..., 3] with z > 0 to pixel coordinates [..., 2] (x, y)."""
         z = points[..., 2]
         return np.stack(
             [self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy],

@@ -1,7 +1,7 @@
-"""Viewing volumes: what share of one camera's view another one covers.
+"""Camera frusta and their overlap.
 
-Nothing hides anything here: a wall between two cameras does not change their overlap. It is
-measured on sample points, either of a viewing volume or of the surfaces that were observed.
+Overlap is estimated from sample points, taken either from a frustum or from observed surfaces.
+Occlusion is ignored: a wall between two cameras does not change their overlap.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from toolkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 
-# The error of a share measured on so many points is below 1 %.
+# With this number of samples the error of an overlap is below 1 %.
 SAMPLES = 2000
-# The farthest few percent of a depth image are through windows, or noise.
+# The farthest few percent of a depth image are noise or surfaces behind windows.
 _FAR_PERCENT = 95.0
 
 
 @dataclass(frozen=True)
 class Frustum:
-    """A camera's viewing volume: a pyramid, cut off near its tip and at its base.
+    """A camera's frustum between a near and a far plane.
 
     Attributes:
-        camera: intrinsics; the image reaches half a pixel beyond the outer pixels' centres.
+        camera: intrinsics; the image extends half a pixel beyond the centres of the outer pixels.
         T_world_camera: [4, 4] float64 pose.
-        near_m, far_m: z-depths where it begins and ends, 0 < near < far.
+        near_m, far_m: z-depths of the near and far planes, 0 < near < far.
 
     Raises:
-        ValueError: the depths are not in that order, or the pose is not rigid.
+        ValueError: 0 < near < far does not hold, or the pose is not rigid.
     """
 
     camera: Camera
@@ -48,15 +48,18 @@ class Frustum:
             raise ValueError("T_world_camera must be a rigid motion [4, 4]")
 
     def contains(self, points_world_m: NDArray) -> NDArray[np.bool_]:
-        """Which of the points [..., 3] lie within, [...]."""
+        """Return a mask [...] of the points [..., 3] inside the frustum."""
         points = se3.transform_points(se3.inverse(self.T_world_camera), points_world_m)
         return in_view(self.camera, points, self.near_m, self.far_m)
 
     def samples(self, count: int = SAMPLES) -> Array:
-        """Points [count, 3] in the world, spread evenly over the volume; always the same."""
+        """Return points [count, 3] in the world, uniformly distributed in the frustum.
+
+        The points are deterministic (Halton sequence).
+        """
         across, down, along = _halton(count).T
         camera = self.camera
-        # The cross-section grows with z^2, so z^3 is what is even.
+        # The cross-section grows with z^2, so z^3 is uniformly distributed.
         near, far = self.near_m**3, self.far_m**3
         z = np.cbrt(near + along * (far - near))
         x = (across * camera.width - 0.5 - camera.cx) / camera.fx * z
@@ -67,11 +70,12 @@ class Frustum:
 def in_view(
     camera: Camera, points_m: NDArray, near_m: float, far_m: float | Array
 ) -> NDArray[np.bool_]:
-    """Which of the points [..., 3] of a camera's own frame its image shows, [...].
+    """Return a mask [...] of the points that project into the image.
 
     Args:
-        points_m: camera coordinates; points that are not finite are nowhere.
-        near_m, far_m: z-depths; an array of far ends goes with the leading axes of the points.
+        points_m: [..., 3] in camera coordinates; non-finite points are outside.
+        near_m, far_m: minimum and maximum z-depth; `far_m` may be an array that broadcasts to
+            the leading axes of the points.
     """
     z = points_m[..., 2]
     with np.errstate(invalid="ignore"):
@@ -82,8 +86,8 @@ def in_view(
     return between & inside
 
 
-def contained_share(points_world_m: NDArray, frusta: Sequence[Frustum]) -> float:
-    """Share of the points [P, 3] that lie in at least one of the volumes; 0 without points."""
+def contained_fraction(points_world_m: NDArray, frusta: Sequence[Frustum]) -> float:
+    """Return the fraction of the points [P, 3] inside at least one frustum; 0 without points."""
     outside = np.asarray(points_world_m, np.float64).reshape(-1, 3)
     count = len(outside)
     for frustum in frusta:
@@ -92,21 +96,24 @@ def contained_share(points_world_m: NDArray, frusta: Sequence[Frustum]) -> float
 
 
 def overlap(frustum: Frustum, others: Sequence[Frustum], samples: int = SAMPLES) -> float:
-    """Share of a viewing volume that lies in the union of others, in [0, 1].
+    """Return the fraction of a frustum's volume inside the union of others, in [0, 1].
 
-    It is not symmetric: a near view inside a far one is covered by it, but not the reverse.
+    The overlap is not symmetric: a short frustum inside a long one is fully covered by it, but
+    not vice versa.
     """
-    return contained_share(frustum.samples(samples), others)
+    return contained_fraction(frustum.samples(samples), others)
 
 
 def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
-    """About `count` points [P, 3] of a depth image, in camera coordinates, on a regular grid.
-
-    P depends only on the image size. Where depth is missing, a point is NaN.
+    """Unproject a depth image on a regular grid of about `count` pixels.
 
     Args:
         depth_m: [H, W] z-depth, 0 where missing.
-        count: > 0.
+        count: approximate number of points, > 0.
+
+    Returns:
+        Points [P, 3] in camera coordinates, NaN where depth is missing. P depends only on the
+        image size and `count`.
     """
     stride = max(1, int(np.sqrt(depth_m.size / count)))
     rows, columns = (np.arange(stride // 2, size, stride) for size in depth_m.shape)
@@ -114,19 +121,19 @@ def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
     return np.where(sparse[:, 2:] > 0, sparse, np.nan)
 
 
-def far_end_m(depth_m: NDArray, default_m: float = 4.0) -> float:
-    """Where the view of a depth image ends: the 95th percentile of what was measured.
+def far_depth_m(depth_m: NDArray, default_m: float = 4.0) -> float:
+    """Return the far plane of a depth image: the 95th percentile of its valid depths, metres.
 
     Args:
         depth_m: [H, W] or [P] z-depths; 0 or NaN where missing.
-        default_m: returned where nothing was measured.
+        default_m: returned if no depth is valid.
     """
     measured = depth_m[np.isfinite(depth_m) & (depth_m > 0)]
     return float(np.percentile(measured, _FAR_PERCENT)) if len(measured) else default_m
 
 
 def _halton(count: int) -> Array:
-    """Points [count, 3] of the Halton sequence of bases 2, 3, 5 in the unit cube."""
+    """Return points [count, 3] of the Halton sequence with bases 2, 3 and 5 in the unit cube."""
     numbers = np.arange(1, count + 1)
     columns = []
     for base in (2, 3, 5):

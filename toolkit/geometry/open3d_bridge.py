@@ -1,9 +1,9 @@
-"""The one door to Open3D.
+"""Lazy import of Open3D; all other modules obtain it here.
 
-`import open3d` takes seconds and needs system libraries, so it happens on
-first use, and a failure names the line that mends it. Open3D's odometry, ICP
-and voxel down-sampling differ from run to run on several threads; TBB sizes
-its pool at import, so importing on one core keeps them reproducible.
+`import open3d` takes seconds and needs system libraries. It is therefore imported on first use,
+and the error message contains the command that installs what is missing. With several threads,
+the results of Open3D's odometry, ICP and voxel downsampling vary between runs. TBB sets the size
+of its thread pool at import, so Open3D is imported with the process restricted to one core.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SYSTEM_LIBRARIES = ("libusb-1.0-0", "libgl1", "libegl1")
 
 @functools.cache
 def open3d() -> ModuleType:
-    """The open3d module, loaded once on a single core.
+    """Import the open3d module once, restricted to a single core.
 
     Raises:
         DependencyError: the package or one of its system libraries is missing.
@@ -35,7 +35,7 @@ def open3d() -> ModuleType:
         _start_thread_pool(module)
     except (ImportError, OSError) as error:
         raise DependencyError(
-            f"Open3D cannot be loaded ({error}); mend it with: pip install open3d && "
+            f"Open3D cannot be loaded ({error}); install it with: pip install open3d && "
             f"apt-get install -y {' '.join(SYSTEM_LIBRARIES)}"
         ) from error
     finally:
@@ -45,6 +45,6 @@ def open3d() -> ModuleType:
 
 
 def _start_thread_pool(module: Any) -> None:
-    """Run one small operation, so that TBB settles on the single core we are on."""
+    """Run a small operation so that TBB creates its thread pool while one core is available."""
     points = module.core.Tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     module.t.geometry.PointCloud(points).voxel_down_sample(0.5)

@@ -1,8 +1,8 @@
 """Rigid motions SE(3) as 4x4 float64 matrices.
 
-`T_a_b` maps coordinates of b into a. Tangent vectors are ordered
-(translation, rotation), as in most of the literature; GTSAM and SciPy put the
-rotation first, and only the modules that call them may reorder.
+`T_a_b` maps coordinates in frame b to frame a. Tangent vectors are ordered (translation,
+rotation), as in most of the literature. GTSAM and SciPy put the rotation first; only the modules
+that call them reorder.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Below this angle the closed forms lose digits and their series take over.
+# Below this angle the closed forms lose precision and Taylor series are used.
 _SMALL_ANGLE_RAD = 1e-4
 
 
 def hat(vector: Array) -> Array:
-    """Skew-symmetric matrix [3, 3] of a vector [3], so that hat(a) @ b = a x b."""
+    """Return the skew-symmetric matrix [3, 3] of a vector [3]: hat(a) @ b = a x b."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def exp_so3(rotation_rad: Array) -> Array:
-    """Rotation matrix [3, 3] of a rotation vector [3] in radians (Rodrigues)."""
+    """Return the rotation matrix [3, 3] of a rotation vector [3] in radians (Rodrigues)."""
     angle = float(np.linalg.norm(rotation_rad))
     K = hat(rotation_rad)
     if angle < _SMALL_ANGLE_RAD:
@@ -34,8 +34,8 @@ def exp_so3(rotation_rad: Array) -> Array:
 
 
 def log_so3(R: Array) -> Array:
-    """Rotation vector [3] in radians, of length at most pi, of a matrix [3, 3]."""
-    # Through the quaternion: well conditioned at 0 and at pi alike.
+    """Return the rotation vector [3] (radians, norm at most pi) of a rotation [3, 3]."""
+    # The quaternion is well conditioned both at 0 and at pi.
     x, y, z, w = quaternion_xyzw(R)
     vector = np.array([x, y, z])
     sine = float(np.linalg.norm(vector))
@@ -58,7 +58,7 @@ def _left_jacobian_so3(rotation_rad: Array) -> Array:
 
 
 def from_rotation_translation(R: Array, t: Array) -> Array:
-    """Rigid motion [4, 4] from a rotation [3, 3] and a translation [3]."""
+    """Return the rigid motion [4, 4] of a rotation [3, 3] and a translation [3]."""
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = t
@@ -66,21 +66,21 @@ def from_rotation_translation(R: Array, t: Array) -> Array:
 
 
 def exp(tangent: Array) -> Array:
-    """Rigid motion [4, 4] of a tangent vector [6] (translation m, rotation rad)."""
+    """Return the rigid motion [4, 4] of a tangent vector [6] (translation m, rotation rad)."""
     tangent = np.asarray(tangent, dtype=np.float64)
     rho, phi = tangent[:3], tangent[3:]
     return from_rotation_translation(exp_so3(phi), _left_jacobian_so3(phi) @ rho)
 
 
 def log(T: Array) -> Array:
-    """Tangent vector [6] (translation m, rotation rad) of a rigid motion [4, 4]."""
+    """Return the tangent vector [6] (translation m, rotation rad) of a rigid motion [4, 4]."""
     phi = log_so3(T[:3, :3])
     rho = np.linalg.solve(_left_jacobian_so3(phi), T[:3, 3])
     return np.concatenate([rho, phi])
 
 
 def inverse(T: Array) -> Array:
-    """Inverse of rigid motions [..., 4, 4], exact in form: (R^T, -R^T t)."""
+    """Return the inverse (R^T, -R^T t) of rigid motions [..., 4, 4]."""
     T = np.asarray(T, dtype=np.float64)
     R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
     out = np.zeros_like(T)
@@ -91,7 +91,7 @@ def inverse(T: Array) -> Array:
 
 
 def adjoint(T: Array) -> Array:
-    """Adjoint [6, 6]: exp(adjoint(T) @ x) = T @ exp(x) @ inverse(T)."""
+    """Return the adjoint [6, 6]: exp(adjoint(T) @ x) = T @ exp(x) @ inverse(T)."""
     R, t = T[:3, :3], T[:3, 3]
     out = np.zeros((6, 6))
     out[:3, :3] = R
@@ -101,7 +101,7 @@ def adjoint(T: Array) -> Array:
 
 
 def rotation_angle_rad(R: Array) -> Array:
-    """Angle in [0, pi] of rotations [..., 3, 3], accurate near zero as well."""
+    """Return the angles in [0, pi] of rotations [..., 3, 3], accurate also near zero."""
     R = np.asarray(R, dtype=np.float64)
     sine = 0.5 * np.linalg.norm(
         np.stack(
@@ -119,14 +119,14 @@ def rotation_angle_rad(R: Array) -> Array:
 
 
 def orthonormalise(T: Array) -> Array:
-    """The rigid motion nearest to T [4, 4]: products of many drift slowly."""
+    """Return the rigid motion nearest to T [4, 4], to remove drift from products of motions."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return from_rotation_translation(R, T[:3, 3])
 
 
 def is_rigid(T: Array, tolerance: float = 1e-3) -> bool:
-    """Whether T [4, 4] is finite and a rigid motion to within the tolerance."""
+    """Check whether T [4, 4] is finite and a rigid motion within the tolerance."""
     T = np.asarray(T)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         return False
@@ -139,9 +139,9 @@ def is_rigid(T: Array, tolerance: float = 1e-3) -> bool:
 
 
 def quaternion_xyzw(R: Array) -> Array:
-    """Unit quaternion [4] (x, y, z, w), w >= 0, of a rotation [3, 3]."""
+    """Return the unit quaternion [4] (x, y, z, w), w >= 0, of a rotation [3, 3]."""
     m = np.asarray(R, dtype=np.float64)
-    # Shepperd: divide by the largest of the four components.
+    # Shepperd's method: divide by the largest of the four components.
     squares = np.array(
         [
             1.0 + m[0, 0] - m[1, 1] - m[2, 2],
@@ -163,7 +163,7 @@ def quaternion_xyzw(R: Array) -> Array:
 
 
 def rotation_from_quaternion_xyzw(q: Array) -> Array:
-    """Rotation [3, 3] of a quaternion [4] (x, y, z, w) of any non-zero length."""
+    """Return the rotation [3, 3] of a quaternion [4] (x, y, z, w) of any non-zero norm."""
     x, y, z, w = np.asarray(q, dtype=np.float64) / np.linalg.norm(q)
     return np.array(
         [
@@ -175,5 +175,5 @@ def rotation_from_quaternion_xyzw(q: Array) -> Array:
 
 
 def transform_points(T_a_b: Array, points_b: NDArray) -> Array:
-    """Points [..., 3] of frame b in frame a."""
+    """Transform points [..., 3] from frame b to frame a."""
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]

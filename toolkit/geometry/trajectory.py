@@ -1,4 +1,4 @@
-"""A camera's path: time stamps and poses that check themselves."""
+"""Validated camera trajectories: timestamps and poses."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from toolkit.geometry import se3
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of a camera over time.
+    """Timestamped camera poses.
 
     Attributes:
         timestamps_s: [N] float64, strictly increasing, seconds.
         T_world_camera: [N, 4, 4] float64, camera to world, metres.
 
     Raises:
-        FormatError: shapes disagree, times do not increase or a pose is not rigid.
+        FormatError: shapes do not match, timestamps do not increase or a pose is not rigid.
     """
 
     timestamps_s: NDArray[np.float64]
@@ -32,9 +32,9 @@ class Trajectory:
         object.__setattr__(self, "timestamps_s", times)
         object.__setattr__(self, "T_world_camera", poses)
         if len(times) != len(poses):
-            raise FormatError(f"trajectory has {len(times)} times but {len(poses)} poses")
+            raise FormatError(f"trajectory has {len(times)} timestamps but {len(poses)} poses")
         if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-            raise FormatError("trajectory times must be finite and strictly increasing")
+            raise FormatError("trajectory timestamps must be finite and strictly increasing")
         for time, pose in zip(times, poses, strict=True):
             if not se3.is_rigid(pose):
                 raise FormatError(f"trajectory pose at {time:.6f} s is not a rigid motion")
@@ -52,11 +52,11 @@ class Trajectory:
 
     @property
     def path_length_m(self) -> float:
-        """Sum of the steps between neighbouring camera centres."""
+        """Sum of the distances between consecutive camera centres."""
         return float(np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1).sum())
 
     def at(self, timestamp_s: float, max_difference_s: float = 1e-4) -> NDArray[np.float64] | None:
-        """The pose [4, 4] whose time is nearest, or None beyond the difference."""
+        """Return the pose [4, 4] nearest in time, or None if it is more than the limit away."""
         if len(self) == 0:
             return None
         right = int(np.searchsorted(self.timestamps_s, timestamp_s))
@@ -67,15 +67,16 @@ class Trajectory:
         return self.T_world_camera[nearest]
 
     def transformed(self, T_new_world: NDArray[np.float64]) -> Trajectory:
-        """The same path in another world frame."""
+        """Return the trajectory in another world frame."""
         return Trajectory(self.timestamps_s, T_new_world @ self.T_world_camera)
 
     def associated_to(
         self, timestamps_s: NDArray[np.float64], max_difference_s: float
     ) -> Trajectory:
-        """The path at other times: the nearest pose, given the asked time's stamp.
+        """Return the trajectory at the given timestamps.
 
-        Times without a pose within the difference are left out.
+        Each timestamp gets the nearest pose; timestamps without a pose within
+        `max_difference_s` are omitted.
         """
         found = [(t, self.at(float(t), max_difference_s)) for t in timestamps_s]
         kept = [(t, pose) for t, pose in found if pose is not None]

@@ -94,7 +94,7 @@ def inside_union(
     offsets = (points_world_m - positions).astype(np.float32)
     points = np.matmul(offsets, rotations.astype(np.float32))
     in_image = _in_images(points, [volume.camera for volume in volumes])
-    # The camera that sees most of the points first: few of the others are then needed.
+    # Start with the camera that sees most points; few other cameras are then tested.
     for k in np.argsort(-in_image.sum(axis=1), kind="stable"):
         remaining = np.flatnonzero(in_image[k] & ~inside)
         if len(remaining):
