@@ -72,12 +72,12 @@ def main(out: Path, images: Iterable[CameraImage], camera: Camera) -> int:
             print(f"frame {index}: lost; go back to where the camera has been")
         else:
             x, y, z = result.T_world_camera[:3, 3]
-            print(f"frame {index}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, map of {slam.gaussians}")
-    slam.finish()
+            print(f"frame {index}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, {slam.mapper.gaussians}")
+    final = slam.finish()
 
-    write_splat_ply(out, slam.gaussians)
-    write_tum(out.with_suffix(".txt"), slam.trajectory)
-    print(f"wrote {out} and {out.with_suffix('.txt')} ({slam.trajectory})")
+    write_splat_ply(out, final.gaussians)
+    write_tum(out.with_suffix(".txt"), final.trajectory)
+    print(f"wrote {out} and {out.with_suffix('.txt')} ({final.trajectory})")
     return 0
 
 

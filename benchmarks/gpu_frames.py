@@ -112,22 +112,23 @@ def run(
     """Track and map frames, refine the map, and measure it."""
     for frame in frames:
         slam.process_frame(frame)
-    slam.finish()
-    gaussians = slam.gaussians.to(device)
+    result = slam.finish()
+    gaussians = result.gaussians.to(device)
     by_index = {frame.index: frame for frame in frames}
-    places = zip(slam.tracked_indices, slam.trajectory.T_world_camera, slam.exposures, strict=True)
+    poses = result.trajectory.T_world_camera
+    places = zip(result.frame_indices, poses, result.exposures, strict=True)
     found = []
     for index, T, exposure in places:
         frame = by_index[index]
         colour = slam.mapper.draw(gaussians, frame.camera, T).output.colour
         shown = exposure.undo(colour).clamp(0.0, 1.0).cpu().numpy()
         found.append(psnr_db(shown, frame.rgb))
-    ate = absolute_trajectory_error(slam.trajectory, truth)
+    ate = absolute_trajectory_error(result.trajectory, truth)
     return Walked(
         watch.median_ms("tracking"),
         watch.median_ms("mapping"),
-        (slam.keyframe_count - 1) / (len(frames) - 1),
-        len(slam.lost_frames),
+        (len(result.keyframe_indices) - 1) / (len(frames) - 1),
+        len(result.lost_frames),
         100.0 * ate.rmse_m,
         float(np.mean(found)),
         gaussians,

@@ -98,7 +98,7 @@ def measure_here(job: dict[str, Any]) -> Metrics:
         return run.metrics | {
             COLUMNS[0]: ", ".join(f"{ms:.0f}" for ms in quarters),
             "finish_s": run.finish_s,
-            "submaps": len(run.slam.atlas),
+            "submaps": len(run.result.submaps),
         }
 
 

@@ -42,8 +42,8 @@ from toolkit.loops.candidates import (
     LoopCandidate,
 )
 from toolkit.options import validated
+from toolkit.result import SlamResult
 from toolkit.runs.settings import RunSettings
-from toolkit.slam import Slam
 
 Array = NDArray[np.float64]
 Values = dict[str, Any]
@@ -187,8 +187,8 @@ def measure(job: Values, seed: int) -> Metrics:
         dataset = CoveredLens(dataset, *job["cover"])
     with finished_slam(settings, dataset) as run:
         return run.metrics | {
-            "edges": len(run.slam.loops),
-            "edges_false": false_edges(run.slam, dataset),
+            "edges": len(run.result.loops),
+            "edges_false": false_edges(run.result, dataset),
         }
 
 
@@ -199,15 +199,15 @@ def location(name: str, seed: int) -> tuple[str, Path]:
     return "synthetic", room(name, seed)
 
 
-def false_edges(slam: Slam, dataset: Dataset) -> int:
+def false_edges(result: SlamResult, dataset: Dataset) -> int:
     """Loop edges that the truth contradicts."""
     assert dataset.ground_truth is not None
     anchors = [
-        dataset.ground_truth.at(dataset[next(iter(slam.atlas.keyframe_poses(n)))].timestamp_s)
-        for n in range(len(slam.atlas))
+        dataset.ground_truth.at(dataset[submap.keyframe_indices[0]].timestamp_s)
+        for submap in result.submaps
     ]
     count = 0
-    for loop in slam.loops:
+    for loop in result.loops:
         T_world_first, T_world_second = anchors[loop.first], anchors[loop.second]
         assert T_world_first is not None and T_world_second is not None
         error = loop.residual(T_world_first, T_world_second)

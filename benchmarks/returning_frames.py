@@ -49,8 +49,7 @@ def main() -> None:
     slam = Slam(tracker, Mapper(), placement=KeyframePlacement())
     for index in range(half):
         slam.process_frame(dataset[index])
-    slam.finish()
-    gaussians = slam.mapper.gaussians
+    gaussians = slam.finish().gaussians
     # The finished map's colours fit pixels.
     back = DenseTracker(centred=False)
     back.restore(tracker.state())

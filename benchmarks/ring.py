@@ -44,6 +44,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
 from toolkit.geometry import se3
 from toolkit.options import validated
+from toolkit.result import SlamResult
 from toolkit.runs.results import tracked_frames
 from toolkit.runs.settings import RunSettings
 from toolkit.slam import Slam
@@ -238,7 +239,7 @@ def measure(job: dict[str, Any], seed: int, table: TableName) -> Metrics:
     with finished_slam(settings, dataset, prepare) as run:
         metrics = run.metrics | loop_counts(run)
         if table == "allocation":
-            metrics |= at_boundaries(run.slam, dataset, settings)
+            metrics |= at_boundaries(run.result, dataset, settings)
         return metrics
 
 
@@ -247,7 +248,7 @@ def loop_counts(run: FinishedSlam) -> Metrics:
     between = [r for r in run.records if r["kind"] == "correction between"]
     within = [r for r in run.records if r["kind"] == "correction within" and r["applied"]]
     return {
-        "submaps": len(run.slam.atlas),
+        "submaps": len(run.result.submaps),
         "loops": between[-1]["loops"] if between else 0,
         "keyframes moved": len(within),
     }
@@ -268,21 +269,19 @@ def add_drift(atlas: Atlas, metres: float, seed: int) -> None:
     atlas.begin_next = begin_displaced  # type: ignore[method-assign]
 
 
-def at_boundaries(slam: Slam, dataset: Dataset, settings: RunSettings) -> Metrics:
+def at_boundaries(result: SlamResult, dataset: Dataset, settings: RunSettings) -> Metrics:
     """Number of objects in view where submaps meet, and image quality of the map there."""
-    numbers = range(1, len(slam.atlas))
-    boundaries = [next(iter(slam.atlas.keyframe_poses(number))) for number in numbers]
+    boundaries = [submap.keyframe_indices[0] for submap in result.submaps[1:]]
     near = [
         frame
-        for frame in tracked_frames(slam, settings)
+        for frame in tracked_frames(result, settings)
         if any(abs(frame.index - boundary) <= AROUND for boundary in boundaries)
     ]
     names = dataset.label_names or {}
     shell = [number for number, name in names.items() if name in SHELL]
     psnr = None
     if near:
-        assert slam.fused is not None
-        psnr = measure_run(slam.fused, near, dataset)["psnr_db"]
+        psnr = measure_run(result.map, near, dataset)["psnr_db"]
     cut = sum(_objects(dataset[boundary].labels, shell) for boundary in boundaries)
     return {"objects cut": cut, "psnr at boundaries": psnr}
 

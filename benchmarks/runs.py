@@ -22,6 +22,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
+from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.results import write_results
@@ -47,12 +48,12 @@ class FinishedSlam:
     """A run in this process.
 
     Attributes:
-        slam: the finished system.
+        result: of the finished run.
         metrics: metrics.json. records: loops.jsonl.
         frames_ms: processing time of each frame. finish_s: of refinement and fusion.
     """
 
-    slam: Slam
+    result: SlamResult
     metrics: Metrics
     records: list[dict[str, Any]]
     frames_ms: list[float]
@@ -80,12 +81,12 @@ def finished_slam(
             slam.process_frame(frame)
             frames_ms.append(1e3 * (time.perf_counter() - begin))
         begin = time.perf_counter()
-        slam.finish()
+        result = slam.finish()
         finish_s = time.perf_counter() - begin
-        folder.check_taxonomy(slam.taxonomy)
-        write_results(slam, dataset, folder, settings, watch)
+        folder.check_taxonomy(result.taxonomy)
+        write_results(result, dataset, folder, settings, watch)
         metrics = json.loads(folder.metrics.read_text(encoding="utf-8"))
-        yield FinishedSlam(slam, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
+        yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
 
 
 class CoveredLens:

@@ -128,13 +128,14 @@ def measure(job: list[str], seed: int) -> Metrics:
         if result.tracking is not None:
             renders.append(result.tracking.renders)
     assert dataset.ground_truth is not None
-    error = absolute_trajectory_error(slam.trajectory, dataset.ground_truth)
-    steps = relative_pose_error(slam.trajectory, dataset.ground_truth)
+    state = slam.result()
+    error = absolute_trajectory_error(state.trajectory, dataset.ground_truth)
+    steps = relative_pose_error(state.trajectory, dataset.ground_truth)
     return {
         "ate_rmse_cm": 100 * error.rmse_m,
         "rpe_rotation_deg": steps.rotation_rmse_deg if steps else None,
         "frames": len(indices),
-        "frames_lost": len(slam.lost_frames),
+        "frames_lost": len(state.lost_frames),
         "renders_per_frame": float(np.mean(renders)),
         "renders_max": max(renders),
     }

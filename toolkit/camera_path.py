@@ -1,4 +1,4 @@
-"""Where each tracked frame is: beside a keyframe, so that it moves when the map does."""
+"""Poses of the tracked frames relative to keyframes, so that they move with the map."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.relocalisation import LastSeen
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.health import shows_something
 from toolkit.tracking.result import TrackingResult, exposure_of
 
 Array = NDArray[np.float64]
@@ -36,23 +37,28 @@ class _TrackedFrame:
 
 
 class CameraPath:
-    """The tracked frames of a run, in order."""
+    """The tracked and the lost frames of a run, in order.
+
+    Attributes:
+        lost_frames: indices of the frames without a pose.
+        lost_in_a_row: number of lost frames with depth since the last tracked frame.
+    """
 
     def __init__(self) -> None:
+        self.lost_frames: list[int] = []
+        self.lost_in_a_row = 0
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     def add(
         self, frame: Frame, atlas: Atlas, T_submap_camera: Array, tracking: TrackingResult | None
     ) -> None:
-        """Remember a frame of the active submap beside its newest keyframe.
+        """Add a frame of the active submap, relative to its newest keyframe.
 
         Args:
             T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
         """
+        self.lost_in_a_row = 0
         last = atlas.mapper.keyframes[-1]
         self._frames.append(
             _TrackedFrame(
@@ -60,6 +66,11 @@ class CameraPath:
             )
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
+
+    def add_lost(self, frame: Frame) -> None:
+        """Add a frame without a pose."""
+        self.lost_frames.append(frame.index)
+        self.lost_in_a_row += shows_something(frame)
 
     @property
     def indices(self) -> list[int]:
@@ -111,14 +122,20 @@ class CameraPath:
         times = np.array([f.timestamp_s for f in self._frames])
         return Trajectory(times, np.array(poses).reshape(-1, 4, 4))
 
-    def state(self) -> tuple[Array, list[dict[str, Any]]]:
-        """Motions beside keyframes [M, 4, 4], and the rest as JSON holds it."""
-        T_keyframe_camera = np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
-        return T_keyframe_camera, [asdict(f) for f in self._frames]
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        arrays = {"T_keyframe_camera": np.array(self._T_keyframe_camera).reshape(-1, 4, 4)}
+        return arrays, {
+            "tracked": [asdict(f) for f in self._frames],
+            "lost_frames": self.lost_frames,
+            "lost_in_a_row": self.lost_in_a_row,
+        }
 
-    def restore(self, T_keyframe_camera: Array, values: list[dict[str, Any]]) -> None:
-        """Take over an earlier `state`."""
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
         self._frames = [
-            _TrackedFrame(**{**f, "exposure": Exposure(**f["exposure"])}) for f in values
+            _TrackedFrame(**{**f, "exposure": Exposure(**f["exposure"])}) for f in values["tracked"]
         ]
-        self._T_keyframe_camera = [np.array(T) for T in T_keyframe_camera]
+        self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
+        self.lost_frames = [int(i) for i in values["lost_frames"]]
+        self.lost_in_a_row = int(values["lost_in_a_row"])

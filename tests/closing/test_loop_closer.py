@@ -115,10 +115,10 @@ def closed(
         drift = DRIFT if frame.index >= 20 else np.eye(4)
         mapper = atlas.mapper
         mapper.add_keyframe(Keyframe.from_frame(frame, T_map_world @ drift @ T_world_camera))
-        closer.observe(atlas)
+        closer.keyframe_added(atlas)
         if atlas.judge().begins:
             atlas.begin_next()
-            closer.link(atlas, np.eye(6) * 1e6)
+            closer.add_odometry(atlas, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))
     return atlas, closer, registrar

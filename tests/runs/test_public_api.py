@@ -47,9 +47,9 @@ def test_the_readme_example_gives_the_same_result_as_semsplat_run(
     names: dict = {}
     exec(example, names)
     slam = names["slam"]
-    write_tum("trajectory.txt", slam.trajectory)
+    write_tum("trajectory.txt", slam.result().trajectory)
     assert Path("trajectory.txt").read_bytes() == (tiny_run / "trajectory.txt").read_bytes()
-    write_splat_ply("map.ply", slam.gaussians)
+    write_splat_ply("map.ply", slam.result().gaussians)
     ours, theirs = read_cloud("map.ply"), read_cloud(tiny_run / "map.ply")
     for name in ("means", "log_radii", "opacity_logits", "colours"):
         a, b = (getattr(cloud, name).numpy() for cloud in (ours, theirs))

@@ -70,8 +70,9 @@ def fingerprint(slam: Slam) -> dict[str, bytes]:
     arrays, values = slam.state()
     out = {name: array.tobytes() for name, array in arrays.items()}
     out["values"] = json.dumps(values, sort_keys=True).encode()
-    out["frames"] = repr((slam.tracked_indices, slam.lost_frames)).encode()
-    out["path"] = slam.trajectory.T_world_camera.tobytes()
+    result = slam.result()
+    out["frames"] = repr((result.frame_indices, result.lost_frames)).encode()
+    out["path"] = result.trajectory.T_world_camera.tobytes()
     return out
 
 

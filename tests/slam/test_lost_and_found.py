@@ -41,11 +41,10 @@ def new_slam(patience=3, most_keyframes=150, folder=None):
 
 
 def error_m(slam, room, index):
-    place = slam.tracked_indices.index(index)
+    result = slam.result()
+    T_world_camera = result.trajectory.T_world_camera[result.frame_indices.index(index)]
     truth = room.truth.T_world_camera[index % 100]
-    return float(
-        np.linalg.norm((se3.inverse(truth) @ slam.trajectory.T_world_camera[place])[:3, 3])
-    )
+    return float(np.linalg.norm((se3.inverse(truth) @ T_world_camera)[:3, 3]))
 
 
 def later(frame, count):
@@ -56,7 +55,7 @@ def later(frame, count):
 def test_a_kidnapped_camera_is_found_in_its_submap(room):
     slam = new_slam()
     fed(slam, room.frames)
-    slam.tracker.go_on_from(9.0, se3.exp(np.array([3.0, 0, 0, 0, 2.0, 0])))
+    slam.tracker.continue_from(9.0, se3.exp(np.array([3.0, 0, 0, 0, 2.0, 0])))
     result = slam.process_frame(later(room.frames[2], 100))
     assert not result.lost and len(slam.atlas) == 1
     assert error_m(slam, room, 102) < 0.01
@@ -67,11 +66,11 @@ def test_found_in_another_submap_a_new_one_begins_there(room):
     fed(slam, room.frames)
     count = len(slam.atlas)
     assert count > 1
-    slam.tracker.go_on_from(9.0, se3.exp(np.array([3.0, 0, 0, 0, 2.0, 0])))
+    slam.tracker.continue_from(9.0, se3.exp(np.array([3.0, 0, 0, 0, 2.0, 0])))
     result = slam.process_frame(later(room.frames[0], 100))
     assert len(slam.atlas) == count + 1
     assert [k.index for k in slam.mapper.keyframes] == [100]
-    assert [(loop.first, loop.second) for loop in slam.loops] == [(0, count)]
+    assert [(loop.first, loop.second) for loop in slam.result().loops] == [(0, count)]
     assert not result.tracking.lost and np.array_equal(result.T_map_camera, np.eye(4))
     assert error_m(slam, room, 100) < 0.015
 
@@ -82,7 +81,7 @@ def test_darkness_is_reported_and_survived(room):
     results = fed(slam, blind_frames(room.frames[8:10]))
     assert all(result.lost for result in results)
     assert not slam.process_frame(room.frames[10]).lost
-    assert slam.lost_frames == [8, 9]
+    assert slam.result().lost_frames == [8, 9]
     assert error_m(slam, room, 10) < 0.02
 
 
@@ -112,7 +111,8 @@ def test_where_nothing_is_found_a_new_submap_begins(room):
     assert len(slam.atlas) == 2
     assert slam.mapper.keyframes[0].index == results[2].index
     assert results[2].tracking.lost and results[2].tracking.reason, "nothing located this frame"
-    assert slam.exposures[slam.tracked_indices.index(results[2].index)] == IDENTITY
+    final = slam.result()
+    assert final.exposures[final.frame_indices.index(results[2].index)] == IDENTITY
 
 
 @pytest.mark.parametrize("cut", [5, 6, 7])

@@ -67,13 +67,14 @@ def back(room):
 
 def errors_m(slam, room):
     truth = room.truth.T_world_camera[::-1]
-    poses = zip(slam.tracked_indices, slam.trajectory.T_world_camera, strict=True)
+    result = slam.result()
+    poses = zip(result.frame_indices, result.trajectory.T_world_camera, strict=True)
     return [np.linalg.norm((se3.inverse(truth[index]) @ T)[:3, 3]) for index, T in poses]
 
 
 def begun(saved, **options):
     slam = new_slam(**options)
-    slam.begin_in(copies(saved))
+    slam.load_map(copies(saved))
     return slam
 
 
@@ -83,7 +84,7 @@ def test_the_camera_is_found_and_the_world_is_the_saved_ones(room, saved):
     assert not results[0].lost and results[0].mapping is None
     assert slam.atlas.active == len(saved) and slam.atlas.saved == len(saved)
     assert max(errors_m(slam, room)) < 0.03
-    assert min(slam.keyframe_indices) == 0, "keyframes of the saved map are not its own"
+    assert min(slam.result().keyframe_indices) == 0, "keyframes of the saved map are not its own"
 
 
 def test_the_saved_map_stays_as_it_is_and_is_told_with_the_new_one(room, saved):
@@ -94,8 +95,9 @@ def test_the_saved_map_stays_as_it_is_and_is_told_with_the_new_one(room, saved):
         now = slam.atlas.submap(old.number)
         assert np.array_equal(now.T_world_submap, old.T_world_submap)
         assert np.array_equal(now.gaussians.means, old.gaussians.means)
-    assert slam.fused.exposures[0] == IDENTITY
-    assert {0, len(saved)} <= set(slam.fused.submap.tolist())
+    fused = slam.result().map
+    assert fused.exposures[0] == IDENTITY
+    assert {0, len(saved)} <= set(fused.submap.tolist())
 
 
 def test_frames_are_lost_until_one_is_found(room, saved):
@@ -103,7 +105,7 @@ def test_frames_are_lost_until_one_is_found(room, saved):
     frames = back(room)
     results = fed(slam, [*blind_frames(frames[:2]), *frames[2:5]])
     assert [r.lost for r in results] == [True, True, False, False, False]
-    assert "saved map" in results[0].tracking.reason
+    assert "loaded map" in results[0].tracking.reason
     assert max(errors_m(slam, room)) < 0.03
 
 
@@ -126,7 +128,7 @@ def test_where_nothing_is_found_a_submap_of_its_own_begins(room, saved):
     assert [r.lost for r in results[:2]] == [True, True] and not results[-1].lost
     assert len(slam.atlas) == len(saved) + 1
     slam.finish()
-    assert len(slam.gaussians) > sum(len(s.gaussians) for s in saved) / 2
+    assert len(slam.result().gaussians) > sum(len(s.gaussians) for s in saved) / 2
 
 
 @pytest.mark.parametrize("cut", [0, 1, 4])
@@ -145,7 +147,7 @@ def test_it_goes_on_from_a_checkpoint_to_the_same_bits(room, saved, cut, tmp_pat
     assert fingerprint(whole) == fingerprint(other)
     for slam in (whole, other):
         slam.finish()
-    assert np.array_equal(whole.gaussians.means, other.gaussians.means)
+    assert np.array_equal(whole.result().gaussians.means, other.result().gaussians.means)
 
 
 def test_a_submap_of_its_own_is_joined_by_a_loop(room, saved):

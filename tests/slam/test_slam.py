@@ -29,7 +29,7 @@ from toolkit.tracking.options import FirstOrderOptions
 
 def errors_m(slam: Slam, room: SlamRoom) -> np.ndarray:
     """Distance of every tracked camera from the truth; both start at the first camera."""
-    path = slam.trajectory
+    path = slam.result().trajectory
     true = np.stack([room.truth.at(t) for t in path.timestamps_s])
     return np.linalg.norm(path.positions_m - true[:, :3, 3], axis=1)
 
@@ -42,11 +42,12 @@ class TestPath:
     def test_it_follows_the_truth(self, room):
         slam = new_slam()
         results = fed(slam, room.frames)
-        assert not slam.lost_frames and not any(r.lost for r in results)
-        assert slam.tracked_indices == list(range(14))
+        assert not slam.result().lost_frames and not any(r.lost for r in results)
+        assert slam.result().frame_indices == list(range(14))
         assert np.sqrt((errors_m(slam, room) ** 2).mean()) < 0.01
         assert room.truth.path_length_m > 0.2, "the camera does move"
-        assert slam.trajectory.path_length_m == pytest.approx(room.truth.path_length_m, rel=0.1)
+        length_m = slam.result().trajectory.path_length_m
+        assert length_m == pytest.approx(room.truth.path_length_m, rel=0.1)
 
     def test_keyframes_placed_by_earlier_ones_come_nearer_the_truth(self, room):
         rms_m = {}
@@ -60,7 +61,7 @@ class TestPath:
         slam = new_slam()
         fed(slam, room.frames)
         slam.finish()
-        frame, pose = room.frames[7], slam.trajectory.T_world_camera[7]
+        frame, pose = room.frames[7], slam.result().trajectory.T_world_camera[7]
         drawn = render(slam.mapper.gaussians, frame.camera, se3.inverse(pose))
         psnr_db = -10 * np.log10(((drawn.colour.numpy() - frame.rgb) ** 2).mean())
         assert psnr_db > 24.0
@@ -74,7 +75,7 @@ class TestPath:
     def test_given_poses_are_taken_as_they_are(self, room):
         slam = Slam(GivenPoses(room.truth), Mapper(FEW))
         fed(slam, room.frames[:6])
-        assert np.allclose(slam.trajectory.T_world_camera, room.truth.T_world_camera[:6])
+        assert np.allclose(slam.result().trajectory.T_world_camera, room.truth.T_world_camera[:6])
 
     def test_the_first_order_tracker_fits_in(self, room):
         slam = Slam(FirstOrderTracker(FirstOrderOptions(iterations=15)), Mapper(FEW))
@@ -85,11 +86,11 @@ class TestPath:
         """Bundle adjustment and loops move keyframes; frames between must follow."""
         slam = new_slam()
         fed(slam, room.frames[:6])
-        before = slam.trajectory.T_world_camera
+        before = slam.result().trajectory.T_world_camera
         move = se3.exp(np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.2]))
         for keyframe in slam.mapper.keyframes:
             keyframe.T_map_camera = move @ keyframe.T_map_camera
-        assert np.allclose(slam.trajectory.T_world_camera, move @ before)
+        assert np.allclose(slam.result().trajectory.T_world_camera, move @ before)
 
     def test_stages_are_timed_without_a_change(self, room):
         watch = StageRecorder()
@@ -112,7 +113,7 @@ class TestPath:
             options = MapperOptions(iterations=6, first_iterations=15, centred=centred)
             slam = Slam(DenseTracker(centred=centred), Mapper(options, np.random.default_rng(0)))
             fed(slam, frames)
-            away = slam.trajectory.T_world_camera - T_first_world @ truth.T_world_camera
+            away = slam.result().trajectory.T_world_camera - T_first_world @ truth.T_world_camera
             errors[centred] = float(np.sqrt((away[:, :3, 3] ** 2).sum(axis=1).mean()))
         assert errors[True] < 1e-3
         assert errors[True] < 0.5 * errors[False]
@@ -130,7 +131,7 @@ def test_without_a_map_there_is_nothing_to_finish(room):
     slam = new_slam()
     slam.process_frame(blind(room.frames[0]))
     slam.finish()
-    assert len(slam.gaussians) == 0 and slam.lost_frames == [0]
+    assert len(slam.result().gaussians) == 0 and slam.result().lost_frames == [0]
 
 
 class TestHeldOut:
@@ -140,7 +141,7 @@ class TestHeldOut:
         assert all(r.mapping is None for r in results[1::2])
         assert all(k.index % 2 == 0 for k in slam.mapper.keyframes)
         assert len(slam.mapper.keyframes) > 1
-        assert slam.tracked_indices == list(range(14))
+        assert slam.result().frame_indices == list(range(14))
 
     def test_a_held_out_frame_cannot_start_the_map(self, room):
         slam = new_slam()
@@ -157,7 +158,7 @@ class TestLost:
         result = slam.process_frame(blind(room.frames[5]))
         assert result.lost and result.T_map_camera is None
         assert result.tracking.reason and result.mapping is None
-        assert slam.lost_frames == [5]
+        assert slam.result().lost_frames == [5]
         after = fingerprint(slam)
         changed = {name for name in before if before[name] != after[name]}
         assert not {name for name in changed if name.startswith("mapper/")}
@@ -166,15 +167,15 @@ class TestLost:
         slam = new_slam()
         frames = [blind(f) if f.index in (5, 6) else f for f in room.frames]
         fed(slam, frames)
-        assert slam.lost_frames == [5, 6]
-        assert slam.tracked_indices == [0, 1, 2, 3, 4, 7, 8, 9, 10, 11, 12, 13]
+        assert slam.result().lost_frames == [5, 6]
+        assert slam.result().frame_indices == [0, 1, 2, 3, 4, 7, 8, 9, 10, 11, 12, 13]
         assert errors_m(slam, room).max() < 0.02
 
     def test_given_poses_with_a_gap_lose_that_frame(self, room):
         gap = room.truth.associated_to(np.delete(room.truth.timestamps_s, 3), 1e-6)
         slam = Slam(GivenPoses(gap), Mapper(FEW))
         fed(slam, room.frames[:6])
-        assert slam.lost_frames == [3]
+        assert slam.result().lost_frames == [3]
 
 
 class TestSameBits:
@@ -265,11 +266,12 @@ class TestSameBits:
 
 class TestExposures:
     def test_no_frame_is_no_path_and_no_exposure(self):
-        assert len(new_slam().trajectory) == 0
-        assert new_slam().exposures == []
+        assert len(new_slam().result().trajectory) == 0
+        assert new_slam().result().exposures == []
 
     def test_exposures_belong_to_frames(self, room):
         slam = new_slam()
         fed(slam, room.frames[:3])
-        assert np.allclose([(e.gain, e.bias) for e in slam.exposures], [1.0, 0.0], atol=0.05)
-        assert len(slam.exposures) == 3
+        exposures = slam.result().exposures
+        assert len(exposures) == 3
+        assert np.allclose([(e.gain, e.bias) for e in exposures], [1.0, 0.0], atol=0.05)

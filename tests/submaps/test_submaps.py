@@ -271,7 +271,9 @@ def cut(room, tmp_path):
 class TestAtlas:
     def test_the_path_goes_through(self, cut, room):
         assert len(cut.atlas) > 1
-        assert np.allclose(cut.trajectory.T_world_camera, room[1].T_world_camera, atol=1e-9)
+        assert np.allclose(
+            cut.result().trajectory.T_world_camera, room[1].T_world_camera, atol=1e-9
+        )
 
     def test_a_result_has_its_place_in_the_world(self, room, tmp_path):
         slam = cut_slam(room, tmp_path)
@@ -288,7 +290,8 @@ class TestAtlas:
             assert np.array_equal(new[boundary], np.eye(4))
             T_world_boundary = atlas.T_world_submap(number - 1) @ old[boundary]
             assert np.allclose(T_world_boundary, atlas.T_world_submap(number))
-        assert len(cut.keyframe_indices) == len(set(cut.keyframe_indices))
+        indices = cut.result().keyframe_indices
+        assert len(indices) == len(set(indices))
 
     def test_the_new_one_shows_what_its_anchor_saw(self, room, tmp_path):
         frames, _ = room
@@ -310,11 +313,11 @@ class TestAtlas:
         assert len(slam.atlas) > 1 and len(slam.mapper.gaussians) > 0
 
     def test_a_moved_anchor_moves_its_frames_alone(self, cut):
-        before, atlas = cut.trajectory.T_world_camera, cut.atlas
+        before, atlas = cut.result().trajectory.T_world_camera, cut.atlas
         content = atlas.submap(1).state()[0]["gaussians/means"].copy()
         move = se3.exp(np.array([0.1, 0.0, 0.2, 0.0, 0.1, 0.0]))
         atlas.move(1, move @ atlas.T_world_submap(1))
-        after = cut.trajectory.T_world_camera
+        after = cut.result().trajectory.T_world_camera
         moved = [not np.allclose(a, b) for a, b in zip(after, before, strict=True)]
         assert any(moved) and not all(moved)
         assert np.allclose(after[moved], move @ before[moved])
@@ -325,8 +328,8 @@ class TestAtlas:
         for frame in room[0][:4]:
             slam.process_frame(frame)
         slam.finish()
-        assert slam.gaussians is slam.mapper.gaussians
-        assert slam.fused.submap.unique().tolist() == [0]
+        assert slam.result().gaussians is slam.mapper.gaussians
+        assert slam.result().map.submap.unique().tolist() == [0]
 
     def test_it_goes_on_from_a_checkpoint_to_the_same_bits(self, room, tmp_path):
         frames, _ = room
@@ -345,8 +348,10 @@ class TestAtlas:
             return slam
 
         a, b = ended(4), ended(11)
-        assert np.array_equal(a.trajectory.T_world_camera, b.trajectory.T_world_camera)
-        assert torch.equal(a.gaussians.means, b.gaussians.means)
+        assert np.array_equal(
+            a.result().trajectory.T_world_camera, b.result().trajectory.T_world_camera
+        )
+        assert torch.equal(a.result().gaussians.means, b.result().gaussians.means)
         assert a.atlas.verdicts == b.atlas.verdicts or len(a.atlas.verdicts) == len(
             b.atlas.verdicts
         )
@@ -367,11 +372,12 @@ class TestAtlas:
 class TestFusion:
     def test_the_joined_map_shows_the_room(self, cut, room):
         frames, truth = room
-        cut.finish()
-        assert cut.fused.submap.unique().numel() == len(cut.atlas)
+        fused = cut.finish().map
+        assert fused.submap.unique().numel() == len(cut.atlas)
+        gaussians = fused.gaussians
         errors = []
         for frame, T in zip(frames, truth.T_world_camera, strict=True):
-            drawn = render(cut.gaussians, frame.camera, se3.inverse(T))
+            drawn = render(gaussians, frame.camera, se3.inverse(T))
             errors.append(((drawn.colour.numpy() - frame.rgb) ** 2).mean())
         assert -10 * np.log10(np.mean(errors)) > 22.0
 
@@ -379,16 +385,14 @@ class TestFusion:
         whole = Slam(GivenPoses(room[1]), Mapper(FEW, np.random.default_rng(0)))
         for frame in room[0]:
             whole.process_frame(frame)
-        whole.finish()
-        cut.finish()
+        together, separate = whole.finish().gaussians, cut.finish().gaussians
         parts = sum(len(cut.atlas.submap(n).gaussians) for n in range(len(cut.atlas)))
-        assert len(cut.gaussians) < 0.9 * parts
-        assert len(cut.gaussians) < 1.25 * len(whole.gaussians)
+        assert len(separate) < 0.9 * parts
+        assert len(separate) < 1.25 * len(together)
 
     def test_a_lost_submap_is_left_out(self, cut):
         cut.atlas.lost.append(0)
-        cut.finish()
-        assert 0 not in cut.fused.submap.unique().tolist()
+        assert 0 not in cut.finish().map.submap.unique().tolist()
 
 
 class TestSavedSubmaps:

@@ -1,8 +1,8 @@
-"""Loop closure from suspicion to correction (G-III.C): verify, add to the graph, move anchors.
+"""Loop closure from candidates to corrections (G-III.C): verify, optimise the graph, move anchors.
 
-Loops are closed when a submap comes to rest, and once more at the end. Inside a submap the
-two keyframes' own images give the edge, and keyframes move with the Gaussians they seeded;
-between submaps registration gives it, and only anchors move.
+Loops are closed when a submap ends, and once more at the end of the run. Inside a submap, edges
+are measured between the images of two keyframes, and keyframes move together with the Gaussians
+they seeded. Between submaps, edges come from registration, and only anchors move.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ _log = logging.getLogger(__name__)
 
 
 class LoopCloser:
-    """Finds loops while a run goes on, and corrects the atlas.
+    """Finds loops during a run and corrects the atlas; see `LoopClosing`.
 
     Args:
-        log: where each candidate and each verdict is written, None for nowhere.
+        log: receives each candidate and each verdict; None for no log.
     """
 
     def __init__(
@@ -64,15 +64,15 @@ class LoopCloser:
         self._suspected: list[LoopCandidate] = []
         self._between = SubmapLoops(parts, self.options, self._record)
 
-    def begin_in(self, atlas: Atlas) -> None:
-        """Take note of the saved map that an atlas begins with, which is rigid from now on."""
+    def map_loaded(self, atlas: Atlas) -> None:
+        """Add the keyframes and the anchors of a loaded map, which is rigid from now on."""
         self._detector.take_over(atlas.submap(number) for number in range(atlas.saved))
         for first, second in pairwise(range(atlas.saved)):
             T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
             self._links.append(PoseEdge(first, second, T, _RIGID))
 
-    def observe(self, atlas: Atlas) -> None:
-        """Take note of the active submap's newest keyframe."""
+    def keyframe_added(self, atlas: Atlas) -> None:
+        """Search for loops at the newest keyframe of the active submap."""
         with self._recorder.timed("loop detection"):
             considered = self._detector.observe(atlas)
         if self._detector.searched:
@@ -81,6 +81,34 @@ class LoopCloser:
         for candidate in considered:
             self._record("candidate", candidate.record())
         self._suspected += [c for c in considered if c.accepted]
+
+    def submap_ending(self, atlas: Atlas) -> Array | None:
+        """Close the loops inside the active submap; see `LoopClosing`."""
+        keyframes = atlas.mapper.keyframes
+        if not keyframes:
+            return None
+        T_map_camera = keyframes[-1].T_map_camera
+        if not self.close_within(atlas):
+            return None
+        return atlas.mapper.keyframes[-1].T_map_camera @ se3.inverse(T_map_camera)
+
+    def submap_started(self, atlas: Atlas, information: Array) -> None:
+        """Add the odometry to the new submap, and close the loops of the one before."""
+        self.add_odometry(atlas, information)
+        self.close_between(atlas, atlas.active - 1)
+
+    def submap_recovered(self, atlas: Atlas, found: Found | None) -> None:
+        """Connect a submap that started at a lost frame, and close the loops of the one before."""
+        self._connect(atlas, found)
+        self.close_between(atlas, atlas.active - 1)
+        self.keyframe_added(atlas)
+
+    def finish(self, atlas: Atlas) -> None:
+        """Close all remaining loops, and register overlapping submaps once more."""
+        # Before refinement: it changes what frames and other submaps are registered against.
+        self.submap_ending(atlas)
+        self.close_between(atlas, atlas.active)
+        self.settle(atlas)
 
     def close_within(self, atlas: Atlas) -> bool:
         """Close the loops inside the active submap; whether its keyframes moved."""
@@ -92,11 +120,11 @@ class LoopCloser:
         with self._recorder.timed("loops within submaps"):
             return KeyframeLoops(self._parts, self.options, self._record).close(atlas, mine)
 
-    def link(self, atlas: Atlas, information: Array) -> None:
-        """Remember the odometry from the resting submap's anchor to the one that just began.
+    def add_odometry(self, atlas: Atlas, information: Array) -> None:
+        """Add the odometry edge from the anchor of the previous submap to the active one's.
 
         Args:
-            information: [6, 6] of the boundary frame, as the tracker gives it.
+            information: [6, 6] of the boundary keyframe, from the tracker.
         """
         new = atlas.active
         boundary = next(iter(atlas.keyframe_poses(new)))
@@ -106,11 +134,11 @@ class LoopCloser:
         T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
         self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
 
-    def join(self, atlas: Atlas, found: Found | None) -> None:
-        """Remember how a submap that began at a lost frame lies to the others.
+    def _connect(self, atlas: Atlas, found: Found | None) -> None:
+        """Add the edges of a submap that started at a lost frame.
 
-        Its odometry broke off, so its place against the submap before it is a guess; where the
-        frame was found is a loop.
+        Its odometry is interrupted, so its pose relative to the previous submap is a guess. If
+        the frame was found in a submap, that is a loop edge.
         """
         new = atlas.active
         T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
@@ -129,7 +157,7 @@ class LoopCloser:
 
     @property
     def relocaliser(self) -> Relocaliser:
-        """What looks for lost frames."""
+        """Finds lost frames."""
         return self._parts.relocaliser
 
     def close_between(self, atlas: Atlas, number: int) -> bool:
@@ -269,8 +297,8 @@ class LoopCloser:
             self._log.cut_back(values["log_bytes"])
 
 
-# Where a lost camera may be, m and rad: anywhere within the building.
+# Information of an unknown pose: standard deviations of 10 m and 3 rad.
 _GUESS = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
 
-# Submaps of a saved map do not move among themselves.
+# Information between the submaps of a loaded map, which do not move against each other.
 _RIGID = np.eye(6) * 1e9

@@ -33,18 +33,18 @@ class WholeScene:
     """A map in memory, as a scene of one part."""
 
     def __init__(self, gaussians: GaussianCloud) -> None:
-        self._gaussians = gaussians
+        self.gaussians = gaussians
 
     def __len__(self) -> int:
-        return len(self._gaussians)
+        return len(self.gaussians)
 
     def parts(self) -> Iterator[GaussianCloud]:
         """The map."""
-        yield self._gaussians
+        yield self.gaussians
 
     def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
         """The map."""
-        return self._gaussians
+        return self.gaussians
 
 
 class RoundedScene:

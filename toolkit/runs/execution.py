@@ -16,12 +16,13 @@ from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
+from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import lpips_of
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.results import held_out, write_results
-from toolkit.runs.saved_map import begin_in_map, open_saved_map
+from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
@@ -75,13 +76,13 @@ def run(
             folder.discard()  # so that the same folder can be given again
         raise
     _log_to(folder.log)
-    folder.check_taxonomy(slam.taxonomy)
+    folder.check_taxonomy(slam.result().taxonomy)
     if saved is not None:
-        begin_in_map(slam, saved)
+        load_saved_map(slam, saved)
         # The checkpoint holds the saved map, so that resuming does not need the saved run.
         _save(slam, folder, 0)
-    _process(slam, dataset, folder, settings, watch, progress)
-    write_results(slam, dataset, folder, settings, watch)
+    result = _process(slam, dataset, folder, settings, watch, progress)
+    write_results(result, dataset, folder, settings, watch)
 
 
 def _dataset_path(settings: RunSettings, out: Path, resume: bool, progress: Progress) -> Path:
@@ -110,7 +111,7 @@ def _process(
     settings: RunSettings,
     watch: StageRecorder,
     progress: Progress,
-) -> None:
+) -> SlamResult:
     """Process the remaining frames, saving checkpoints on the way, and refine the map."""
     checkpoint = folder.load_checkpoint()
     start = 0
@@ -118,7 +119,7 @@ def _process(
         slam.restore(checkpoint.arrays, checkpoint.values)
         start = checkpoint.next_frame
         _log.info("resumed %s at frame %d of %d", folder.path, start, len(dataset))
-    saved_at, saved_keyframes = time.monotonic(), slam.keyframe_count
+    saved_at, new_keyframes = time.monotonic(), 0
     frames = prefetched(dataset, range(start, len(dataset)), prepare=slam.prepare)
     for frame in progress(frames, len(dataset), start):
         with watch.timed("frame"):
@@ -127,20 +128,20 @@ def _process(
             reason = result.tracking.reason if result.tracking else "the map has not begun"
             _log.warning("frame %d is lost: %s", frame.index, reason)
         due = time.monotonic() - saved_at > settings.checkpoint.every_s
-        keyframes = slam.keyframe_count
-        due |= keyframes - saved_keyframes >= settings.checkpoint.every_keyframes
-        if due:
+        new_keyframes += result.keyframe
+        if due or new_keyframes >= settings.checkpoint.every_keyframes:
             _save(slam, folder, frame.index + 1)
-            saved_at, saved_keyframes = time.monotonic(), keyframes
-    if not slam.keyframe_count:
+            saved_at, new_keyframes = time.monotonic(), 0
+    keyframes, submaps = len(slam.result().keyframe_indices), len(slam.atlas)
+    if not keyframes:
         raise DatasetError(f"no frame of {settings.dataset.path} could start a map; see the log")
     _save(slam, folder, len(dataset))
     _log.info(
-        "refining the map over %d keyframes in %s",
-        slam.keyframe_count,
-        "one submap" if len(slam.atlas) == 1 else f"{len(slam.atlas)} submaps",
+        "Refining the map over %d keyframes in %s.",
+        keyframes,
+        "one submap" if submaps == 1 else f"{submaps} submaps",
     )
-    slam.finish()
+    return slam.finish()
 
 
 def _save(slam: Slam, folder: RunFolder, next_frame: int) -> None:

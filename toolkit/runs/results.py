@@ -23,7 +23,7 @@ from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import GaussianScene, RoundedScene, WholeScene
+from toolkit.gaussians.scene import GaussianScene, RoundedScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_rgb
@@ -31,15 +31,15 @@ from toolkit.io.pictures import view_strip
 from toolkit.io.splats import SplatLabels
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
+from toolkit.result import SlamResult
 from toolkit.runs.evaluation import alignment_of, measured, reading_of
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam import Slam
-from toolkit.submaps.atlas import Atlas
 
 _log = logging.getLogger(__name__)
 
@@ -57,62 +57,63 @@ def held_out(index: int, settings: RunSettings) -> bool:
 
 
 def write_results(
-    slam: Slam, dataset: Dataset, folder: RunFolder, settings: RunSettings, watch: StageRecorder
+    result: SlamResult,
+    dataset: Dataset,
+    folder: RunFolder,
+    settings: RunSettings,
+    watch: StageRecorder,
 ) -> None:
     """Trajectory, map, renders, figures and report of a finished run."""
-    trajectory = slam.trajectory
-    semantics, numbers = slam.mapper.semantics, None
-    scene: GaussianScene = WholeScene(slam.mapper.gaussians)
-    if slam.fused is not None:
-        scene, numbers = slam.fused, slam.fused.numbers
-    if slam.taxonomy is not None:
+    scene: GaussianScene = result.map
+    if result.taxonomy is not None:
         features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
-        folder.write_semantics(features, semantics.state(), slam.taxonomy)
+        folder.write_semantics(features, result.semantics.state(), result.taxonomy)
         # What is measured is what the file holds, which is rounded.
         scene = RoundedScene(scene)
-    tracked = tracked_frames(slam, settings)
-    folder.write_trajectory(trajectory, slam.covariances)
-    folder.write_map(_labelled_parts(scene, slam, settings, numbers))
-    frames = _frames(slam, tracked)
+    tracked = tracked_frames(result, settings)
+    folder.write_trajectory(result.trajectory, result.covariances)
+    folder.write_map(_labelled_parts(scene, result, settings))
+    frames = _frames(result, tracked)
     frames["camera"] = asdict(dataset.camera)
     if settings.dataset.path is not None:
         frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
     folder.write_json(folder.frames, frames)
     # Before evaluation, which has memory needs of its own.
-    costs = _costs(slam, scene, dataset, watch)
+    costs = _costs(result, scene, dataset, watch)
     _log.info("measuring the run")
-    reading = reading_of(semantics, slam.taxonomy, dataset, settings.evaluation.subset)
+    reading = reading_of(result.semantics, result.taxonomy, dataset, settings.evaluation.subset)
     metrics = cost_metrics(costs) | measured(scene, tracked, dataset, settings, reading)
     metrics |= _loop_metrics(dataset, folder, settings)
     write_metrics(folder.metrics, metrics)
-    final = _FinalMap(scene, semantics, slam.taxonomy, settings.backend)
+    final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder)
-    write_report(folder.report, _report(slam, dataset, settings, metrics, views, watch))
+    write_report(folder.report, _report(result, dataset, settings, metrics, views, watch))
     _log.info("wrote %s, with report.html in it", folder.path)
 
 
 def _labelled_parts(
-    scene: GaussianScene, slam: Slam, settings: RunSettings, numbers: list[int] | None
+    scene: GaussianScene, result: SlamResult, settings: RunSettings
 ) -> Iterator[tuple[GaussianCloud, SplatLabels | None, int | None]]:
     """Each part of a map with its labels and, if any, the number of its submap."""
-    for place, part in enumerate(scene.parts()):
+    numbers = result.map.numbers if isinstance(result.map, FusedMap) else [None]
+    for number, part in zip(numbers, scene.parts(), strict=True):
         labels = None
-        if slam.taxonomy is not None:
-            decoding = slam.mapper.semantics.decode_gaussians(part.features)
+        if result.taxonomy is not None:
+            decoding = result.semantics.decode_gaussians(part.features)
             labels = splat_labels(decoding, settings.semantics.least_confidence)
-        yield part, labels, None if numbers is None else numbers[place]
+        yield part, labels, number
 
 
-def tracked_frames(slam: Slam, settings: RunSettings) -> list[TrackedFrame]:
+def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFrame]:
     """Every frame that has a pose, as evaluation takes it."""
-    trajectory = slam.trajectory
+    trajectory = result.trajectory
     return [
         TrackedFrame(index, float(time), T, exposure, held_out(index, settings))
         for index, time, T, exposure in zip(
-            slam.tracked_indices,
+            result.frame_indices,
             trajectory.timestamps_s,
             trajectory.T_world_camera,
-            slam.exposures,
+            result.exposures,
             strict=True,
         )
     ]
@@ -134,7 +135,7 @@ def splat_labels(decoding: Decoding, least_confidence: float) -> SplatLabels:
     return SplatLabels(decoding.class_ids, levels, decoding.confidence)
 
 
-def _frames(slam: Slam, tracked: list[TrackedFrame]) -> dict[str, Any]:
+def _frames(result: SlamResult, tracked: list[TrackedFrame]) -> dict[str, Any]:
     rows = [
         {
             "index": f.index,
@@ -146,33 +147,31 @@ def _frames(slam: Slam, tracked: list[TrackedFrame]) -> dict[str, Any]:
     ]
     return {
         "frames": rows,
-        "lost": slam.lost_frames,
-        "keyframes": slam.keyframe_indices,
-        "submaps": _submaps(slam.atlas),
-        "allocation": [verdict.values() for verdict in slam.atlas.verdicts],
+        "lost": result.lost_frames,
+        "keyframes": result.keyframe_indices,
+        "submaps": [
+            {
+                "number": submap.number,
+                "T_world_submap": submap.T_world_submap.tolist(),
+                "keyframes": submap.keyframe_indices,
+                "lost": not submap.readable,
+            }
+            for submap in result.submaps
+        ],
+        "allocation": [verdict.values() for verdict in result.allocation],
     }
 
 
-def _submaps(atlas: Atlas) -> list[dict[str, Any]]:
-    return [
-        {
-            "number": number,
-            "T_world_submap": atlas.T_world_submap(number).tolist(),
-            "keyframes": list(atlas.keyframe_poses(number)),
-            "lost": number in atlas.lost,
-        }
-        for number in range(len(atlas))
-    ]
-
-
-def _costs(slam: Slam, scene: GaussianScene, dataset: Dataset, watch: StageRecorder) -> RunCosts:
+def _costs(
+    result: SlamResult, scene: GaussianScene, dataset: Dataset, watch: StageRecorder
+) -> RunCosts:
     count = len(scene)
     # Centre, radius, opacity, colour.
-    floats = count * (8 + slam.mapper.semantics.channels)
+    floats = count * (8 + result.semantics.channels)
     return RunCosts(
         frames=len(dataset),
-        frames_lost=len(slam.lost_frames),
-        keyframes=slam.keyframe_count,
+        frames_lost=len(result.lost_frames),
+        keyframes=len(result.keyframe_indices),
         gaussians=count,
         tracking_ms=watch.total_ms("denoising", "tracking"),
         labelling_ms=watch.total_ms("labelling"),
@@ -228,7 +227,7 @@ def _render_views(
 
 
 def _report(
-    slam: Slam,
+    result: SlamResult,
     dataset: Dataset,
     settings: RunSettings,
     metrics: Metrics,
@@ -240,13 +239,13 @@ def _report(
         title=dataset.name,
         subtitle=f"{len(dataset)} frames, {camera.width}x{camera.height}, seed {settings.seed}",
         metrics=metrics,
-        estimate=slam.trajectory,
+        estimate=result.trajectory,
         truth=dataset.ground_truth,
         alignment=alignment_of(settings),
         views=views,
         stage_times=watch.stage_times(),
         settings=dump_settings(settings),
-        warnings=[f"frame {index} is lost" for index in slam.lost_frames],
+        warnings=[f"frame {index} is lost" for index in result.lost_frames],
         machine=f"semsplat {__version__}, torch {torch.__version__}, "
         f"{torch.get_num_threads()} threads",
     )

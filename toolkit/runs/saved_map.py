@@ -77,7 +77,7 @@ def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset
         )
 
 
-def begin_in_map(slam: Slam, saved: FinishedRun) -> None:
+def load_saved_map(slam: Slam, saved: FinishedRun) -> None:
     """Let a system begin in a finished run's map, whose classes it knows from then on.
 
     Raises:
@@ -92,4 +92,4 @@ def begin_in_map(slam: Slam, saved: FinishedRun) -> None:
         for number, submap in enumerate(submaps.values()):
             yield submap.renumbered(number, -last - _APART)
 
-    slam.begin_in(renumbered())
+    slam.load_map(renumbered())

@@ -31,8 +31,8 @@ class MovingTracker:
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Nothing is done ahead of a frame's turn."""
 
-    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Take a place as the newest one, without a motion."""
+    def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
+        """Continue at a pose [4, 4], without a velocity."""
         self.motion = ConstantVelocity()
         self.motion.update(timestamp_s, T_map_camera)
 

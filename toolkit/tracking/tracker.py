@@ -48,7 +48,7 @@ class Tracker(Protocol):
 
 @runtime_checkable
 class LocatingTracker(Tracker, Protocol):
-    """A tracker that can also look for a frame elsewhere, and go on from there."""
+    """A tracker that can also locate a frame anywhere in a map, and continue from there."""
 
     def locate(
         self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64], /
@@ -56,6 +56,6 @@ class LocatingTracker(Tracker, Protocol):
         """The pose of a frame near a start; the tracker's own state stays as it is."""
         ...
 
-    def go_on_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Take a place as the newest one, without a motion."""
+    def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
+        """Continue at a pose [4, 4], without a velocity."""
         ...

@@ -1,0 +1,112 @@
+"""Recovery of a lost camera: relocalisation in the known submaps, or a new submap."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.camera_path import CameraPath
+from toolkit.closing.interface import LoopClosing
+from toolkit.exposure import IDENTITY
+from toolkit.frame import Frame, Recorder
+from toolkit.keyframe import Keyframe
+from toolkit.loops.relocalisation import Found
+from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.health import shows_something
+from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.tracker import LocatingTracker, Tracker
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a frame is.
+
+    Attributes:
+        T_map_camera: [4, 4] pose in the frame of the active submap; None if the frame is lost.
+        tracking: the result of tracking or relocalisation; None for the frame that starts the
+            map. It stays lost for a frame that starts a submap of unknown position.
+    """
+
+    T_map_camera: NDArray[np.float64] | None
+    tracking: TrackingResult | None = None
+
+
+class Recovery:
+    """Relocalises lost frames, and starts a new submap where that fails for too long.
+
+    Args:
+        label: adds labels to a frame that becomes the first keyframe of a submap.
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        atlas: Atlas,
+        path: CameraPath,
+        closer: LoopClosing,
+        label: Callable[[Frame], Frame],
+        recorder: Recorder,
+    ) -> None:
+        self._tracker, self._atlas, self._path = tracker, atlas, path
+        self._closer, self._label, self._recorder = closer, label, recorder
+
+    def recover(self, frame: Frame, lost: TrackingResult, may_map: bool) -> Located:
+        """Relocalise a lost frame.
+
+        If it is found in the active submap, tracking continues there. If it is found in another
+        submap, or too many frames were lost in a row, a new submap starts at the frame. Frames
+        without depth are ignored.
+
+        Args:
+            lost: the result of tracking.
+            may_map: False for a frame that must not start a submap.
+        """
+        tracker, relocaliser = self._tracker, self._closer.relocaliser
+        if relocaliser is None or not isinstance(tracker, LocatingTracker):
+            return Located(None, lost)
+        if not shows_something(frame):
+            return Located(None, lost)
+        out_of_patience = self._path.lost_in_a_row >= relocaliser.options.patience
+        with self._recorder.timed("relocalisation"):
+            last = self._path.last_seen(self._atlas)
+            found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
+        if found is not None and self._atlas.begun and found.submap == self._atlas.active:
+            tracker.continue_from(frame.timestamp_s, found.T_submap_camera)
+            _log.info("Relocalised frame %d in active submap %d.", frame.index, found.submap)
+            return Located(found.T_submap_camera, found.result)
+        if not may_map:
+            return Located(None, lost)
+        if found is None and (not out_of_patience or tracker.first_pose(frame) is None):
+            return Located(None, lost)
+        self._start_submap(frame, found)
+        tracker.continue_from(frame.timestamp_s, np.eye(4))
+        if found is None:
+            return Located(np.eye(4), lost)
+        return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
+
+    def _start_submap(self, frame: Frame, found: Found | None) -> None:
+        """Start a submap at a frame, either where it was found or at the last known pose."""
+        atlas = self._atlas
+        exposure = IDENTITY if found is None else found.result.exposure
+        anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
+        self._closer.submap_ending(atlas)
+        with self._recorder.timed("mapping"):
+            if found is None:
+                atlas.begin_at(anchor, *self._path.last_place(atlas), inherit=False)
+            else:
+                atlas.begin_at(anchor, found.submap, found.T_submap_camera)
+        self._closer.submap_recovered(atlas, found)
+        _log.warning(
+            "Started submap %d at frame %d: %s.",
+            atlas.active,
+            frame.index,
+            f"relocalised in submap {found.submap}"
+            if found is not None
+            else "relocalisation failed, position unknown until a loop is found",
+        )
