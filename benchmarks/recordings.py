@@ -18,6 +18,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "room-noise": ("--sensor-noise",),
     "ring": (*_RING, "--sensor-noise"),
     "ring-ideal": _RING,
+    "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),

@@ -1,0 +1,352 @@
+"""Parts of the papers beside the defaults: what each is worth. Quality alone, no times.
+
+    SEMSPLAT_DATA=DATA python -m benchmarks.papers
+
+Parts: tracking (G-2), colour (G-3), network (H-12), registration (G-6), landmarks (G-7), correction
+(G, III.C).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from toolkit.settings.run import RunSettings
+
+from benchmarks.recordings import RECORDINGS, room
+from benchmarks.registration import Methods, judged
+from benchmarks.registration_pairs import draw_pairs, pool
+from benchmarks.registration_pairs import room as room_recording
+from benchmarks.report import Report, ReportOptions
+from benchmarks.runs import finished_slam
+from benchmarks.tables import Metrics, Rows, Table, table_of
+from toolkit.datasets.registry import open_dataset
+from toolkit.evaluation.loops import TrueViews, loop_metrics
+from toolkit.evaluation.run_loops import true_views
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.io.arrays import arrays_below
+from toolkit.loops.candidates import CandidateFinder, CandidateOptions, DescribedKeyframe
+from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
+from toolkit.loops.landmarks import Counted, LandmarkOptions
+from toolkit.rendering import backend
+from toolkit.runs.building import build_slam
+
+Values = dict[str, Any]
+PartName = Literal["tracking", "colour", "network", "registration", "landmarks", "correction"]
+
+DESCRIPTION = """\
+What the papers do and the defaults do not, beside the defaults: median over the seeds. Synthetic
+rings of rooms have 450 frames of 160x120 pixels with sensor noise, one ring for each seed; office0
+and RedKitchen have one recording and several seeds of the random choices. Each row changes the
+settings that it names and nothing else."""
+
+_GIVEN: Values = {"poses": "given", "hold_out": 5}
+_COLOUR: Values = {"code": {"kind": "colour"}}
+_GAUSEM: Values = {"kind": "first-order", "first_order": {"preset": "gausem"}}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One table.
+
+    Attributes:
+        title: of the table.
+        sequences: on which each row is measured.
+        columns: of metrics.json and of `measure`.
+        rows: settings by the name of the row; the first one is the default.
+        note: below the table.
+    """
+
+    title: str
+    sequences: tuple[str, ...]
+    columns: tuple[str, ...]
+    rows: dict[str, Values]
+    note: str = ""
+
+
+PARTS: dict[PartName, Part] = {
+    "tracking": Part(
+        "Semantics in tracking (G-2)",
+        ("office0",),
+        ("ate_rmse_cm", "psnr_db", "miou_percent", "frames_lost"),
+        {
+            "dense tracker (default)": {},
+            "gausem preset without semantics": {
+                "tracking": {
+                    "kind": "first-order",
+                    "first_order": {"preset": "gausem", "semantic": 0.0},
+                }
+            },
+            "gausem preset": {"tracking": _GAUSEM},
+        },
+    ),
+    "colour": Part(
+        "SSIM on the semantic colour (G-3)",
+        ("office0",),
+        ("psnr_db", "miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent"),
+        {
+            "one-hot code (default)": _GIVEN,
+            "colour code, L1": {**_GIVEN, "semantics": _COLOUR},
+            "colour code, 0.8 L1 + 0.2 (1 - SSIM)": {
+                **_GIVEN,
+                "semantics": {**_COLOUR, "loss": {"structure": 0.2}},
+            },
+        },
+        "Poses are given and every fifth frame is held out. `unseen` views are those.",
+    ),
+    "network": Part(
+        "One inter-level network for all submaps (H-12)",
+        ("office0, many submaps",),
+        ("miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent", "submaps"),
+        {
+            "read by path, no network (default)": _GIVEN,
+            "read by the network, no rehearsal": {
+                **_GIVEN,
+                "semantics": {"network": {"use": True, "replay": 0}, "reader": "network"},
+            },
+            "read by the network": {
+                **_GIVEN,
+                "semantics": {"network": {"use": True}, "reader": "network"},
+            },
+        },
+        "Poses are given, every fifth frame is held out, and submaps end after five keyframes.",
+    ),
+    "correction": Part(
+        "Mapping after a correction inside a submap (G, III.C)",
+        ("redkitchen, always corrected", "ring, always corrected"),
+        ("ate_rmse_cm", "psnr_db", "miou_percent", "corrections", "largest correction cm"),
+        {
+            "none (default)": {},
+            "10 iterations a keyframe": {"loops": {"closing": {"mapping_iterations": 10}}},
+        },
+        "Keyframes are moved however little the loops contradict the odometry "
+        "(`--loops.closing.drift-confidence 0.01`): at the default 0.99 neither sequence is "
+        "corrected.",
+    ),
+}
+
+# What a sequence changes besides the dataset.
+_ALWAYS: Values = {"loops": {"closing": {"drift_confidence": 0.01}}}
+_CHANGES: dict[str, Values] = {
+    "office0, many submaps": {"submaps": {"allocation": {"most_keyframes": 5}}},
+    "redkitchen, always corrected": _ALWAYS,
+    "ring, always corrected": _ALWAYS,
+}
+
+REGISTRATION_ROWS = (
+    "SGR",
+    "SGR, first-order fine, no feature term",
+    "SGR, first-order fine (G-6)",
+)
+REGISTRATION_COLUMNS = ("success_percent", "error_cm", "error_deg")
+REGISTRATION_TITLE = "The feature term of registration (G-6)"
+REGISTRATION_NOTE = """\
+Pairs of submaps of synthetic rooms with ideal images, 160x120, each in a frame of its own; success
+is 5 cm and 2 degrees, errors are medians over the pairs. Both first-order rows minimise colour and
+semantics; the last one adds the feature term with the built-in encoder."""
+PAIRS = 8  # of each room
+
+# No class is ever seen as often, so that landmarks have no effect.
+_NEVER = 10**9
+LANDMARK_ROWS: dict[str, Values] = {
+    "descriptor alone": {"least_count": _NEVER},
+    "pixels (default)": {},
+    "Gaussians": {"counted": "gaussians"},
+    "pixels, weighted as printed": {"weighting": "paper"},
+    "Gaussians, weighted as printed": {"counted": "gaussians", "weighting": "paper"},
+}
+LANDMARK_COLUMNS = (
+    "loop_precision_percent",
+    "loop_recall_percent",
+    "loop_f1_percent",
+    "loops_searched",
+    "loops_accepted",
+)
+LANDMARK_TITLE = "Landmarks of observed Gaussians (G-7)"
+LANDMARK_NOTE = """\
+Candidates of the search on the ring, before verification. One run of the default system, without
+refinement, counts both; every keyframe is then searched for among the earlier ones."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
+    """Measure parts of the papers beside the defaults."""
+
+    parts: tuple[PartName, ...] = (
+        "tracking",
+        "colour",
+        "network",
+        "registration",
+        "landmarks",
+        "correction",
+    )
+    """Tables to measure; the results file has these."""
+    seeds: int = 3
+    """Seeds 0, 1, ... of rooms and runs."""
+
+
+def main() -> None:
+    """Measure the tables that were asked for."""
+    options = tyro.cli(Options)
+    report = Report(
+        "papers",
+        "Parts of the papers, beside the defaults",
+        DESCRIPTION,
+        options,
+        range(options.seeds),
+    )
+    jobs = {f"{part}: {row}": job for part in options.parts for row, job in jobs_of(part).items()}
+    found = report.measured(jobs, measure)
+    report.write(*(table_of_part(part, found) for part in options.parts))
+
+
+def jobs_of(part: PartName) -> dict[str, Values]:
+    """What each row of a table measures."""
+    if part == "registration":
+        return {row: {"method": row} for row in REGISTRATION_ROWS}
+    if part == "landmarks":
+        return {row: {"landmarks": values} for row, values in LANDMARK_ROWS.items()}
+    chosen = PARTS[part]
+    return {
+        f"{sequence}, {row}": {"sequence": sequence, "settings": values}
+        for sequence in chosen.sequences
+        for row, values in chosen.rows.items()
+    }
+
+
+def table_of_part(part: PartName, found: Rows) -> Table:
+    """The rows of one part."""
+    prefix = f"{part}: "
+    rows = {name.removeprefix(prefix): found[name] for name in found if name.startswith(prefix)}
+    if part == "registration":
+        title, columns, note = REGISTRATION_TITLE, REGISTRATION_COLUMNS, REGISTRATION_NOTE
+    elif part == "landmarks":
+        title, columns, note = LANDMARK_TITLE, LANDMARK_COLUMNS, LANDMARK_NOTE
+    else:
+        title, columns, note = PARTS[part].title, PARTS[part].columns, PARTS[part].note
+    return replace(table_of(columns, rows, title=title), note=note)
+
+
+def measure(job: Values, seed: int) -> Metrics:
+    """Metrics of one row with one seed."""
+    if "method" in job:
+        return registered(job["method"], seed)
+    if "landmarks" in job:
+        return searched(job["landmarks"], seed)
+    return measured_run(job["sequence"], job["settings"], seed)
+
+
+def measured_run(sequence: str, values: Values, seed: int) -> Metrics:
+    """metrics.json of a run, and what its corrections inside submaps did."""
+    name = sequence.partition(",")[0]
+    if name in RECORDINGS:
+        recording = RECORDINGS[name]
+        kind, path, size = recording.kind, recording.path, recording.image_size
+    else:
+        kind, path, size = "synthetic", room("ring-small", seed), None
+    settings = RunSettings.model_validate(
+        merged(values, _CHANGES.get(sequence, {}))
+        | {"dataset": {"kind": kind, "path": str(path)}, "image_size": size, "seed": seed}
+    )
+    with finished_slam(settings, open_dataset(kind, path, size)) as run:
+        corrections = [r for r in run.records if r["kind"] == "correction within" and r["applied"]]
+        return run.metrics | {
+            "submaps": len(run.slam.atlas),
+            "corrections": len(corrections),
+            "largest correction cm": max((100 * r["largest_m"] for r in corrections), default=0.0),
+        }
+
+
+def searched(values: Values, seed: int) -> Metrics:
+    """Loop metrics of the candidates of every keyframe of the ring, with one kind of landmarks."""
+    ring = counted_ring(seed)
+    landmarks = LandmarkOptions(**values)
+    finder = CandidateFinder(
+        BuiltinEncoder.dimensions,
+        BuiltinEncoder.threshold,
+        CandidateOptions(search_every=1),
+        landmarks,
+    )
+    found = [c for k in ring.keyframes[landmarks.counted] for c in finder.add(k) if c.accepted]
+    frames = [keyframe.frame for keyframe in ring.keyframes[landmarks.counted]]
+    return loop_metrics(ring.views, frames, [(c.query, c.match) for c in found])
+
+
+@dataclass(frozen=True)
+class CountedRing:
+    """The keyframes of a ring as loop detection knows them, by what is counted; the truth."""
+
+    keyframes: dict[Counted, list[DescribedKeyframe]]
+    views: TrueViews
+
+
+@functools.cache
+def counted_ring(seed: int) -> CountedRing:
+    """The keyframes of a run of the default system, without refinement."""
+    path = room("ring-small", seed)
+    settings = RunSettings.model_validate(
+        {"dataset": {"kind": "synthetic", "path": str(path)}, "seed": seed}
+    )
+    dataset = open_dataset("synthetic", path, None)
+    slam = build_slam(dataset, settings)
+    assert slam.taxonomy is not None
+    semantics, classes = slam.mapper.semantics, len(slam.taxonomy)
+    counters: dict[Counted, ClassCounter] = {
+        "pixels": LabelledPixels(classes),
+        "gaussians": ObservedGaussians(semantics, classes, backend()),
+    }
+    counts: dict[Counted, dict[int, NDArray[np.int64]]] = {"pixels": {}, "gaussians": {}}
+    for index in range(len(dataset)):
+        if slam.process_frame(dataset[index]).mapping is not None:
+            newest = slam.mapper.keyframes[-1]
+            for counted, counter in counters.items():
+                counts[counted][index] = counter.counts(newest, slam.mapper.gaussians)
+    arrays = arrays_below(slam.state()[0], "closer/detector/")
+    rows = list(
+        zip(
+            arrays["frames"],
+            arrays["submaps"],
+            arrays["travelled_m"],
+            arrays["descriptors"],
+            strict=True,
+        )
+    )
+    keyframes = {
+        counted: [
+            DescribedKeyframe(int(frame), int(submap), float(way), descriptor, mine[int(frame)])
+            for frame, submap, way, descriptor in rows
+        ]
+        for counted, mine in counts.items()
+    }
+    return CountedRing(keyframes, true_views(dataset))
+
+
+def merged(one: Values, other: Values) -> Values:
+    """Both nested dictionaries; the second one has precedence."""
+    result = dict(one)
+    for key, value in other.items():
+        nested = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merged(result[key], value) if nested else value
+    return result
+
+
+def registered(method: str, seed: int) -> Metrics:
+    """Success rate and median errors of a method over the pairs of a room."""
+    generator = np.random.default_rng([seed, 0])
+    recording = room_recording(300, (160, 120), seed, noise=False)
+    pieces = pool(recording, generator)
+    pairs = draw_pairs(pieces, PAIRS, recording.semantics, generator, f"room {seed}")
+    trials = [judged(method, pair, Methods(pair, seed).rows[method]()) for pair in pairs]
+    return {
+        "success_percent": 100.0 * float(np.mean([trial.success for trial in trials])),
+        "error_cm": 100.0 * float(np.median([trial.error_m for trial in trials])),
+        "error_deg": float(np.median([trial.error_deg for trial in trials])),
+    }
+
+
+if __name__ == "__main__":
+    main()
