@@ -27,10 +27,10 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
 from toolkit.mapping.factory import build_mapper
-from toolkit.registration.placement import KeyframePlacement
 from toolkit.settings.mapping import MappingSettings
 from toolkit.slam import Slam
 from toolkit.tracking.options import TrackingOptions
+from toolkit.tracking.placement import KeyframePlacement
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
-from toolkit.registration.placement import KeyframePlacement
 from toolkit.rendering import render
 from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.depth_filter import DepthFilter
+from toolkit.tracking.placement import KeyframePlacement
 
 DESCRIPTION = """\
 RedKitchen moves along a kitchen and back: the frames of the way back are located on the map of the

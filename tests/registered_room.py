@@ -101,6 +101,13 @@ def seen_by(keyframe: Keyframe, camera: Camera) -> Keyframe:
     return Keyframe.from_frame(frame, keyframe.T_map_camera, keyframe.exposure)
 
 
+@functools.cache
+def stranger() -> Keyframe:
+    """A view of another room, at an unrelated pose."""
+    frames, _ = tiny_room(1, 160, 120, seed=5)
+    return Keyframe.from_frame(frames[0], motion(8, 1.0, 30.0))
+
+
 def thumbnail(keyframe: Keyframe) -> NDArray[np.float32]:
     """A descriptor [192] of unit length: the image at 8x8 pixels, less its mean."""
     image = keyframe.rgb.permute(1, 2, 0).contiguous().numpy().astype(np.float32)

@@ -20,12 +20,12 @@ from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
-from toolkit.registration.placement import KeyframePlacement
 from toolkit.result import FrameResult, SlamResult, SubmapSummary
 from toolkit.semantics.labeller import Labeller
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.depth_filter import DepthFilter
+from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 

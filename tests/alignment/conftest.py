@@ -5,9 +5,11 @@ from __future__ import annotations
 from types import ModuleType
 
 import pytest
+import registered_room
 from registered_room import Scene, scene
 from tracked_room import Room, first_steps
 
+from toolkit.keyframe import Keyframe
 from toolkit.native import available_instruction_sets, load_variant
 
 
@@ -19,6 +21,11 @@ def room() -> Room:
 @pytest.fixture(scope="session")
 def submaps() -> Scene:
     return scene()
+
+
+@pytest.fixture(scope="session")
+def stranger() -> Keyframe:
+    return registered_room.stranger()
 
 
 @pytest.fixture(params=available_instruction_sets())

@@ -9,9 +9,8 @@ import pytest
 from registered_room import Scene, error, motion
 
 from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
-from toolkit.alignment.levels import model_level, pyramid
+from toolkit.alignment.levels import keyframe_level, model_level, pyramid
 from toolkit.geometry import se3
-from toolkit.registration.views import observed_level
 
 LEVELS = 3
 
@@ -19,8 +18,8 @@ LEVELS = 3
 def pair_of(submaps: Scene, i: int, j: int) -> Pair:
     """Observed keyframe i of the target against observed keyframe j of the source."""
     first, second = submaps.target.keyframes[i], submaps.source.keyframes[j]
-    model = [model_level(level) for level in pyramid(observed_level(first), LEVELS)]
-    frame = pyramid(observed_level(second), LEVELS)
+    model = [model_level(level) for level in pyramid(keyframe_level(first), LEVELS)]
+    frame = pyramid(keyframe_level(second), LEVELS)
     return Pair(model, frame, se3.inverse(first.T_map_camera), second.T_map_camera)
 
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from toolkit.alignment.data import ResidualScales
+from toolkit.alignment.matching import MatchingOptions, Offset
 from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.parts import ClosingOptions, ClosingParts
@@ -28,7 +29,6 @@ from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.pose_graph.consistency import ConsistencyOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.registration.matching import MatchingOptions, Offset
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.allocation import Allocation, AllocationOptions
 from toolkit.submaps.atlas import Atlas, BoundaryOptions

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from registered_room import Scene, classes, motion, scene
+import registered_room
+from registered_room import Scene, classes, scene
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.views import ViewDrawer
@@ -30,8 +30,7 @@ def labelled_room(semantics: SemanticMapping) -> Scene:
 @pytest.fixture(scope="session")
 def stranger() -> Keyframe:
     """A view of another room, at a pose that means nothing."""
-    frames, _ = tiny_room(1, 160, 120, seed=5)
-    return Keyframe.from_frame(frames[0], motion(8, 1.0, 30.0))
+    return registered_room.stranger()
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from registered_room import Scene, error, motion, moved
 
+from toolkit.alignment.matching import MatchingOptions
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.registration.coarse import CoarseOptions, register_coarse
-from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions
 from toolkit.registration.pooled import pooled_motion
 

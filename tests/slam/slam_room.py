@@ -15,12 +15,12 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper, MapperOptions
-from toolkit.registration.placement import KeyframePlacement
 from toolkit.semantics.factory import build_code
 from toolkit.settings.semantics import SemanticsSettings
 from toolkit.slam import FrameResult, Slam
 from toolkit.taxonomy_building.factory import build_labeller
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.placement import KeyframePlacement
 
 FEW = MapperOptions(iterations=4, first_iterations=12, final_iterations=2)
 

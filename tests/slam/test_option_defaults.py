@@ -21,7 +21,6 @@ from toolkit.pose_graph.consistency import ConsistencyOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import RetractionOptions
 from toolkit.pose_graph.solver import SolverOptions
-from toolkit.registration.placement import PlacementOptions
 from toolkit.settings.base import Settings
 from toolkit.settings.loop_closure import ClosingSettings, VerificationSettings
 from toolkit.settings.loops import CandidateSettings, LandmarkSettings
@@ -45,6 +44,7 @@ from toolkit.settings.semantics import SemanticLossSettings
 from toolkit.settings.submaps import AllocationSettings, BoundarySettings
 from toolkit.submaps.allocation import AllocationOptions
 from toolkit.submaps.atlas import BoundaryOptions
+from toolkit.tracking.placement import PlacementOptions
 
 PAIRS = [
     (AllocationOptions(), AllocationSettings(least_divergence=0.4)),  # unset: the segmenter's

@@ -9,10 +9,10 @@ import pytest
 from tracked_room import Room
 
 from toolkit.alignment.data import INITIAL_SCALES, ResidualScales
+from toolkit.alignment.options import HealthLimits
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.health import believable, forgetting, gone_astray
-from toolkit.tracking.options import HealthLimits
+from toolkit.tracking.health import misfit_reason, reference_scales, relaxed_scales
 
 LIMITS = HealthLimits()
 USUAL = ResidualScales(0.02, 0.003)
@@ -21,38 +21,38 @@ USUAL = ResidualScales(0.02, 0.003)
 @pytest.mark.parametrize(("times", "astray"), [(1.0, False), (1.7, False), (2.1, True)])
 def test_both_scales_count(times, astray):
     found = ResidualScales(USUAL.intensity * times, USUAL.depth_m * times)
-    assert bool(gone_astray(LIMITS, found, USUAL)) == astray
+    assert bool(misfit_reason(LIMITS, found, USUAL)) == astray
 
 
 def test_the_reason_says_how_much_worse():
-    reason = gone_astray(LIMITS, ResidualScales(0.1, 0.003), USUAL)
+    reason = misfit_reason(LIMITS, ResidualScales(0.1, 0.003), USUAL)
     assert "5.0 times worse" in reason
 
 
 def test_ideal_images_may_fit_several_times_worse():
     """From nearly nothing to what a sensor's noise would leave."""
-    assert not gone_astray(LIMITS, ResidualScales(0.01, 0.0015), ResidualScales(0.002, 0.0001))
+    assert not misfit_reason(LIMITS, ResidualScales(0.01, 0.0015), ResidualScales(0.002, 0.0001))
 
 
 def test_lost_frames_widen_what_is_believed_a_little():
     scales = USUAL
-    assert believable(scales, USUAL) == USUAL
+    assert reference_scales(scales, USUAL) == USUAL
     for _ in range(20):
-        scales = forgetting(scales)
-    most = believable(scales, USUAL)
-    assert gone_astray(LIMITS, ResidualScales(7 * USUAL.intensity, 2 * USUAL.depth_m), most)
-    assert not gone_astray(LIMITS, ResidualScales(3 * USUAL.intensity, 3 * USUAL.depth_m), most)
+        scales = relaxed_scales(scales)
+    most = reference_scales(scales, USUAL)
+    assert misfit_reason(LIMITS, ResidualScales(7 * USUAL.intensity, 2 * USUAL.depth_m), most)
+    assert not misfit_reason(LIMITS, ResidualScales(3 * USUAL.intensity, 3 * USUAL.depth_m), most)
 
 
 def test_lost_frames_widen_what_alignment_begins_with_up_to_a_first_frame_s():
     scales, products = USUAL, []
     for _ in range(20):
         products.append(scales.intensity * scales.depth_m)
-        scales = forgetting(scales)
+        scales = relaxed_scales(scales)
     assert products == sorted(products)
     assert products[1] > 1.3 * products[0]
     assert scales == INITIAL_SCALES
-    assert forgetting(ResidualScales(0.1, 0.02)) == ResidualScales(0.1, 0.02)
+    assert relaxed_scales(ResidualScales(0.1, 0.02)) == ResidualScales(0.1, 0.02)
 
 
 def test_a_jump_into_a_place_that_fits_badly_is_no_pose(

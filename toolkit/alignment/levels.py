@@ -11,6 +11,7 @@ from toolkit.alignment.backend import backend_for
 from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.alignment.reference import LUMA
 from toolkit.frame import Frame
+from toolkit.keyframe import Keyframe
 from toolkit.native.constants import MAX_DEPTH_STEP
 from toolkit.rendering.surface import SurfaceView
 from toolkit.rendering.texture import centred_intensity, moved_to_centres
@@ -25,6 +26,12 @@ def finest_level(frame: Frame, device: torch.device) -> FrameLevel:
     """The finest pyramid level of a frame, on a device."""
     intensity, depth_m = intensity_of(frame.rgb), torch.from_numpy(frame.depth_m)
     return FrameLevel(frame.camera, _on_device(intensity, device), _on_device(depth_m, device))
+
+
+def keyframe_level(keyframe: Keyframe) -> FrameLevel:
+    """The finest pyramid level of a keyframe, at the map's exposure."""
+    rgb = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
+    return FrameLevel(keyframe.camera, intensity_of(rgb), keyframe.depth_m)
 
 
 def _on_device(image: Tensor, device: torch.device) -> Tensor:

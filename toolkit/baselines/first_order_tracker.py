@@ -20,7 +20,9 @@ from toolkit.alignment.data import (
     ResidualScales,
     rescaled,
 )
+from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import finest_level, intensity_of, model_level
+from toolkit.alignment.options import HealthLimits
 from toolkit.errors import SettingsError
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -32,11 +34,10 @@ from toolkit.native.constants import SILHOUETTE
 from toolkit.rendering import RenderOutput, backend
 from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
-from toolkit.tracking.health import verdict
 from toolkit.tracking.moving import MovingTracker
-from toolkit.tracking.options import FirstOrderOptions, HealthLimits
+from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
-from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.result import Health, TrackingResult
 
 # How the final pose is judged: rounds of the residual scales' fixed point, the gate on depth
 # differences (share of the depth) and the least silhouette. The latter is the dense tracker's,
@@ -165,7 +166,7 @@ class FirstOrderTracker(MovingTracker):
         measured = float((frame.depth_m > 0).sum())
         visible = linear.depth_pixels / max(measured, 1.0)
         information = linear.H[:6, :6]
-        health, reason = verdict(self.limits, scales, visible, information, measured)
+        reason = failure_reason(self.limits, scales, visible, information, measured)
         return TrackingResult(
             T_map_camera=se3.inverse(best.T_camera_map),
             # Some later pose was no better: the loss had stopped falling.
@@ -176,7 +177,7 @@ class FirstOrderTracker(MovingTracker):
             depth_residual_m=scales.depth_m,
             visible_fraction=visible,
             information=information,
-            health=health,
+            health=Health.LOST if reason else Health.GOOD,
             reason=reason,
         )
 

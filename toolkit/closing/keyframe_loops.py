@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from toolkit.alignment.matching import measure_offset
 from toolkit.closing.parts import ClosingOptions, ClosingParts
 from toolkit.closing.records import Record, moved_by, verdict
 from toolkit.closing.uncertainty import SURE
@@ -15,7 +16,6 @@ from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import PoseCorrection, correct_keyframes, keyframe_graph
 from toolkit.pose_graph.graph import PoseEdge
-from toolkit.registration.matching import measure_offset
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 

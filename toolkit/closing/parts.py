@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from toolkit.alignment.matching import MatchingOptions
 from toolkit.loops.relocalisation import Relocaliser
 from toolkit.loops.verification import VerificationOptions
 from toolkit.pose_graph.consistency import ConsistencyOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.result import Registrar
 
 

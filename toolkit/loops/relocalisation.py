@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.matching import MatchingOptions, measure_offset
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import Sighting
 from toolkit.loops.detection import LoopDetector
-from toolkit.registration.matching import MatchingOptions, measure_offset
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.health import shows_something

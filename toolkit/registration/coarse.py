@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
-from toolkit.registration.matching import MatchingOptions, Offset, measure_offset
+from toolkit.alignment.matching import MatchingOptions, Offset, measure_offset
 from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
 from toolkit.registration.pooled import pooled_motion
 from toolkit.registration.result import UNKNOWN, RegistrationResult, failed

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from toolkit.alignment.joint import JointOptions
+from toolkit.alignment.matching import MatchingOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.coarse import CoarseOptions
 from toolkit.registration.fine import FineOptions, FirstOrderFineOptions
-from toolkit.registration.matching import MatchingOptions
 from toolkit.registration.motion_average import AverageOptions
-from toolkit.registration.placement import KeyframePlacement, PlacementOptions
 from toolkit.registration.views import ViewDrawer
 from toolkit.settings.registration import (
     CoarseSettings,
@@ -19,6 +18,7 @@ from toolkit.settings.registration import (
     PlacementSettings,
     RegistrationSettings,
 )
+from toolkit.tracking.placement import KeyframePlacement, PlacementOptions
 
 
 def build_placement(settings: PlacementSettings) -> KeyframePlacement | None:

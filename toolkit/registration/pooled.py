@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.matching import Matched, MatchingOptions, match_features, rigid_fits
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.registration.matching import Matched, MatchingOptions, match_features, rigid_fits
 
 Array = NDArray[np.float64]
 
@@ -61,15 +61,15 @@ def pooled_motion(
     order = np.argsort(generator.random((_MORE * options.hypotheses, len(first))), axis=1)
     triples = order[:, :3]
     motions = rigid_fits(first[triples], second[triples])
-    agree = np.concatenate([p.agree(motions, options) for p in pool], axis=1)
-    best = agree[int(np.argmax(agree.sum(axis=1)))]
+    inliers = np.concatenate([p.inliers(motions, options) for p in pool], axis=1)
+    best = inliers[int(np.argmax(inliers.sum(axis=1)))]
     T = np.eye(4)
     for _ in range(_ROUNDS):
         if best.sum() < least:
             return None
         T = rigid_fits(first[best][None], second[best][None])[0]
-        best = np.concatenate([p.agree(T[None], options)[0] for p in pool])
-    counts = [int(p.agree(T[None], options).sum()) for p in pool]
+        best = np.concatenate([p.inliers(T[None], options)[0] for p in pool])
+    counts = [int(p.inliers(T[None], options).sum()) for p in pool]
     agreeing = [p.place for p, n in zip(pool, counts, strict=True) if n >= _FEWEST_OF_A_PAIR]
     if best.sum() < least or len(agreeing) < _FEWEST_PAIRS:
         return None
@@ -86,6 +86,8 @@ class _Pooled:
         self.in_target = se3.transform_points(target.T_map_camera, matched.first)
         self.in_source = se3.transform_points(source.T_map_camera, matched.second)
 
-    def agree(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+    def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
         """Which matches [H, n] obey which motions T_target_source [H, 4, 4]."""
-        return self._matched.agree(self._T_camera_target @ motions @ self._T_source_camera, options)
+        return self._matched.inliers(
+            self._T_camera_target @ motions @ self._T_source_camera, options
+        )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import halved, intensity_of, view_level
+from toolkit.alignment.levels import halved, keyframe_level, view_level
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
@@ -99,7 +99,7 @@ class ViewDrawer:
 
     def observed(self, keyframe: Keyframe) -> View:
         """What a keyframe observed itself, at the size that is drawn."""
-        level = observed_level(keyframe)
+        level = keyframe_level(keyframe)
         labels = None
         if self._semantics is not None and keyframe.labels is not None:
             labels = keyframe.labels.numpy()
@@ -108,12 +108,6 @@ class ViewDrawer:
             if labels is not None:
                 labels = labels[::2, ::2][: level.camera.height, : level.camera.width]
         return View(level, labels)
-
-
-def observed_level(keyframe: Keyframe) -> FrameLevel:
-    """A keyframe's own image at the map's exposure, and its depth."""
-    rgb = keyframe.target_rgb().permute(1, 2, 0).contiguous().numpy()
-    return FrameLevel(keyframe.camera, intensity_of(rgb), keyframe.depth_m)
 
 
 def views_of_overlap(

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
+from toolkit.alignment.options import HealthLimits
 from toolkit.settings.base import Settings
-from toolkit.tracking.options import HealthLimits
 
 
 class JointAlignmentSettings(Settings):

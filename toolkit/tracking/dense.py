@@ -24,7 +24,9 @@ from toolkit.alignment.data import (
     ResidualScales,
 )
 from toolkit.alignment.exposure import estimate_exposure
+from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import model_level, pyramid, view_level
+from toolkit.alignment.options import HealthLimits
 from toolkit.errors import DependencyError
 from toolkit.exposure import Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
@@ -32,15 +34,14 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking.health import (
-    believable,
-    forgetting,
-    gone_astray,
+    misfit_reason,
+    reference_scales,
+    relaxed_scales,
     shows_something,
-    verdict,
 )
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
-from toolkit.tracking.options import DenseOptions, HealthLimits
+from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import FramesAhead, PreparedFrame
 from toolkit.tracking.result import Health, TrackingResult
 
@@ -146,14 +147,14 @@ class DenseTracker(MovingTracker):
             starts.append(last)
         result = self.locate(frame, gaussians, *starts)
         found = ResidualScales(result.intensity_residual, result.depth_residual_m)
-        known = believable(self._scales, self._fit)
-        astray = "" if result.lost else gone_astray(self.limits, found, known)
-        if astray:
-            result = replace(result, health=Health.LOST, reason=astray)
+        reference = reference_scales(self._scales, self._fit)
+        misfit = "" if result.lost else misfit_reason(self.limits, found, reference)
+        if misfit:
+            result = replace(result, health=Health.LOST, reason=misfit)
         if result.lost:
             self.motion.forget_velocity()
             if shows_something(frame):
-                self._scales = forgetting(self._scales)
+                self._scales = relaxed_scales(self._scales)
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
             self._scales = self._fit = found
@@ -285,7 +286,7 @@ class DenseTracker(MovingTracker):
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
         # Perturbations were on the view's side; the view stands at the pose itself now.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
-        health, reason = verdict(self.limits, found.scales, visible, information, measured)
+        reason = failure_reason(self.limits, found.scales, visible, information, measured)
         # Alignment that gives up at once hands back a product of this tracker's own poses, and
         # their rounding errors threefold: a few hundred such frames and no pose is rigid.
         return TrackingResult(
@@ -297,7 +298,7 @@ class DenseTracker(MovingTracker):
             depth_residual_m=found.scales.depth_m,
             visible_fraction=visible,
             information=information,
-            health=health,
+            health=Health.LOST if reason else Health.GOOD,
             reason=reason,
             exposure=Exposure(*self._told(task, view, found)),
         )

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.options import HealthLimits
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.tracking.health import may_start_map
-from toolkit.tracking.options import HealthLimits
 from toolkit.tracking.result import Health, TrackingResult
 
 

@@ -1,6 +1,6 @@
-"""The offset between two keyframes, measured between what their cameras observed.
+"""Image matching: the relative pose of two keyframes from their observed images.
 
-Nothing here looks at the map: two renders of one map agree whatever its drift.
+The map is not used: two renderings of one map agree regardless of its drift.
 """
 
 from __future__ import annotations
@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
+from toolkit.alignment.health import failure_reason
 from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
-from toolkit.alignment.levels import limited_to_width, model_level, pyramid
+from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
+from toolkit.alignment.options import HealthLimits
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.registration.views import observed_level
-from toolkit.tracking.health import verdict
-from toolkit.tracking.options import HealthLimits
-from toolkit.tracking.result import Health
 
 Array = NDArray[np.float64]
 
@@ -112,19 +110,21 @@ def measure_offset(
 def _refined(
     first: Keyframe, second: Keyframe, start: Array, matches: int, options: MatchingOptions
 ) -> Offset | None:
-    """The offset after dense alignment, or None where that cannot be believed."""
+    """The offset after dense alignment, or None if that is not reliable."""
     levels = options.dense.levels
     model = [
         model_level(level)
-        for level in pyramid(limited_to_width(observed_level(first), options.largest_width), levels)
+        for level in pyramid(limited_to_width(keyframe_level(first), options.largest_width), levels)
     ]
-    frame = pyramid(limited_to_width(observed_level(second), options.largest_width), levels)
+    frame = pyramid(limited_to_width(keyframe_level(second), options.largest_width), levels)
     pair = Pair(model, frame, np.eye(4), np.eye(4))
     estimate = align([pair], Estimate(start), options.dense)
     measured = float((frame[0].depth_m > 0).sum())
     visible = float(estimate.pixels.sum()) / max(measured, 1.0)
-    health, _ = verdict(options.limits, estimate.scales, visible, estimate.information, measured)
-    if health is Health.LOST or parted(start, estimate.T_target_source, first.camera, second):
+    failed = failure_reason(
+        options.limits, estimate.scales, visible, estimate.information, measured
+    )
+    if failed or correction_too_large(start, estimate.T_target_source, first.camera, second):
         return None
     return Offset(
         estimate.T_target_source,
@@ -136,7 +136,7 @@ def _refined(
     )
 
 
-def parted(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
+def correction_too_large(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
     """Whether dense alignment moved a keyframe farther than features can be wrong.
 
     Args:
@@ -161,10 +161,10 @@ def _coarseness(first: Camera, second: Camera) -> float:
 
 
 def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:
-    """Features of two images that chose each other and have depth in both; None without any."""
-    pixels_a, words_a = _features(first, options.features)
-    pixels_b, words_b = _features(second, options.features)
-    matches = _mutual_matches(words_a, words_b, options.ratio)
+    """Mutual matches of two images with depth in both; None without any."""
+    pixels_a, descriptors_a = _features(first, options.features)
+    pixels_b, descriptors_b = _features(second, options.features)
+    matches = _mutual_matches(descriptors_a, descriptors_b, options.ratio)
     if len(matches) == 0:
         return None
     pixels_a, pixels_b = pixels_a[matches[:, 0]], pixels_b[matches[:, 1]]
@@ -194,27 +194,28 @@ def _by_features(
 def _features(keyframe: Keyframe, count: int) -> tuple[Array, NDArray[np.float32]]:
     """Pixels [n, 2] and SIFT descriptors [n, 128] of a keyframe's image."""
     grey = cv2.cvtColor(keyframe.rgb.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2GRAY)
-    points, words = cv2.SIFT_create(nfeatures=count).detectAndCompute(grey, None)
-    if words is None:
+    points, descriptors = cv2.SIFT_create(nfeatures=count).detectAndCompute(grey, None)
+    if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    return np.array([point.pt for point in points], dtype=np.float64), words
+    return np.array([point.pt for point in points], dtype=np.float64), descriptors
 
 
 def _mutual_matches(
-    words_a: NDArray[np.float32], words_b: NDArray[np.float32], ratio: float
+    descriptors_a: NDArray[np.float32], descriptors_b: NDArray[np.float32], ratio: float
 ) -> NDArray[np.int64]:
-    """Pairs [m, 2] of features that chose each other, each well before its second choice."""
-    if min(len(words_a), len(words_b)) < 2:
+    """Index pairs [m, 2] of mutual nearest neighbours that pass the ratio test both ways."""
+    if min(len(descriptors_a), len(descriptors_b)) < 2:
         return np.zeros((0, 2), np.int64)
-    there, back = _clear_choices(words_a, words_b, ratio), _clear_choices(words_b, words_a, ratio)
-    pairs = [(a, b) for a, b in there.items() if back.get(b) == a]
+    forward = _distinct_matches(descriptors_a, descriptors_b, ratio)
+    backward = _distinct_matches(descriptors_b, descriptors_a, ratio)
+    pairs = [(a, b) for a, b in forward.items() if backward.get(b) == a]
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def _clear_choices(
-    words: NDArray[np.float32], others: NDArray[np.float32], ratio: float
+def _distinct_matches(
+    descriptors: NDArray[np.float32], others: NDArray[np.float32], ratio: float
 ) -> dict[int, int]:
-    choices = cv2.BFMatcher(cv2.NORM_L2).knnMatch(words, others, k=2)
+    choices = cv2.BFMatcher(cv2.NORM_L2).knnMatch(descriptors, others, k=2)
     return {
         best.queryIdx: best.trainIdx
         for best, second in choices
@@ -251,23 +252,23 @@ class Matched:
     def motion(
         self, options: MatchingOptions, generator: np.random.Generator
     ) -> tuple[Array, int] | None:
-        """The motion that most matches agree with, fitted to all of these."""
+        """The motion with most inliers, fitted to them, and their number; None if too few."""
         n = len(self.first)
         triples = np.argsort(generator.random((options.hypotheses, n)), axis=1)[:, :3]
         motions = rigid_fits(self.first[triples], self.second[triples])
-        agree = self.agree(motions, options)
-        best = agree[int(np.argmax(agree.sum(axis=1)))]
+        inliers = self.inliers(motions, options)
+        best = inliers[int(np.argmax(inliers.sum(axis=1)))]
         T = np.eye(4)
         for _ in range(3):
             if best.sum() < options.least_matches:
                 return None
             T = rigid_fits(self.first[best][None], self.second[best][None])[0]
-            best = self.agree(T[None], options)[0]
+            best = self.inliers(T[None], options)[0]
         count = int(best.sum())
         return (T, count) if count >= options.least_matches else None
 
-    def agree(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
-        """Which matches [H, n] fit which motions [H, 4, 4]."""
+    def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+        """Which matches are inliers [H, n] of which motions [H, 4, 4]."""
         moved = np.einsum("hij,nj->hni", motions[:, :3, :3], self.second)
         moved += motions[:, None, :3, 3]
         depth = moved[..., 2]

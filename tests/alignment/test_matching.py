@@ -11,72 +11,72 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, seen_by
 
-from toolkit.datasets.registry import open_dataset
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.registration.matching import (
+from toolkit.alignment.matching import (
     Matched,
     MatchingOptions,
     match_features,
     measure_offset,
     rigid_fits,
 )
+from toolkit.datasets.registry import open_dataset
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)
 
 
-def true_offset(room: Scene, i: int, j: int) -> np.ndarray:
-    T_camera_target = se3.inverse(room.target.keyframes[i].T_map_camera)
-    return T_camera_target @ room.T_target_source @ room.source.keyframes[j].T_map_camera
+def true_offset(submaps: Scene, i: int, j: int) -> np.ndarray:
+    T_camera_target = se3.inverse(submaps.target.keyframes[i].T_map_camera)
+    return T_camera_target @ submaps.T_target_source @ submaps.source.keyframes[j].T_map_camera
 
 
 @pytest.mark.parametrize(("i", "j"), [(0, 0), (1, 1), (3, 2)])
-def test_an_offset_is_measured_to_a_fraction_of_a_millimetre(room: Scene, i, j):
-    offset = measure_offset(room.target.keyframes[i], room.source.keyframes[j])
+def test_an_offset_is_measured_to_a_fraction_of_a_millimetre(submaps: Scene, i, j):
+    offset = measure_offset(submaps.target.keyframes[i], submaps.source.keyframes[j])
     assert offset is not None
-    mm, deg = error(offset.T_first_second, true_offset(room, i, j))
+    mm, deg = error(offset.T_first_second, true_offset(submaps, i, j))
     assert mm < 1.0
     assert deg < 0.03
     assert offset.matches >= 12
-    x = se3.log(se3.inverse(offset.T_first_second) @ true_offset(room, i, j))
+    x = se3.log(se3.inverse(offset.T_first_second) @ true_offset(submaps, i, j))
     assert 0.01 < x @ offset.information @ x < 12.6  # chi-square of six: 95 % lie below
     assert np.linalg.eigvalsh(offset.information)[0] > 0
 
 
 @pytest.mark.parametrize("order", ["larger first", "larger second"])
-def test_offsets_between_two_cameras_are_unbiased(room: Scene, order):
+def test_offsets_between_two_cameras_are_unbiased(submaps: Scene, order):
     """Half as large again, another focal length, another principal point."""
     other = Camera(250.0, 262.0, 110.0, 98.0, 240, 180)
-    first, second = room.target.keyframes[1], room.source.keyframes[1]
+    first, second = submaps.target.keyframes[1], submaps.source.keyframes[1]
     if order == "larger first":
         first = seen_by(first, other)
     else:
         second = seen_by(second, other)
     offset = measure_offset(first, second)
     assert offset is not None
-    mm, deg = error(offset.T_first_second, true_offset(room, 1, 1))
+    mm, deg = error(offset.T_first_second, true_offset(submaps, 1, 1))
     assert mm < 3.0
     assert deg < 0.1
 
 
-def test_the_coarser_image_says_how_far_matches_may_be_off(room: Scene):
+def test_the_coarser_image_says_how_far_matches_may_be_off(submaps: Scene):
     """A pixel of an image of a third of the size is three pixels of the larger one."""
-    keyframe = room.target.keyframes[1]
+    keyframe = submaps.target.keyframes[1]
     large = keyframe.camera.scaled(3.0, 3.0, 480, 360)
     first, second = seen_by(keyframe, large), keyframe
     matched = match_features(first, second, MatchingOptions())
     assert matched is not None
     assert matched.pixel == pytest.approx(3.0)
     strict = MatchingOptions(tolerance_rad=0.0, tolerance_depth=1.0)
-    agree = matched.agree(np.eye(4)[None], strict)[0]
-    closer = replace(matched, pixel=1.0).agree(np.eye(4)[None], strict)[0]
-    assert agree.mean() > 0.9 > closer.mean()
+    inliers = matched.inliers(np.eye(4)[None], strict)[0]
+    closer = replace(matched, pixel=1.0).inliers(np.eye(4)[None], strict)[0]
+    assert inliers.mean() > 0.9 > closer.mean()
 
 
-def test_poses_play_no_part(room: Scene):
-    first, second = room.target.keyframes[1], room.source.keyframes[1]
+def test_poses_play_no_part(submaps: Scene):
+    first, second = submaps.target.keyframes[1], submaps.source.keyframes[1]
     lost = replace(second, T_map_camera=motion(3, 5.0, 90.0))
     a, b = measure_offset(first, second), measure_offset(first, lost)
     assert a is not None
@@ -84,8 +84,8 @@ def test_poses_play_no_part(room: Scene):
     np.testing.assert_array_equal(a.T_first_second, b.T_first_second)
 
 
-def test_the_same_seed_gives_the_same_bits(room: Scene):
-    first, second = room.target.keyframes[0], room.source.keyframes[2]
+def test_the_same_seed_gives_the_same_bits(submaps: Scene):
+    first, second = submaps.target.keyframes[0], submaps.source.keyframes[2]
     a, b = (measure_offset(first, second, generator=np.random.default_rng(7)) for _ in range(2))
     assert a is not None
     assert b is not None
@@ -93,12 +93,12 @@ def test_the_same_seed_gives_the_same_bits(room: Scene):
     assert a.information.tobytes() == b.information.tobytes()
 
 
-def test_another_place_has_no_offset(room: Scene, stranger):
-    assert measure_offset(room.target.keyframes[0], stranger) is None
+def test_another_place_has_no_offset(submaps: Scene, stranger):
+    assert measure_offset(submaps.target.keyframes[0], stranger) is None
 
 
-def test_a_blank_or_blind_image_has_no_offset(room: Scene):
-    keyframe = room.target.keyframes[0]
+def test_a_blank_or_blind_image_has_no_offset(submaps: Scene):
+    keyframe = submaps.target.keyframes[0]
     blank = replace(keyframe, rgb=torch.full_like(keyframe.rgb, 128))
     blind = replace(keyframe, depth_m=torch.zeros_like(keyframe.depth_m))
     assert measure_offset(keyframe, blank) is None
