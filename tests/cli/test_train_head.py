@@ -84,4 +84,4 @@ def test_a_data_set_without_labels_is_named(labelled, tiny_dinov2, tmp_path, cap
 def test_a_missing_library_is_one_line(labelled, tiny_dinov2, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
     assert main(words(labelled, tiny_dinov2, tmp_path / "head.safetensors")) == 2
-    assert "mend it with: pip install 'semsplat[semantics]'" in capsys.readouterr().err
+    assert "fix it with: pip install 'semsplat[semantics]'" in capsys.readouterr().err

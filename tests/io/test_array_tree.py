@@ -1,4 +1,4 @@
-"""Array trees: same values, same bytes, never half a folder."""
+"""Array trees: reproducible bytes and atomic replacement."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ VALUES = {
 META = {"frame": 12, "seed": 2**63, "names": ["a", "b"], "none": None}
 
 
-def test_round_trip_keeps_values_types_and_shapes(tmp_path):
+def test_round_trip_preserves_values_types_and_shapes(tmp_path):
     write_array_tree(tmp_path / "state", VALUES, META)
     tree = read_array_tree(tmp_path / "state")
     assert tree.metadata == META
@@ -27,21 +27,21 @@ def test_round_trip_keeps_values_types_and_shapes(tmp_path):
         np.testing.assert_array_equal(tree.arrays[name], array)
 
 
-def test_same_values_same_bytes(tmp_path):
+def test_output_is_reproducible(tmp_path):
     write_array_tree(tmp_path / "a", VALUES, META)
     write_array_tree(tmp_path / "b", dict(reversed(VALUES.items())), META)
     for name in ("arrays.npz", "metadata.json"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_replacing_leaves_only_the_new_folder(tmp_path):
+def test_replacing_keeps_only_the_new_folder(tmp_path):
     write_array_tree(tmp_path / "state", VALUES, META)
     write_array_tree(tmp_path / "state", {"x": np.ones(2)}, {})
     assert list(read_array_tree(tmp_path / "state").arrays) == ["x"]
     assert [p.name for p in tmp_path.iterdir()] == ["state"]
 
 
-def test_a_failed_write_leaves_the_old_folder(tmp_path, monkeypatch):
+def test_failed_write_preserves_the_old_folder(tmp_path, monkeypatch):
     write_array_tree(tmp_path / "state", VALUES, META)
 
     def full_disk(*_):
@@ -55,7 +55,7 @@ def test_a_failed_write_leaves_the_old_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped"])
-def test_damage_is_noticed(tmp_path, damage):
+def test_damaged_files_raise(tmp_path, damage):
     write_array_tree(tmp_path / "state", VALUES, META)
     file = tmp_path / "state" / "arrays.npz"
     content = bytearray(file.read_bytes())
@@ -68,7 +68,7 @@ def test_damage_is_noticed(tmp_path, damage):
         read_array_tree(tmp_path / "state")
 
 
-def test_missing_folder_and_unfit_values_are_errors(tmp_path):
+def test_missing_folder_and_unsupported_values_raise(tmp_path):
     with pytest.raises(RunFolderError, match="nowhere"):
         read_array_tree(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="Python objects"):

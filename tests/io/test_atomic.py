@@ -1,4 +1,4 @@
-"""A file is replaced as a whole or stays as it was."""
+"""Atomic replacement of files."""
 
 import stat
 
@@ -7,7 +7,7 @@ import pytest
 from toolkit.io.atomic import replacing, write_bytes
 
 
-def test_a_failed_write_leaves_the_old_file_and_no_rest(tmp_path):
+def test_failed_write_preserves_the_old_file_and_removes_the_temporary_one(tmp_path):
     target = tmp_path / "map.ply"
     write_bytes(target, b"old")
 
@@ -22,7 +22,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_rest(tmp_path):
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_finished_write_is_in_place_and_readable_by_others(tmp_path):
+def test_finished_write_replaces_the_file_with_default_permissions(tmp_path):
     target = tmp_path / "map.ply"
     with replacing(target) as temporary:
         assert temporary.suffix == ".ply"

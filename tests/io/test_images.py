@@ -1,4 +1,4 @@
-"""Images come back as they were written, and damaged files are errors."""
+"""Image round trips and errors for damaged files."""
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ def rgb() -> np.ndarray:
 
 @pytest.fixture(params=["open3d", "opencv"])
 def decoder(request, monkeypatch):
-    """Both ways of decoding: with Open3D, and on a machine where it cannot be loaded."""
+    """Both decoders: Open3D, and OpenCV where Open3D cannot be loaded."""
     if request.param == "opencv":
 
         def no_open3d():
@@ -27,20 +27,20 @@ def decoder(request, monkeypatch):
     images._decoder.cache_clear()
 
 
-def test_png_colour_comes_back_in_rgb_order(tmp_path, rgb, decoder):
+def test_png_colour_round_trip_in_rgb_order(tmp_path, rgb, decoder):
     images.write_rgb(tmp_path / "c.png", rgb)
     np.testing.assert_allclose(images.read_rgb(tmp_path / "c.png"), rgb, atol=1e-6)
     assert images.read_rgb(tmp_path / "c.png").dtype == np.float32
 
 
-def test_colour_beyond_the_range_is_clamped(tmp_path):
+def test_colour_out_of_range_is_clamped(tmp_path):
     images.write_rgb(tmp_path / "c.png", np.full((2, 2, 3), [-1.0, 0.5, 7.0]))
     np.testing.assert_allclose(
         images.read_rgb(tmp_path / "c.png")[0, 0], [0.0, 0.5, 1.0], atol=0.003
     )
 
 
-def test_grey_and_alpha_become_rgb(tmp_path, decoder):
+def test_greyscale_and_alpha_are_converted_to_rgb(tmp_path, decoder):
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((4, 4), 51, np.uint8))
     cv2.imwrite(str(tmp_path / "alpha.png"), np.full((4, 4, 4), [255, 0, 51, 9], np.uint8))
     np.testing.assert_allclose(images.read_rgb(tmp_path / "grey.png"), 0.2, atol=1e-6)
@@ -49,7 +49,7 @@ def test_grey_and_alpha_become_rgb(tmp_path, decoder):
     )
 
 
-def test_depth_is_value_over_scale_and_zero_is_missing(tmp_path, decoder):
+def test_depth_is_value_divided_by_scale_and_zero_is_missing(tmp_path, decoder):
     raw = np.array([[0, 5000], [65535, 2500]], np.uint16)
     images.write_png(tmp_path / "d.png", raw)
     depth_m = images.read_depth_m(tmp_path / "d.png", 5000)
@@ -58,7 +58,7 @@ def test_depth_is_value_over_scale_and_zero_is_missing(tmp_path, decoder):
     assert kinect[1, 0] == 0
 
 
-def test_written_depth_that_does_not_fit_is_missing(tmp_path):
+def test_depth_out_of_range_is_written_as_missing(tmp_path):
     images.write_depth_png(
         tmp_path / "d.png", np.array([[1.0, 70.0, np.nan, -1.0, np.inf, 0.0]]), 1000
     )
@@ -67,14 +67,14 @@ def test_written_depth_that_does_not_fit_is_missing(tmp_path):
     )
 
 
-def test_eight_bit_depth_is_refused(tmp_path):
+def test_eight_bit_depth_raises(tmp_path):
     images.write_png(tmp_path / "d.png", np.zeros((4, 4), np.uint8))
     with pytest.raises(DatasetError, match=r"d\.png.*16-bit"):
         images.read_depth_m(tmp_path / "d.png", 1000)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_labels_keep_their_values(tmp_path, dtype, decoder):
+def test_label_round_trip(tmp_path, dtype, decoder):
     ids = np.arange(12).reshape(3, 4).astype(dtype) * 20
     images.write_png(tmp_path / "l.png", ids)
     labels = images.read_labels(tmp_path / "l.png")
@@ -82,7 +82,7 @@ def test_labels_keep_their_values(tmp_path, dtype, decoder):
     np.testing.assert_array_equal(labels, ids)
 
 
-def test_coloured_labels_are_refused(tmp_path, rgb):
+def test_labels_with_three_channels_raise(tmp_path, rgb):
     images.write_rgb(tmp_path / "l.png", rgb)
     with pytest.raises(DatasetError, match="one channel"):
         images.read_labels(tmp_path / "l.png")
@@ -90,7 +90,7 @@ def test_coloured_labels_are_refused(tmp_path, rgb):
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 @pytest.mark.parametrize("lost", ["half", "few bytes"])
-def test_truncated_images_are_errors(tmp_path, rgb, suffix, lost, decoder):
+def test_truncated_images_raise(tmp_path, rgb, suffix, lost, decoder):
     whole = tmp_path / f"c{suffix}"
     images.write_rgb(whole, rgb)
     content = whole.read_bytes()
@@ -100,7 +100,7 @@ def test_truncated_images_are_errors(tmp_path, rgb, suffix, lost, decoder):
         images.read_rgb(whole)
 
 
-def test_a_flipped_bit_in_a_png_is_an_error(tmp_path, rgb):
+def test_png_with_a_flipped_bit_raises(tmp_path, rgb):
     images.write_rgb(tmp_path / "c.png", rgb)
     content = bytearray((tmp_path / "c.png").read_bytes())
     content[len(content) // 2] ^= 1
@@ -109,7 +109,7 @@ def test_a_flipped_bit_in_a_png_is_an_error(tmp_path, rgb):
         images.read_rgb(tmp_path / "c.png")
 
 
-def test_a_jpeg_padded_by_its_camera_is_whole(tmp_path, rgb):
+def test_jpeg_with_trailing_padding_is_accepted(tmp_path, rgb):
     images.write_rgb(tmp_path / "c.jpg", rgb)
     with (tmp_path / "c.jpg").open("ab") as file:
         file.write(bytes(64))
@@ -117,20 +117,20 @@ def test_a_jpeg_padded_by_its_camera_is_whole(tmp_path, rgb):
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"), [(b"", "is empty"), (b"GIF89a....", "neither PNG nor JPEG")]
+    ("content", "message"), [(b"", "is empty"), (b"GIF89a....", "neither PNG nor JPEG")]
 )
-def test_what_is_no_image_is_an_error(tmp_path, content, complaint):
+def test_files_that_are_not_images_raise(tmp_path, content, message):
     (tmp_path / "c.png").write_bytes(content)
-    with pytest.raises(DatasetError, match=complaint):
+    with pytest.raises(DatasetError, match=message):
         images.read_rgb(tmp_path / "c.png")
 
 
-def test_a_missing_image_is_named(tmp_path):
+def test_error_names_the_missing_image(tmp_path):
     with pytest.raises(DatasetError, match=r"nowhere\.png.*No such file"):
         images.read_rgb(tmp_path / "nowhere.png")
 
 
-def test_writing_into_a_missing_folder_is_one_line(tmp_path, rgb):
+def test_error_of_writing_into_a_missing_folder_is_one_line(tmp_path, rgb):
     with pytest.raises(RunFolderError, match=r"cannot write .*c\.png") as caught:
         images.write_rgb(tmp_path / "nowhere" / "c.png", rgb)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Meshes fused from depth images of a known plane, and the files they go to."""
+"""Meshes fused from depth images of a known plane, and mesh files."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.meshes import DepthView, TriangleMesh, fuse_views, write_mesh, write_points
 
 CAMERA = Camera(70.0, 70.0, 39.5, 29.5, 80, 60)
-# A slanted plane: only there does a shift of half a pixel show as a wrong depth.
+# A slanted plane, because a shift of half a pixel changes depth only on slanted surfaces.
 NORMAL = np.array([0.5, 0.2, -0.84]) / np.linalg.norm([0.5, 0.2, -0.84])
 OFFSET_M = NORMAL @ [0.0, 0.0, 2.0]
 
@@ -41,26 +41,26 @@ def plane() -> TriangleMesh:
     return fuse_views(views(), voxel_m=0.04)
 
 
-def test_fused_plane_lies_where_it_was(plane):
+def test_fused_plane_has_the_correct_position(plane):
     distance_m = plane.vertices_m @ NORMAL - OFFSET_M
     assert len(plane.triangles) > 1000
-    # Without the half pixel of Open3D's convention the mean is about 15 mm.
+    # Without the half-pixel shift of Open3D's convention the mean error is about 15 mm.
     assert abs(distance_m.mean()) < 0.001
     assert np.abs(distance_m).max() < 0.04
 
 
-def test_fused_colours_are_those_of_the_surface(plane):
+def test_fused_colours_match_the_surface(plane):
     error = plane.colours - colour_at(plane.vertices_m)
     assert np.sqrt((error**2).mean()) < 0.02
 
 
-def test_one_view_is_enough_and_depth_beyond_the_limit_is_ignored():
+def test_one_view_suffices_and_depth_beyond_the_maximum_is_ignored():
     near = fuse_views([view_of_plane(np.eye(4))], voxel_m=0.05, max_depth_m=2.0)
     assert len(near.triangles) > 0
     assert near.vertices_m[:, 2].max() < 2.2
 
 
-def test_empty_views_are_skipped_and_nothing_but_empty_views_is_an_error():
+def test_empty_views_are_skipped_and_only_empty_views_raise():
     full = view_of_plane(np.eye(4))
     empty = DepthView(CAMERA, np.eye(4), full.rgb, np.zeros_like(full.depth_m))
     assert len(fuse_views([empty, full], voxel_m=0.05).triangles) > 0
@@ -69,7 +69,7 @@ def test_empty_views_are_skipped_and_nothing_but_empty_views_is_an_error():
 
 
 @pytest.mark.parametrize("size", [(60, 80), (62, 83)])
-def test_a_speck_of_depth_anywhere_is_no_failure(size):
+def test_views_with_little_depth_do_not_fail(size):
     full = view_of_plane(np.eye(4))
     height, width = size
     camera = Camera(70.0, 70.0, 39.5, 29.5, width, height)
@@ -81,7 +81,7 @@ def test_a_speck_of_depth_anywhere_is_no_failure(size):
         assert len(fuse_views([view, full], voxel_m=0.05).triangles) > 0
 
 
-def test_mesh_files_read_back(plane, tmp_path: Path):
+def test_mesh_file_round_trip(plane, tmp_path: Path):
     path = tmp_path / "mesh.ply"
     write_mesh(path, plane)
     read = open3d().io.read_triangle_mesh(str(path))
@@ -92,7 +92,7 @@ def test_mesh_files_read_back(plane, tmp_path: Path):
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_point_files_read_back(tmp_path: Path, suffix):
+def test_point_cloud_file_round_trip(tmp_path: Path, suffix):
     generator = np.random.default_rng(0)
     points, colours = generator.normal(size=(50, 3)), generator.uniform(size=(50, 3))
     path = tmp_path / f"points{suffix}"
@@ -102,7 +102,7 @@ def test_point_files_read_back(tmp_path: Path, suffix):
     np.testing.assert_allclose(np.asarray(read.colors), colours, atol=1.0 / 255)
 
 
-def test_wrong_suffix_and_wrong_folder_are_named(plane, tmp_path: Path):
+def test_errors_name_the_wrong_suffix_and_the_missing_folder(plane, tmp_path: Path):
     with pytest.raises(FormatError, match=r"mesh\.doc.*\.ply"):
         write_mesh(tmp_path / "mesh.doc", plane)
     with pytest.raises(RunFolderError, match="absent"):

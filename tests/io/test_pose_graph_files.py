@@ -1,4 +1,4 @@
-"""Pose-graph files: round trips, both dialects, and broken lines."""
+"""Pose-graph files: round trips, both formats and malformed lines."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_g2o_round_trip(tmp_path_factory, seed: int) -> None:
     assert np.array_equal(read.T_world_node[:, :3, 3], written.T_world_node[:, :3, 3])
 
 
-def test_writing_again_gives_the_same_bytes(tmp_path) -> None:
+def test_output_is_reproducible(tmp_path) -> None:
     for name in ("a.g2o", "b.g2o"):
         write_g2o(tmp_path / name, random_graph(3))
     assert (tmp_path / "a.g2o").read_bytes() == (tmp_path / "b.g2o").read_bytes()
@@ -68,7 +68,7 @@ def test_quaternions_are_xyzw_and_information_has_translation_first(tmp_path) ->
     assert np.array_equal(information, information.T)
 
 
-def test_toro_turns_about_fixed_axes(tmp_path) -> None:
+def test_toro_angles_are_about_fixed_axes(tmp_path) -> None:
     path = tmp_path / "graph.txt"
     path.write_text(f"VERTEX3 0 1 2 3 0.1 0.2 0.3\nEDGE3 0 1 4 5 6 0.1 0.2 0.3 {TRIANGLE}\n")
     graph = read_pose_graph(path)
@@ -79,7 +79,7 @@ def test_toro_turns_about_fixed_axes(tmp_path) -> None:
     np.testing.assert_allclose(graph.T_first_second[0, :3, 3], [4, 5, 6])
 
 
-def test_both_dialects_of_one_graph_agree(real_data) -> None:
+def test_g2o_and_toro_files_of_one_graph_agree(real_data) -> None:
     folder = real_data("pose_graphs")
     quaternions = read_pose_graph(folder / "sphere2500.g2o")
     angles = read_pose_graph(folder / "sphere2500.txt")
@@ -96,22 +96,22 @@ GOOD = f"EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 {TRIANGLE}\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no edges"),
-        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "holds no edges"),
-        (GOOD + "VERTEX_SE2 0 0 0 0\n", "line 2: 'VERTEX_SE2' is no line of a 3D pose graph"),
+        ("", "contains no edges"),
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "contains no edges"),
+        (GOOD + "VERTEX_SE2 0 0 0 0\n", "line 2: 'VERTEX_SE2' is not a tag of a 3D pose graph"),
         (
             GOOD + "VERTEX_SE3:QUAT 0 0 0 0 0 0 1\n",
             "line 2: VERTEX_SE3:QUAT needs 8 numbers, got 7",
         ),
-        (GOOD + "VERTEX_SE3:QUAT x 0 0 0 0 0 0 1\n", "line 2: .*'x'.*; mend the line"),
-        (GOOD + "VERTEX_SE3:QUAT 0 0 0 nan 0 0 0 1\n", "line 2: numbers must be finite"),
-        (GOOD + "VERTEX_SE3:QUAT -1 0 0 0 0 0 0 1\n", "line 2: .*not negative"),
+        (GOOD + "VERTEX_SE3:QUAT x 0 0 0 0 0 0 1\n", "line 2: .*'x'.*; fix the line"),
+        (GOOD + "VERTEX_SE3:QUAT 0 0 0 nan 0 0 0 1\n", "line 2: values must be finite"),
+        (GOOD + "VERTEX_SE3:QUAT -1 0 0 0 0 0 0 1\n", "line 2: .*must not be negative"),
         (GOOD + "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 2\n", "line 2: the quaternion"),
-        (GOOD + 2 * "VERTEX_SE3:QUAT 4 0 0 0 0 0 0 1\n", "line 3: node 4 comes a second time"),
+        (GOOD + 2 * "VERTEX_SE3:QUAT 4 0 0 0 0 0 0 1\n", "line 3: node 4 is defined twice"),
         (GOOD.replace(" 21", ""), "line 1: EDGE_SE3:QUAT needs 30 numbers, got 29"),
     ],
 )
-def test_broken_files(tmp_path, text: str, message: str) -> None:
+def test_malformed_files_raise(tmp_path, text: str, message: str) -> None:
     path = tmp_path / "graph.g2o"
     path.write_text(text)
     with pytest.raises(FormatError, match=message) as raised:
@@ -119,7 +119,7 @@ def test_broken_files(tmp_path, text: str, message: str) -> None:
     assert str(path) in str(raised.value)
 
 
-def test_a_missing_file(tmp_path) -> None:
+def test_missing_file_raises(tmp_path) -> None:
     with pytest.raises(DatasetError, match="cannot read"):
         read_pose_graph(tmp_path / "none.g2o")
 
@@ -143,10 +143,10 @@ def test_covariances_round_trip(tmp_path) -> None:
     np.testing.assert_allclose(read, covariances, rtol=1e-8, atol=1e-12)
 
 
-def test_covariances_that_are_refused(tmp_path) -> None:
+def test_invalid_covariances_raise(tmp_path) -> None:
     path = tmp_path / "covariances.txt"
     with pytest.raises(ValueError, match=r"shape \[2, 6, 6\], got \[3, 6, 6\]"):
         write_covariances(path, np.zeros(2), np.zeros((3, 6, 6)))
     path.write_text("0.0 1 2 3\n")
-    with pytest.raises(FormatError, match="line 1: expected a time and 21"):
+    with pytest.raises(FormatError, match="line 1: expected a timestamp and 21"):
         read_covariances(path)

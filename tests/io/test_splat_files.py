@@ -1,4 +1,4 @@
-"""Splat files: round trips, the layout that viewers read, damage."""
+"""Splat files: round trips, the layout of viewers, damaged files."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_ply_round_trip_with_labels(tmp_path, cloud):
     np.testing.assert_allclose(read.extra["confidence"], 1 / 3)
 
 
-def test_ply_has_the_names_and_meanings_that_viewers_expect(tmp_path):
+def test_ply_properties_follow_the_convention_of_viewers(tmp_path):
     one = GaussianCloud.from_values(
         means=torch.tensor([[1.0, 2.0, 3.0]]),
         radii_m=torch.tensor([0.5]),
@@ -65,7 +65,7 @@ def test_ply_has_the_names_and_meanings_that_viewers_expect(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", splats.SUFFIXES)
-def test_exports_repeat_bit_by_bit_and_keep_the_map(tmp_path, cloud, suffix):
+def test_exports_are_reproducible_and_preserve_the_map(tmp_path, cloud, suffix):
     for name in ("a", "b"):
         splats.export_splats(tmp_path / f"{name}{suffix}", cloud)
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
@@ -78,7 +78,7 @@ def test_exports_repeat_bit_by_bit_and_keep_the_map(tmp_path, cloud, suffix):
     np.testing.assert_allclose(read.log_radii, cloud.log_radii.numpy()[matched], atol=0.05)
 
 
-def test_truncated_ply_is_an_error(tmp_path, cloud):
+def test_truncated_ply_raises(tmp_path, cloud):
     splats.write_splat_ply(tmp_path / "map.ply", cloud)
     content = (tmp_path / "map.ply").read_bytes()
     (tmp_path / "map.ply").write_bytes(content[:-9])
@@ -86,18 +86,18 @@ def test_truncated_ply_is_an_error(tmp_path, cloud):
         splats.read_splats(tmp_path / "map.ply")
 
 
-def test_other_clouds_and_missing_files_are_errors(tmp_path):
+def test_other_point_clouds_and_missing_files_raise(tmp_path):
     (tmp_path / "cloud.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
         "property float z\nend_header\n0 0 0\n"
     )
-    with pytest.raises(FormatError, match="no splat file"):
+    with pytest.raises(FormatError, match="not a splat file"):
         splats.read_splats(tmp_path / "cloud.ply")
     with pytest.raises(DatasetError, match="does not exist"):
         splats.read_splats(tmp_path / "nowhere.ply")
 
 
-def test_an_empty_map_and_wrong_columns_are_refused(tmp_path, cloud):
+def test_empty_map_and_columns_of_wrong_length_raise(tmp_path, cloud):
     with pytest.raises(RunFolderError, match="no Gaussian"):
         splats.write_splat_ply(tmp_path / "map.ply", GaussianCloud.empty())
     with pytest.raises(ValueError, match=r"label must have shape \[50\]"):

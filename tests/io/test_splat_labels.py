@@ -1,4 +1,4 @@
-"""Labels beside the splats: they survive a file, and other files have none."""
+"""Splat labels: round trips, and files without labels."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def labels() -> SplatLabels:
     )
 
 
-def test_labels_survive_a_file_bit_by_bit(tmp_path, cloud, labels):
-    # Twelve levels, so that the order of l2 and l10 matters.
+def test_labels_round_trip_is_exact(tmp_path, cloud, labels):
+    # Twelve levels, so that lexicographic order (l10 before l2) would fail.
     write_splat_ply(tmp_path / "map.ply", cloud, labels.columns())
     read = read_splats(tmp_path / "map.ply").labels
     assert read is not None
@@ -44,14 +44,14 @@ def test_labels_survive_a_file_bit_by_bit(tmp_path, cloud, labels):
         assert getattr(read, name).dtype == getattr(labels, name).dtype
 
 
-def test_the_columns_of_viewers_are_the_same_with_labels(tmp_path, cloud, labels):
+def test_labels_do_not_change_the_properties_for_viewers(tmp_path, cloud, labels):
     write_splat_ply(tmp_path / "with.ply", cloud, labels.columns())
     write_splat_ply(tmp_path / "without.ply", cloud)
     headers = [
         (tmp_path / name).read_bytes().partition(b"end_header")[0].decode().splitlines()
         for name in ("with.ply", "without.ply")
     ]
-    # Viewers go by name, and know the scalar types of PLY 1.0.
+    # Viewers find properties by name and support the scalar types of PLY 1.0.
     with_labels, without = (
         {tuple(line.split()[1:]) for line in header if line.startswith("property")}
         for header in headers
@@ -65,7 +65,7 @@ def test_the_columns_of_viewers_are_the_same_with_labels(tmp_path, cloud, labels
     np.testing.assert_array_equal(one.log_radii, other.log_radii)
 
 
-def test_only_ply_files_can_keep_labels(tmp_path, cloud, labels):
+def test_only_ply_files_store_labels(tmp_path, cloud, labels):
     for suffix in (".ply", ".splat", ".spz"):
         export_splats(tmp_path / f"map{suffix}", cloud, labels.columns())
     assert read_splats(tmp_path / "map.ply").labels is not None
@@ -82,14 +82,14 @@ def test_only_ply_files_can_keep_labels(tmp_path, cloud, labels):
         {"label": np.linspace(0, 1, N), "label_l0": np.arange(N), "confidence": np.ones(N)},
     ],
 )
-def test_files_of_other_tools_read_as_without_labels(tmp_path, cloud, columns):
+def test_label_columns_of_other_tools_are_ignored(tmp_path, cloud, columns):
     write_splat_ply(tmp_path / "other.ply", cloud, columns)
     read = read_splats(tmp_path / "other.ply")
     assert len(read) == N
     assert read.labels is None
 
 
-def test_a_missing_level_is_an_error(tmp_path, cloud, labels):
+def test_missing_level_raises(tmp_path, cloud, labels):
     columns = labels.columns()
     del columns["label_l3"]
     write_splat_ply(tmp_path / "map.ply", cloud, columns)
@@ -97,7 +97,7 @@ def test_a_missing_level_is_an_error(tmp_path, cloud, labels):
         _ = read_splats(tmp_path / "map.ply").labels
 
 
-def test_selecting_keeps_rows_together(labels):
+def test_select_applies_to_all_columns(labels):
     index = np.array([3, 1, 1])
     kept = labels.select(index)
     np.testing.assert_array_equal(kept.levels, labels.levels[index])
@@ -110,7 +110,7 @@ def test_selecting_keeps_rows_together(labels):
     ("label", "levels", "confidence"),
     [((3,), (2, 4), (3,)), ((3,), (3, 0), (3,)), ((3,), (3,), (3,)), ((3,), (3, 4), (2,))],
 )
-def test_disagreeing_shapes_are_refused(label, levels, confidence):
+def test_mismatched_shapes_raise(label, levels, confidence):
     with pytest.raises(ValueError, match="must"):
         SplatLabels(
             np.zeros(label, np.int32), np.zeros(levels, np.int32), np.zeros(confidence, np.float32)

@@ -1,4 +1,4 @@
-"""Maps that are written part by part."""
+"""Incremental writing of maps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def columns(count, number):
     }
 
 
-def test_the_bytes_are_those_of_the_whole_map(tmp_path):
+def test_parts_are_byte_identical_to_the_whole_map(tmp_path):
     counts = (7, 0, 1, 300)
     parts = [(cloud(n, seed=n), columns(n, n)) for n in counts]
     write_splat_parts(tmp_path / "parts.ply", parts)
@@ -40,17 +40,17 @@ def test_the_bytes_are_those_of_the_whole_map(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["parts.ply", "whole.ply"]
 
 
-def test_a_map_without_gaussians_is_refused(tmp_path):
+def test_map_without_gaussians_raises(tmp_path):
     with pytest.raises(RunFolderError, match=r"map\.ply: the map holds no Gaussian"):
         write_splat_parts(tmp_path / "map.ply", [(cloud(0, 0), {})])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_parts_of_different_columns_are_refused(tmp_path):
+def test_parts_with_different_columns_raise(tmp_path):
     with pytest.raises(ValueError, match="same columns"):
         write_splat_parts(tmp_path / "map.ply", [(cloud(2, 0), {}), (cloud(2, 1), columns(2, 1))])
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
+def test_error_names_the_path_that_cannot_be_written(tmp_path):
     with pytest.raises(RunFolderError, match="nowhere"):
         write_splat_parts(tmp_path / "nowhere" / "map.ply", [(cloud(2, 0), {})])

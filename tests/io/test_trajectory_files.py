@@ -1,4 +1,4 @@
-"""Trajectory files: round trips, other people's formats, and broken lines."""
+"""Trajectory files: round trips, formats of other tools and malformed lines."""
 
 import numpy as np
 import pytest
@@ -29,13 +29,13 @@ def test_tum_round_trip(tmp_path_factory, seed):
     np.testing.assert_allclose(read.timestamps_s, written.timestamps_s, atol=1e-6)
 
 
-def test_writing_again_gives_the_same_bytes(tmp_path):
+def test_output_is_reproducible(tmp_path):
     for name in ("a.txt", "b.txt"):
         trajectories.write_tum(tmp_path / name, random_trajectory(3))
     assert (tmp_path / "a.txt").read_bytes() == (tmp_path / "b.txt").read_bytes()
 
 
-def test_tum_quaternions_are_xyzw_and_zeros_have_no_sign(tmp_path):
+def test_tum_quaternions_are_xyzw_and_negative_zero_is_not_written(tmp_path):
     turned = se3.exp(np.array([1.0, -0.0, 2.0, np.pi / 2, 0.0, 0.0]))
     turned[1, 3] = -1e-12
     trajectories.write_tum(tmp_path / "t.txt", Trajectory(np.zeros(1), turned[None]))
@@ -46,7 +46,7 @@ def test_tum_quaternions_are_xyzw_and_zeros_have_no_sign(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
         ("1 0 0 0 0 0 0\n", "line 1: expected 8 numbers"),
         ("1 0 0 0 0 0 0 1\n2 0 x 0 0 0 0 1\n", "line 2: could not convert"),
@@ -55,25 +55,25 @@ def test_tum_quaternions_are_xyzw_and_zeros_have_no_sign(tmp_path):
         ("1 0 0 0 0 0 0 0\n", "not a rigid motion"),
     ],
 )
-def test_broken_tum_lines_are_errors_that_name_the_file(tmp_path, text, complaint):
+def test_errors_of_malformed_tum_lines_name_the_file(tmp_path, text, message):
     (tmp_path / "bad.txt").write_text(text)
-    with pytest.raises(FormatError, match=complaint) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         trajectories.read_tum(tmp_path / "bad.txt")
     assert "bad.txt" in str(caught.value)
 
 
-def test_a_repeated_time_counts_once(tmp_path):
+def test_repeated_timestamps_are_ignored(tmp_path):
     (tmp_path / "t.txt").write_text("# truth\n1 5 0 0 0 0 0 1\n1 6 0 0 0 0 0 1\n2 7 0 0 0 0 0 1\n")
     read = trajectories.read_tum(tmp_path / "t.txt")
     np.testing.assert_array_equal(read.positions_m[:, 0], [5, 7])
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_error_names_the_missing_file(tmp_path):
     with pytest.raises(DatasetError, match=r"nowhere\.txt: No such file"):
         trajectories.read_tum(tmp_path / "nowhere.txt")
 
 
-def test_replica_matrices_are_row_by_row(tmp_path):
+def test_replica_matrices_are_row_major(tmp_path):
     poses = random_trajectory(1).T_world_camera
     np.savetxt(tmp_path / "traj.txt", poses.reshape(-1, 16))
     read = trajectories.read_replica_traj(tmp_path / "traj.txt", fps=10)
@@ -91,11 +91,11 @@ def test_open3d_log(tmp_path):
     read = trajectories.read_open3d_log(tmp_path / "t.log")
     np.testing.assert_allclose(read.T_world_camera, poses, atol=1e-12)
     (tmp_path / "t.log").write_text("\n".join(lines)[:-40])
-    with pytest.raises(FormatError, match=r"t\.log is no Open3D log"):
+    with pytest.raises(FormatError, match=r"t\.log is not an Open3D log"):
         trajectories.read_open3d_log(tmp_path / "t.log")
 
 
-def test_a_matrix_file_may_be_infinite_but_not_ragged(tmp_path):
+def test_matrix_entries_may_be_infinite_but_rows_must_have_equal_length(tmp_path):
     (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 3 + "0 0 0 1\n")
     assert np.isinf(trajectories.read_matrix(tmp_path / "pose.txt")[0, 0])
     (tmp_path / "pose.txt").write_text("1 0 0 0\n0 1 0\n")

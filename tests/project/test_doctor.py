@@ -32,7 +32,7 @@ def test_a_forced_instruction_set_that_is_not_there_is_reported(
     lines = capsys.readouterr().out.splitlines()
     assert any("SEMSPLAT_ISA=mmx: instruction set 'mmx' is unknown" in line for line in lines)
     assert lines[-1] == "missing: native kernels"
-    assert any(line.strip() == "mend it with: unset SEMSPLAT_ISA" for line in lines)
+    assert any(line.strip() == "fix it with: unset SEMSPLAT_ISA" for line in lines)
 
 
 def test_missing_packages_come_with_the_line_that_mends_them(without_open3d, monkeypatch, capsys):
@@ -40,8 +40,8 @@ def test_missing_packages_come_with_the_line_that_mends_them(without_open3d, mon
     monkeypatch.setitem(doctor._OPTIONAL, "no_such_extra", ("other-package", "nothing"))
     assert doctor.main([]) == 1
     printed = capsys.readouterr().out
-    assert "mend it with: pip install some-package\n" in printed
-    assert "mend it with: pip install other-package\n" in printed
+    assert "fix it with: pip install some-package\n" in printed
+    assert "fix it with: pip install other-package\n" in printed
     assert printed.splitlines()[-1] == "missing: some-package"
 
 

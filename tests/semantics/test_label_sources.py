@@ -178,7 +178,7 @@ def test_a_colour_of_no_class_is_an_error_with_its_place(make_folder):
 
 def test_coloured_files_without_a_table_are_no_label_images(make_folder):
     folder = make_folder({"0.png": np.ones((HEIGHT, WIDTH, 3), int)})
-    with pytest.raises(DatasetError, match=r"0\.png is no label image: 3 channel"):
+    with pytest.raises(DatasetError, match=r"0\.png is not a label image: 3 channel"):
         LabelImageFolder(folder).segment(frame())
 
 
@@ -187,7 +187,7 @@ def test_coloured_files_without_a_table_are_no_label_images(make_folder):
     [
         ("{", "is not of the form"),
         ('{"classes": {"1": "a", "1": "b"}}', "'1' is given twice"),
-        ('{"classes": {"01": "a"}}', "'01' is no class id"),
+        ('{"classes": {"01": "a"}}', "'01' is not a class id"),
         ('{"classes": {"1": ""}}', "class 1 must have a name"),
         ('{"classes": {"0": "wall", "1": "a"}}', "0 is void, so it cannot be 'wall'"),
         ('{"classes": ["a"]}', "'classes' must be a mapping"),

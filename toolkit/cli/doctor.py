@@ -85,7 +85,7 @@ def main(argv: Sequence[str]) -> int:
     for finding in findings:
         print(f"{finding.subject:<{width}}  {finding.state}")
         if finding.remedy:
-            print(f"{'':<{width}}  mend it with: {finding.remedy}")
+            print(f"{'':<{width}}  fix it with: {finding.remedy}")
     lacking = [finding.subject for finding in findings if finding.needed and finding.remedy]
     print(f"\nmissing: {', '.join(lacking)}" if lacking else "\nall that a run needs is here")
     return 1 if lacking else 0

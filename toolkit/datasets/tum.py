@@ -111,7 +111,7 @@ def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
             entries.append((float(words[0]), path.parent / words[1]))
         except (ValueError, IndexError) as error:
             raise DatasetError(
-                f"{path}, line {number}: expected `time file`, got {line!r}; mend the line"
+                f"{path}, line {number}: expected `time file`, got {line!r}; fix the line"
             ) from error
     times = [time for time, _ in entries]
     late = [

@@ -1,6 +1,6 @@
-"""Named arrays with JSON metadata in one folder that is either whole or not there.
+"""Atomic storage of named arrays with JSON metadata in one folder.
 
-No pickle: arrays go into an `.npz`, everything else into JSON.
+Arrays are stored in an `.npz` file and everything else in JSON; pickle is not used.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _ARRAYS, _METADATA = "arrays.npz", "metadata.json"
 
 @dataclass(frozen=True)
 class ArrayTree:
-    """What a folder holds.
+    """Content of a folder.
 
     Attributes:
-        arrays: by name; a slash in a name is just a character.
+        arrays: arrays by name; slashes in names have no special meaning.
         metadata: JSON values.
     """
 
@@ -40,32 +40,33 @@ class ArrayTree:
 
 
 def arrays_below(arrays: Mapping[str, NDArray], prefix: str) -> dict[str, NDArray]:
-    """The arrays whose names begin so, without it."""
+    """Return the arrays whose names start with a prefix, keyed without the prefix."""
     return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
 
 
 def write_array_tree(
     folder: PathLike, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]
 ) -> None:
-    """Write arrays and metadata as one folder, the same bytes for the same values.
+    """Write arrays and metadata as one folder; the output is byte-for-byte reproducible.
 
-    The content is written beside `folder`, synced, and renamed. An older `folder` is moved
-    away just before, so for a moment neither is there: a caller that must survive a kill
-    at any time writes to a new name and keeps the old one until this returns.
+    The content is written to a temporary sibling of `folder`, synced, and renamed. An existing
+    `folder` is moved away just before the rename, so for a moment neither exists. Callers that
+    must survive a kill at any time write to a new name and keep the old folder until this
+    function returns.
 
     Args:
-        folder: the folder to make or replace; its parent must be there.
+        folder: the folder to create or replace; its parent must exist.
         arrays: numeric or boolean arrays by name.
-        metadata: JSON values; NaN and infinity are not JSON.
+        metadata: JSON values, without NaN and infinity.
 
     Raises:
-        ValueError: an array holds objects, or metadata are not JSON.
+        ValueError: an array contains objects, or the metadata is not valid JSON.
         RunFolderError: the folder cannot be written.
     """
     folder = Path(folder)
     for name, array in arrays.items():
         if np.asarray(array).dtype.hasobject:
-            raise ValueError(f"array {name!r} holds Python objects; only plain numbers are stored")
+            raise ValueError(f"array {name!r} contains Python objects; only numbers can be stored")
     text = json.dumps(dict(metadata), indent=1, sort_keys=True, allow_nan=False)
     temporary: Path | None = None
     try:
@@ -84,7 +85,7 @@ def write_array_tree(
 
 
 def read_array_tree(folder: PathLike) -> ArrayTree:
-    """Read a folder that `write_array_tree` wrote; checksums are compared on the way.
+    """Read a folder written by `write_array_tree` and verify its checksums.
 
     Raises:
         RunFolderError: the folder or one of its files is missing.
@@ -107,7 +108,7 @@ def read_array_tree(folder: PathLike) -> ArrayTree:
 
 
 def _write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
-    """An npz of sorted names; numpy stamps its members with a fixed date."""
+    """Write an npz file with sorted names and a fixed date, so that it is reproducible."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
             member = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, also after `kill -9`."""
+"""Atomic writing of files: complete or absent, even after `kill -9`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from toolkit.errors import RunFolderError
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary sibling to write into, which becomes `path` when the block ends well.
+    """Yield a temporary file that replaces `path` when the block ends without an exception.
 
-    The sibling keeps the suffix of `path`, since some writers choose the format by it.
+    The temporary file is in the same folder and has the suffix of `path`, because some writers
+    choose the format by the suffix.
 
     Raises:
         RunFolderError: the file cannot be written (disk full, no permission, no folder).
@@ -29,7 +30,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp makes private files; results are as readable as any other file.
+        # mkstemp creates private files; results get the default permissions.
         temporary.chmod(0o666 & ~_umask())
         sync(temporary)
         os.replace(temporary, path)
@@ -40,7 +41,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a whole file or nothing.
+    """Write a file atomically.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -50,7 +51,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file or a folder's list of names is on the disk."""
+    """Flush a file or a folder's directory entries to disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -59,7 +60,7 @@ def sync(path: Path) -> None:
 
 
 def cannot_write(path: Path, error: OSError) -> RunFolderError:
-    """The one-line error for a file or folder that could not be written."""
+    """Return the one-line error for a file or folder that could not be written."""
     return RunFolderError(
         f"cannot write {path}: {error.strerror or error}; free space there, "
         f"allow writing, or choose another place"

@@ -1,4 +1,4 @@
-"""`classes.json`: what the numbers, or the colours, of label images mean."""
+"""`classes.json`: class names and colours of label images."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from toolkit.errors import DatasetError
 _FORM = '{"void": 0, "classes": {"1": "name", ...}}'
 _COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
 VOID_NAMES = ("void", "unlabeled", "unlabelled", "ignore")
-_LARGEST_ID = 65535
+_MAX_CLASS_ID = 65535
 
 
 def read_class_names(path: Path) -> dict[int, str]:
-    """Class names by id from `classes.json`: {"void": 0, "classes": {"1": "name", ...}}.
+    """Read class names by id from `classes.json`: {"void": 0, "classes": {"1": "name", ...}}.
 
     Raises:
-        DatasetError: the file is missing or not of this form, or names its void.
+        DatasetError: the file is missing or malformed, or id 0 has the name of a class.
     """
     content = _content(path)
     classes = _mapping(content, "classes", path)
@@ -36,10 +36,10 @@ def read_class_names(path: Path) -> dict[int, str]:
 
 
 def read_class_colours(path: Path) -> dict[int, tuple[int, int, int]] | None:
-    """RGB colours by class id from `classes.json`, or None where it has no `colours`.
+    """Read RGB colours by class id from `classes.json`; None if it has no key `colours`.
 
     Raises:
-        DatasetError: the file is missing or not of its form, or two classes share a colour.
+        DatasetError: the file is missing or malformed, or two classes have the same colour.
     """
     content = _content(path)
     if "colours" not in content:
@@ -73,7 +73,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object whose keys may not repeat: silently, the last one would win."""
+    """Build a JSON object and reject duplicate keys, of which `json` silently keeps the last."""
     made = dict(pairs)
     if len(made) < len(pairs):
         keys = [key for key, _ in pairs]
@@ -90,8 +90,10 @@ def _mapping(content: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
 
 def _class_id(key: str, path: Path) -> int:
     # "01" would be a second key for 1.
-    if not key.isdecimal() or key != str(int(key)) or int(key) > _LARGEST_ID:
-        raise DatasetError(f"{path}: '{key}' is no class id; ids are numbers up to {_LARGEST_ID}")
+    if not key.isdecimal() or key != str(int(key)) or int(key) > _MAX_CLASS_ID:
+        raise DatasetError(
+            f"{path}: '{key}' is not a class id; ids are integers from 0 to {_MAX_CLASS_ID}"
+        )
     return int(key)
 
 

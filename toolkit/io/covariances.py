@@ -1,4 +1,4 @@
-"""Covariances of poses, beside the trajectory that they belong to."""
+"""Files of pose covariances that accompany a trajectory file."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _HEADER = (
 
 
 def write_covariances(path: PathLike, timestamps_s: Array, covariances: Array) -> None:
-    """Write a line `timestamp_s` and 21 numbers for each pose, the same bytes for the same values.
+    """Write one line per pose: timestamp and upper triangle of its covariance (21 numbers).
 
     Args:
-        timestamps_s: [N], as in the trajectory.
+        timestamps_s: [N] timestamps of the trajectory.
         covariances: [N, 6, 6] symmetric.
 
     Raises:
-        ValueError: their numbers differ.
+        ValueError: the number of timestamps and covariances differ.
         RunFolderError: the file cannot be written.
     """
     if np.shape(covariances) != (len(timestamps_s), 6, 6):
@@ -50,17 +50,17 @@ def write_covariances(path: PathLike, timestamps_s: Array, covariances: Array) -
 
 
 def read_covariances(path: PathLike) -> tuple[Array, Array]:
-    """Times [N] in seconds and covariances [N, 6, 6] that `write_covariances` wrote.
+    """Read timestamps [N] in seconds and covariances [N, 6, 6] written by `write_covariances`.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a line does not hold 22 finite numbers.
+        FormatError: a line does not consist of 22 finite numbers.
     """
     times, covariances = [], []
     for number, values in number_lines(path):
         if len(values) != 22 or not np.isfinite(values).all():
             raise FormatError(
-                f"{path}, line {number}: expected a time and 21 finite numbers, "
+                f"{path}, line {number}: expected a timestamp and 21 finite numbers, "
                 f"got {len(values)} numbers; write the file again"
             )
         upper = np.zeros((6, 6))

@@ -1,7 +1,8 @@
-"""Colour, depth and label images: files on one side, plain arrays on the other.
+"""Reading and writing of colour, depth and label images.
 
-Decoders accept images that end early (a JPEG's rest turns grey, a PNG's tail goes
-unnoticed) and only mutter on stderr, so a file's structure is checked first.
+Decoders accept truncated images: the missing part of a JPEG becomes grey, the missing end of a
+PNG is not reported, and warnings go to stderr only. The structure of a file is therefore checked
+before decoding.
 """
 
 from __future__ import annotations
@@ -32,14 +33,18 @@ _log = logging.getLogger(__name__)
 
 
 def read_rgb(path: PathLike) -> NDArray[np.float32]:
-    """Read a colour image as [H, W, 3] float32 RGB in [0, 1]; grey becomes RGB, alpha goes.
+    """Read a colour image as [H, W, 3] float32 RGB in [0, 1].
+
+    Greyscale images are converted to RGB; an alpha channel is dropped.
 
     Raises:
         DatasetError: the file is missing, truncated, corrupt or not an image.
     """
     image = _read(Path(path))
     if image.dtype not in (np.uint8, np.uint16):
-        raise DatasetError(f"{path} holds {image.dtype} pixels; colour must have 8 or 16 bits")
+        raise DatasetError(
+            f"{path} has {image.dtype} pixels; colour images must have 8 or 16 bits per channel"
+        )
     if image.shape[2] < 3:
         image = np.repeat(image[..., :1], 3, axis=2)
     return image[..., :3].astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
@@ -51,17 +56,17 @@ def read_depth_m(
     """Read a 16-bit depth PNG as [H, W] float32 metres, 0 where missing.
 
     Args:
-        path: the image file; its value 0 means "no depth".
+        path: the image file; the value 0 marks missing depth.
         scale: values per metre, > 0 (metres = value / scale).
-        saturated_is_missing: whether 65535 means "no depth" as well (7-Scenes).
+        saturated_is_missing: whether the value 65535 also marks missing depth (7-Scenes).
 
     Raises:
-        DatasetError: the file is missing, truncated, corrupt or not 16-bit grey.
+        DatasetError: the file is missing, truncated, corrupt or not a 16-bit greyscale image.
     """
     raw = _read(Path(path))
     if raw.dtype != np.uint16 or raw.shape[2] != 1:
         raise DatasetError(
-            f"{path} is no depth image: {raw.shape[2]} channel(s) of {raw.dtype}; "
+            f"{path} is not a depth image: {raw.shape[2]} channel(s) of {raw.dtype}; "
             f"save depth as a 16-bit PNG with one channel"
         )
     raw = raw[..., 0]
@@ -72,22 +77,22 @@ def read_depth_m(
 
 
 def read_labels(path: PathLike) -> NDArray[np.int32]:
-    """Read an 8- or 16-bit grey PNG of class ids as [H, W] int32.
+    """Read an 8- or 16-bit greyscale PNG of class ids as [H, W] int32.
 
     Raises:
-        DatasetError: the file is missing, truncated, corrupt or not a grey image.
+        DatasetError: the file is missing, truncated, corrupt or not a greyscale image.
     """
     raw = _read(Path(path))
     if raw.dtype not in (np.uint8, np.uint16) or raw.shape[2] != 1:
         raise DatasetError(
-            f"{path} is no label image: {raw.shape[2]} channel(s) of {raw.dtype}; "
+            f"{path} is not a label image: {raw.shape[2]} channel(s) of {raw.dtype}; "
             f"save class ids as an 8- or 16-bit PNG with one channel"
         )
     return raw[..., 0].astype(np.int32)
 
 
 def write_rgb(path: PathLike, rgb: NDArray[np.floating]) -> None:
-    """Write [H, W, 3] RGB in [0, 1] (clamped) as the format of the suffix, 8 bits a channel.
+    """Write [H, W, 3] RGB in [0, 1] (clamped) with 8 bits per channel; the suffix sets the format.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -99,7 +104,8 @@ def write_rgb(path: PathLike, rgb: NDArray[np.floating]) -> None:
 def write_depth_png(path: PathLike, depth_m: NDArray[np.floating], scale: float) -> None:
     """Write [H, W] metres as a 16-bit PNG of round(depth * scale), 0 where missing.
 
-    Depth beyond 65535 / scale metres is written as missing: a clamped wall would lie.
+    Depth beyond 65535 / scale metres is written as missing, because a clamped value would be
+    wrong.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -110,10 +116,10 @@ def write_depth_png(path: PathLike, depth_m: NDArray[np.floating], scale: float)
 
 
 def write_png(path: PathLike, image: NDArray[np.integer]) -> None:
-    """Write [H, W] or [H, W, 3] (RGB) uint8 or uint16 values as they are.
+    """Write [H, W] or [H, W, 3] (RGB) uint8 or uint16 values without conversion.
 
     Raises:
-        ValueError: another type of values.
+        ValueError: the dtype is neither uint8 nor uint16.
         RunFolderError: the file cannot be written.
     """
     if image.dtype not in (np.uint8, np.uint16):
@@ -122,10 +128,10 @@ def write_png(path: PathLike, image: NDArray[np.integer]) -> None:
 
 
 def check_whole(path: PathLike) -> None:
-    """Check that an image file is there and structurally whole, without decoding it.
+    """Check that an image file exists and is structurally complete, without decoding it.
 
     Raises:
-        DatasetError: missing, empty, truncated, or a PNG whose checksums do not fit.
+        DatasetError: the file is missing, empty or truncated, or a PNG checksum does not match.
     """
     try:
         content = Path(path).read_bytes()
@@ -136,7 +142,7 @@ def check_whole(path: PathLike) -> None:
     if content.startswith(_PNG_SIGNATURE):
         fault = _png_fault(content)
     elif content.startswith(_JPEG_START):
-        # Inside a scan 0xFF is always stuffed, so an end marker after the last scan is real.
+        # Within scan data 0xFF is always escaped, so an end marker after the last scan is valid.
         whole = content.rfind(_JPEG_END) > content.rfind(_JPEG_SCAN)
         fault = None if whole else "is truncated"
     else:
@@ -146,7 +152,7 @@ def check_whole(path: PathLike) -> None:
 
 
 def _png_fault(content: bytes) -> str | None:
-    """What is wrong with a PNG's chain of chunks, if anything."""
+    """Return what is wrong with the chunks of a PNG, or None."""
     position = len(_PNG_SIGNATURE)
     while position + 12 <= len(content):
         length, kind = struct.unpack_from(">I4s", content, position)
@@ -155,7 +161,7 @@ def _png_fault(content: bytes) -> str | None:
             break
         (checksum,) = struct.unpack_from(">I", content, end - 4)
         if zlib.crc32(content[position + 4 : end - 4]) != checksum:
-            return "is corrupt (a checksum does not fit)"
+            return "is corrupt (a checksum does not match)"
         if kind == b"IEND":
             return None
         position = end
@@ -163,7 +169,7 @@ def _png_fault(content: bytes) -> str | None:
 
 
 def _read(path: Path) -> NDArray:
-    """The pixels [H, W, C] of an image file, channels in RGB(A) order, in its own type."""
+    """Read the pixels [H, W, C] of an image file in RGB(A) order and the file's dtype."""
     check_whole(path)
     try:
         image = _decoder()(path)
@@ -176,7 +182,7 @@ def _read(path: Path) -> NDArray:
 
 @functools.cache
 def _decoder() -> Callable[[Path], NDArray]:
-    """Open3D's reader, or OpenCV's where Open3D cannot be loaded; asked once."""
+    """Return Open3D's image reader, or OpenCV's if Open3D cannot be loaded."""
     try:
         open3d()
     except DependencyError as error:
@@ -190,7 +196,7 @@ def _read_with_open3d(path: Path) -> NDArray:
 
 
 def _read_with_opencv(path: Path) -> NDArray:
-    """The same pixels by OpenCV; nothing of them where it fails."""
+    """Read the same pixels with OpenCV; an empty array if decoding fails."""
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         return np.empty((0, 0, 1), np.uint8)

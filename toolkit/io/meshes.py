@@ -1,4 +1,4 @@
-"""Triangle meshes fused from depth images (TSDF), and point clouds, through Open3D."""
+"""Triangle meshes fused from depth images (TSDF) and point clouds, using Open3D."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ POINT_SUFFIXES = (".ply", ".pcd")
 
 # Voxels along an edge of the blocks that Open3D allocates near surfaces.
 _BLOCK_EDGE = 16
-# The grid starts with room for this many blocks and grows by itself.
+# Initial capacity of the voxel grid in blocks; it grows automatically.
 _FIRST_BLOCKS = 2000
-# Of the pixels' rows and columns, those that Open3D looks at to allocate blocks.
+# Pixel stride, in rows and columns, with which Open3D samples depth to allocate blocks.
 _STRIDE = 4
 
 
 @dataclass(frozen=True)
 class DepthView:
-    """Depth and colour seen from one pose, rendered or measured.
+    """Depth and colour image of one pose, rendered or measured.
 
     Attributes:
         camera: intrinsics of both images.
         T_world_camera: [4, 4] float64, camera to world, metres.
         rgb: [H, W, 3] float32, RGB in [0, 1].
-        depth_m: [H, W] float32 z-depth in metres, 0 where there is none. A rendered depth
-            belongs divided by its silhouette, and set to 0 where that is low.
+        depth_m: [H, W] float32 z-depth in metres, 0 where missing. Rendered depth must be
+            divided by the silhouette and set to 0 where the silhouette is low.
     """
 
     camera: Camera
@@ -55,7 +55,7 @@ class TriangleMesh:
     Attributes:
         vertices_m: [V, 3] float32, world, metres.
         colours: [V, 3] float32, RGB in [0, 1].
-        triangles: [T, 3] int32, indices of vertices.
+        triangles: [T, 3] int32, vertex indices.
     """
 
     vertices_m: NDArray[np.float32]
@@ -69,15 +69,15 @@ class TriangleMesh:
 def fuse_views(
     views: Iterable[DepthView], voxel_m: float, max_depth_m: float = 10.0
 ) -> TriangleMesh:
-    """The surface of a truncated signed distance field, fused from depth images.
+    """Fuse depth images in a truncated signed distance field and extract its surface.
 
     Args:
-        views: read once, one at a time.
+        views: iterated once.
         voxel_m: edge of a voxel in metres, > 0; memory grows with its inverse square.
-        max_depth_m: depth beyond it is ignored, metres, > 0.
+        max_depth_m: maximum depth that is integrated, metres, > 0.
 
     Raises:
-        ToolkitError: no view holds any depth within `max_depth_m`.
+        ToolkitError: no view has depth within `max_depth_m`.
     """
     if voxel_m <= 0 or max_depth_m <= 0:
         raise ValueError(f"voxel_m and max_depth_m must be > 0, got {voxel_m} and {max_depth_m}")
@@ -89,10 +89,10 @@ def fuse_views(
             fused = True
     if not fused:
         raise ToolkitError(
-            f"no view has depth nearer than {max_depth_m:g} m, on more than a few pixels, "
-            "to make a mesh of; raise the maximum depth"
+            f"no view has depth below {max_depth_m:g} m on more than a few pixels, so there is "
+            "no surface to extract; increase the maximum depth"
         )
-    # The default threshold drops whatever fewer than three views have seen.
+    # The default threshold removes surfaces observed by fewer than three views.
     mesh = grid.extract_triangle_mesh(weight_threshold=0)
     return TriangleMesh(
         mesh.vertex.positions.numpy().astype(np.float32),
@@ -102,10 +102,10 @@ def fuse_views(
 
 
 def write_mesh(path: PathLike, mesh: TriangleMesh) -> None:
-    """Write a mesh as .ply, whole or not at all.
+    """Write a mesh as .ply atomically.
 
     Raises:
-        FormatError: another suffix.
+        FormatError: the suffix is not .ply.
         RunFolderError: the file cannot be written.
     """
     path = _with_suffix(path, MESH_SUFFIXES)
@@ -120,7 +120,7 @@ def write_mesh(path: PathLike, mesh: TriangleMesh) -> None:
 
 
 def write_points(path: PathLike, points_m: NDArray, colours: NDArray) -> None:
-    """Write a coloured point cloud as .ply or .pcd, whole or not at all.
+    """Write a coloured point cloud as .ply or .pcd atomically.
 
     Args:
         path: the file.
@@ -128,7 +128,7 @@ def write_points(path: PathLike, points_m: NDArray, colours: NDArray) -> None:
         colours: [N, 3], RGB in [0, 1]; clamped.
 
     Raises:
-        FormatError: another suffix.
+        FormatError: the suffix is neither .ply nor .pcd.
         RunFolderError: the file cannot be written.
     """
     path = _with_suffix(path, POINT_SUFFIXES)
@@ -153,7 +153,10 @@ def _empty_grid(voxel_m: float) -> Any:
 
 
 def _touches_surface(depth_m: NDArray[np.float32], max_depth_m: float) -> bool:
-    """Whether Open3D finds a depth in range: it looks at one pixel in 16, and stops on none."""
+    """Check whether Open3D finds depth in range.
+
+    Open3D samples one pixel in 16 to allocate blocks, and fails if none of them is in range.
+    """
     height, width = (side - side % _STRIDE for side in depth_m.shape)
     sampled = depth_m[:height:_STRIDE, :width:_STRIDE]
     return bool(((sampled > 0) & (sampled < max_depth_m)).any())
@@ -161,13 +164,13 @@ def _touches_surface(depth_m: NDArray[np.float32], max_depth_m: float) -> bool:
 
 def _integrate(grid: Any, view: DepthView, max_depth_m: float) -> None:
     o3d = open3d()
-    # Integration cuts projections off to integers, as if pixel centres lay at +0.5;
-    # ours lie at integers. Without the shift, slanted surfaces come out displaced.
+    # Open3D truncates projections to integers, which assumes pixel centres at +0.5; ours are at
+    # integers. Without the shift, slanted surfaces are displaced.
     K = view.camera.matrix
     K[:2, 2] += 0.5
     intrinsic = o3d.core.Tensor(K)
     T_camera_world = o3d.core.Tensor(se3.inverse(view.T_world_camera))
-    # Floats both: Open3D takes no mixture of types.
+    # Both as float32, because Open3D does not accept mixed types.
     depth = o3d.t.geometry.Image(_float_tensor(view.depth_m))
     colour = o3d.t.geometry.Image(_float_tensor(view.rgb))
     blocks = grid.compute_unique_block_coordinates(
@@ -197,6 +200,6 @@ def _with_suffix(path: PathLike, suffixes: tuple[str, ...]) -> Path:
 
 
 def _must(written: bool) -> None:
-    # Open3D says no more than that it failed.
+    # Open3D reports only success or failure.
     if not written:
-        raise OSError("Open3D could not write it")
+        raise OSError("Open3D could not write the file")

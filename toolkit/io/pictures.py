@@ -1,4 +1,4 @@
-"""Pictures for people: depth in colours with a scale, legends, captioned strips.
+"""Visualisation of images: colour-mapped depth with a scale bar, legends, captioned panels.
 
 All pictures are [H, W, 3] uint8 RGB; `toolkit.io.images.write_png` saves them.
 """
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 Picture = NDArray[np.uint8]
 
-# Far from every colour of the depth scale, so that holes are not read as surfaces.
+# Differs from every colour of the depth scale, so that holes are not mistaken for surfaces.
 MISSING = (45, 45, 45)
 _PAPER = (255, 255, 255)
 _INK = (50, 50, 50)
-# What covers nothing, half and everything: holes stand out, solid surfaces stay white.
+# Colour map from empty (dark grey) over translucent (red to orange) to opaque (white).
 _SILHOUETTE_STOPS = np.array([0.0, 0.5, 0.8, 1.0])
 _SILHOUETTE_COLOURS = np.array([MISSING, (178, 58, 40), (248, 190, 130), (252, 252, 252)])
 
@@ -30,7 +30,7 @@ _FONT_HEIGHT = 22.0
 
 @dataclass(frozen=True)
 class DepthSpan:
-    """The depths that a colour scale covers; what lies beyond gets the colour of its end.
+    """Depth range of a colour scale; depths outside get the colour of the nearer end.
 
     Attributes:
         near_m, far_m: metres, 0 <= near < far.
@@ -41,14 +41,17 @@ class DepthSpan:
 
     def __post_init__(self) -> None:
         if not 0 <= self.near_m < self.far_m < math.inf:
-            raise ValueError(f"a depth span needs 0 <= near < far, got {self}")
+            raise ValueError(f"a depth span must satisfy 0 <= near < far, got {self}")
 
     @classmethod
     def of(cls, depths_m: Iterable[NDArray]) -> DepthSpan:
-        """The round span of depth images (m, 0 or not finite where missing).
+        """Return the depth span of images, from the 1st to the 99th percentile, rounded to ticks.
 
-        One span for a whole sequence keeps a surface's colour from frame to frame. The
-        outermost hundredths do not count; without any depth it is 0 to 1 m.
+        Use one span for a whole sequence to keep the colour of a surface constant.
+
+        Args:
+            depths_m: [H, W] depth images in metres, 0 or non-finite where missing. Without any
+                valid depth the span is 0 to 1 m.
         """
         parts = [image[np.isfinite(image) & (image > 0)] for image in depths_m]
         values = np.concatenate(parts) if parts else np.empty(0)
@@ -61,16 +64,16 @@ class DepthSpan:
 
 
 def colour_picture(rgb: NDArray[np.floating]) -> Picture:
-    """RGB [H, W, 3] in [0, 1] (clamped) as a picture."""
+    """Convert RGB [H, W, 3] in [0, 1] (clamped) to a picture."""
     return np.rint(np.clip(rgb, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
 def depth_picture(depth_m: NDArray[np.floating], span: DepthSpan | None = None) -> Picture:
-    """Depth in the colours of viridis, near dark and far bright, missing dark grey.
+    """Apply the viridis colour map to a depth image: near dark, far bright, missing dark grey.
 
     Args:
-        depth_m: [H, W] z-depth in metres, 0 or not finite where missing.
-        span: the depths at both ends of the colours; those of this image without it.
+        depth_m: [H, W] z-depth in metres, 0 or non-finite where missing.
+        span: depth range of the colour map; by default the range of this image.
     """
     span = span or DepthSpan.of([depth_m])
     valid = np.isfinite(depth_m) & (depth_m > 0)
@@ -81,7 +84,10 @@ def depth_picture(depth_m: NDArray[np.floating], span: DepthSpan | None = None) 
 
 
 def silhouette_picture(silhouette: NDArray[np.floating]) -> Picture:
-    """Accumulated opacity [H, W] in [0, 1]: solid white, thin orange to red, empty dark grey."""
+    """Colour-map accumulated opacity [H, W] in [0, 1].
+
+    Opaque pixels are white, translucent pixels orange to red, and empty pixels dark grey.
+    """
     channels = [
         np.interp(silhouette, _SILHOUETTE_STOPS, _SILHOUETTE_COLOURS[:, c]) for c in range(3)
     ]
@@ -89,12 +95,12 @@ def silhouette_picture(silhouette: NDArray[np.floating]) -> Picture:
 
 
 def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
-    """A depth picture with its scale in metres beside it, on the right."""
+    """Append a scale bar in metres to the right of a depth picture."""
     height = picture.shape[0]
     scale = _font_scale(height)
     text_height = round(_FONT_HEIGHT * scale)
     gap, bar = max(3, text_height // 2), max(6, round(text_height * 1.2))
-    ticks = _ticks(span, most=max(2, height // (4 * text_height)))
+    ticks = _ticks(span, max_count=max(2, height // (4 * text_height)))
     step = ticks[1] - ticks[0] if len(ticks) > 1 else span.far_m - span.near_m
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     labels = [f"{tick:.{decimals}f}" for tick in ticks]
@@ -102,7 +108,7 @@ def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
     text_width = max(_text_size(label, scale)[0] for label in labels)
     side = np.full((height, 2 * gap + bar + gap + text_width, 3), _PAPER, np.uint8)
 
-    # Far at the top, as it mostly lies in the picture; half a letter of margin for the ends.
+    # Far depths at the top, as in most images; the margin leaves space for the end labels.
     margin = text_height
     length = max(height - 2 * margin, 2)
     side[margin : margin + length, gap : gap + bar] = _viridis(
@@ -118,19 +124,19 @@ def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """A colour (RGB, 0..255) and what it means."""
+    """A colour (RGB, 0..255) and its label."""
 
     text: str
     colour: tuple[int, int, int]
 
 
 def with_legend(picture: Picture, entries: Sequence[LegendEntry], columns: int = 3) -> Picture:
-    """A picture with its legend beside it, on the right, in as many columns as it needs.
+    """Append a legend to the right of a picture.
 
     Args:
         picture: [H, W, 3].
-        entries: the most important first; what does not fit is counted in the last line.
-        columns: at most so many.
+        entries: in descending order of importance; the last line counts entries that do not fit.
+        columns: maximum number of columns.
     """
     if not entries:
         return picture
@@ -148,7 +154,7 @@ def with_legend(picture: Picture, entries: Sequence[LegendEntry], columns: int =
 
 
 def legend_below(picture: Picture, entries: Sequence[LegendEntry], rows: int) -> Picture:
-    """A picture with its legend below it, always `rows` lines high and not wider than it."""
+    """Append a legend of `rows` lines below a picture, without changing its width."""
     height, width = picture.shape[:2]
     scale = _font_scale(height)
     block = _legend_block(_shortened(entries, rows), (rows * _line_height(scale), width), scale)
@@ -157,14 +163,14 @@ def legend_below(picture: Picture, entries: Sequence[LegendEntry], rows: int) ->
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of a strip, and the words above it."""
+    """One picture of a strip and its caption."""
 
     caption: str
     picture: Picture
 
 
 def strip(panels: Sequence[Panel]) -> Picture:
-    """Panels of one height side by side on white, each under its caption.
+    """Place panels of one height side by side on white, each below its caption.
 
     Raises:
         ValueError: there are no panels, or their heights differ.
@@ -195,14 +201,14 @@ def view_strip(
     observed: NDArray[np.floating] | None = None,
     span: DepthSpan | None = None,
 ) -> Picture:
-    """A rendered view side by side: input (where there is one), render, depth, silhouette.
+    """Show a rendered view as a strip: input (if given), render, depth, silhouette.
 
     Args:
         rgb: rendered colour [H, W, 3] in [0, 1].
         depth_m: rendered depth [H, W] in metres, 0 where missing.
         silhouette: [H, W] in [0, 1].
-        observed: what the camera saw, [H, W, 3].
-        span: the depths that the colours cover; those of this view without it.
+        observed: input colour image [H, W, 3].
+        span: depth range of the colour map; by default the range of this view.
     """
     span = span or DepthSpan.of([depth_m])
     panels = [] if observed is None else [Panel("input", colour_picture(observed))]
@@ -216,26 +222,26 @@ def view_strip(
 
 
 def _viridis(share: NDArray[np.floating]) -> Picture:
-    """The colours [H, W, 3] of values [H, W], 0 dark and 1 bright."""
+    """Return viridis colours [H, W, 3] of values [H, W] from 0 (dark) to 1 (bright)."""
     values = np.rint(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
     return cv2.cvtColor(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
 
 
 def _tick_step(length_m: float) -> float:
-    """A round number (1, 2 or 5 times a power of ten) of which about five fill the length."""
+    """Return a tick spacing (1, 2 or 5 times a power of ten) with about five ticks per length."""
     power = 10.0 ** math.floor(math.log10(length_m / 5.0))
     return power * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(length_m / (m * power) - 5.0))
 
 
-def _ticks(span: DepthSpan, most: int) -> list[float]:
-    """Round depths in the span, at least one and about `most` at most."""
-    step = _tick_step((span.far_m - span.near_m) * 5.0 / max(min(most, 6), 2))
+def _ticks(span: DepthSpan, max_count: int) -> list[float]:
+    """Return the ticks of a span, at least one and about `max_count` at most."""
+    step = _tick_step((span.far_m - span.near_m) * 5.0 / max(min(max_count, 6), 2))
     first, last = math.ceil(span.near_m / step - 1e-9), math.floor(span.far_m / step + 1e-9)
     return [step * i for i in range(first, last + 1)] or [span.far_m]
 
 
 def _legend_block(entries: Sequence[LegendEntry], size: tuple[int, int], scale: float) -> Picture:
-    """Entries below each other on paper of a size (height, width); long ones in small print."""
+    """Draw legend entries on a block of a size (height, width); long text is scaled down."""
     block = np.full((*size, 3), _PAPER, np.uint8)
     letter, line = round(_FONT_HEIGHT * scale), _line_height(scale)
     left = 2 * letter + letter // 2
@@ -248,12 +254,12 @@ def _legend_block(entries: Sequence[LegendEntry], size: tuple[int, int], scale: 
     return block
 
 
-def _shortened(entries: Sequence[LegendEntry], most: int) -> list[LegendEntry]:
-    """The first entries; the last of `most` lines says how many are left out."""
-    if len(entries) <= most:
+def _shortened(entries: Sequence[LegendEntry], max_count: int) -> list[LegendEntry]:
+    """Return at most `max_count` entries; if some are omitted, the last one states how many."""
+    if len(entries) <= max_count:
         return list(entries)
-    kept = list(entries[: max(most - 1, 0)])
-    return [*kept, LegendEntry(f"and {len(entries) - len(kept)} more", _PAPER)][:most]
+    kept = list(entries[: max(max_count - 1, 0)])
+    return [*kept, LegendEntry(f"and {len(entries) - len(kept)} more", _PAPER)][:max_count]
 
 
 def _line_height(scale: float) -> int:
@@ -261,7 +267,7 @@ def _line_height(scale: float) -> int:
 
 
 def _font_scale(height: int) -> float:
-    """Letters of about a twenty-fifth of a picture's height, legible on small ones."""
+    """Return the font scale for letters of about 1/25 of the picture's height, 8 to 24 pixels."""
     return float(np.clip(height / 25.0, 8.0, 24.0)) / _FONT_HEIGHT
 
 
@@ -271,5 +277,5 @@ def _text_size(text: str, scale: float) -> tuple[int, int]:
 
 
 def _write(picture: Picture, text: str, origin: tuple[int, int], scale: float) -> None:
-    """Put text into a picture; the origin is its lower left corner."""
+    """Draw text into a picture; the origin is the lower left corner of the text."""
     cv2.putText(picture, text, origin, _FONT, scale, _INK, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Pose-graph files: g2o's and TORO's text, as GTSAM and others exchange them.
+"""Pose-graph files in the text formats of g2o and TORO.
 
     VERTEX_SE3:QUAT id x y z qx qy qz qw
     EDGE_SE3:QUAT first second x y z qx qy qz qw I11 I12 ... I66
@@ -6,11 +6,12 @@
     VERTEX3 id x y z roll pitch yaw
     EDGE3 first second x y z roll pitch yaw I11 I12 ... I66
 
-The pose is T_world_node, the measurement T_first_second; the 21 numbers are the upper
-triangle of the information, translation before rotation. TORO's angles turn about the fixed
-axes x, y, z in that order. The residual that g2o itself weighs is the vector part of the
-quaternion, half the angle; here, as in GTSAM, the numbers are taken for radians, so that optima
-agree with those published. A file that means the half counts rotations four times as much.
+The pose is T_world_node, the measurement T_first_second. The 21 numbers are the upper triangle
+of the information matrix, translation before rotation. TORO's angles are rotations about the
+fixed axes x, y, z in that order. g2o's own rotation residual is the vector part of the
+quaternion, which is half the angle. Here, as in GTSAM, the information refers to radians, so
+that optima agree with published ones; relative to g2o's residual, rotations have four times the
+weight.
 """
 
 from __future__ import annotations
@@ -30,22 +31,22 @@ PathLike = str | os.PathLike[str]
 Array = NDArray[np.float64]
 
 _TRIANGLE = np.triu_indices(6)
-# By tag: how many integers, how many numbers after them.
+# Number of values after the node ids, by tag.
 _VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX3": 6}
 _EDGES = {"EDGE_SE3:QUAT": 28, "EDGE3": 27}
 
 
 @dataclass(frozen=True)
 class PoseGraphArrays:
-    """What a pose-graph file holds.
+    """Content of a pose-graph file.
 
     Attributes:
-        nodes: [N] int64 numbers, ascending. TORO's files may have edges alone: then none.
+        nodes: [N] int64 node ids, ascending; empty for TORO files that contain only edges.
         T_world_node: [N, 4, 4] float64.
-        edges: [E, 2] int64 numbers of first and second node, in the file's order.
+        edges: [E, 2] int64 ids of the first and second node, in the file's order.
         T_first_second: [E, 4, 4] float64.
         information: [E, 6, 6] float64, of (translation m, rotation rad).
-        fixed: [F] int64 nodes that are not to move.
+        fixed: [F] int64 ids of fixed nodes.
     """
 
     nodes: NDArray[np.int64]
@@ -57,12 +58,11 @@ class PoseGraphArrays:
 
 
 def read_pose_graph(path: PathLike) -> PoseGraphArrays:
-    """Read a g2o file, or GTSAM's and TORO's `.txt`; lines are known by their tags.
+    """Read a g2o file or a `.txt` file of GTSAM or TORO; the tag determines the type of a line.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a line is not one of a 3D pose graph, a node comes twice, or there is no
-            edge.
+        FormatError: a line is invalid, a node is defined twice, or there is no edge.
     """
     poses: dict[int, Array] = {}
     edges: list[tuple[int, int]] = []
@@ -75,7 +75,7 @@ def read_pose_graph(path: PathLike) -> PoseGraphArrays:
         if tag in _VERTICES:
             (node,), values = _numbers(where, tag, words, 1, _VERTICES[tag])
             if node in poses:
-                raise FormatError(f"{where}: node {node} comes a second time; remove the line")
+                raise FormatError(f"{where}: node {node} is defined twice; remove the line")
             poses[node] = _motion(where, values)
         elif tag in _EDGES:
             (first, second), values = _numbers(where, tag, words, 2, _EDGES[tag])
@@ -86,9 +86,11 @@ def read_pose_graph(path: PathLike) -> PoseGraphArrays:
             fixed += _numbers(where, tag, words, len(words), 0)[0]
         else:
             known = ", ".join((*_VERTICES, *_EDGES, "FIX"))
-            raise FormatError(f"{where}: {tag!r} is no line of a 3D pose graph; known: {known}")
+            raise FormatError(
+                f"{where}: {tag!r} is not a tag of a 3D pose graph; supported: {known}"
+            )
     if not edges:
-        raise FormatError(f"{path} holds no edges; is it a pose graph?")
+        raise FormatError(f"{path} contains no edges; check that it is a pose graph")
     order = sorted(poses)
     return PoseGraphArrays(
         nodes=np.array(order, dtype=np.int64),
@@ -101,10 +103,10 @@ def read_pose_graph(path: PathLike) -> PoseGraphArrays:
 
 
 def write_g2o(path: PathLike, graph: PoseGraphArrays) -> None:
-    """Write a g2o file, the same bytes for the same values.
+    """Write a g2o file; the output is byte-for-byte reproducible.
 
-    Numbers have all their digits; a rotation's pass through a quaternion, which is good to
-    the last one or two.
+    Numbers are written with full precision; rotations are converted to quaternions, which
+    changes the last one or two digits.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -123,7 +125,7 @@ def write_g2o(path: PathLike, graph: PoseGraphArrays) -> None:
 
 
 def _line(tag: str, nodes: list[int], values: list[float]) -> str:
-    # Adding zero turns -0.0 into 0.0; repr is the shortest text that reads as the same number.
+    # Adding zero turns -0.0 into 0.0; repr is the shortest text that round-trips.
     words = [tag, *map(str, nodes), *(repr(float(v) + 0.0) for v in values)]
     return " ".join(words) + "\n"
 
@@ -137,28 +139,30 @@ def _numbers(
 ) -> tuple[list[int], Array]:
     if len(words) != integers + reals:
         raise FormatError(
-            f"{where}: {tag} needs {integers + reals} numbers, got {len(words)}; mend the line"
+            f"{where}: {tag} needs {integers + reals} numbers, got {len(words)}; fix the line"
         )
     try:
         nodes = [int(word) for word in words[:integers]]
         values = np.array([float(word) for word in words[integers:]], dtype=np.float64)
     except ValueError as error:
-        raise FormatError(f"{where}: {error}; mend the line") from error
+        raise FormatError(f"{where}: {error}; fix the line") from error
     if min(nodes, default=0) < 0 or not np.isfinite(values).all():
-        raise FormatError(f"{where}: numbers must be finite, nodes not negative; mend the line")
+        raise FormatError(
+            f"{where}: values must be finite and node ids must not be negative; fix the line"
+        )
     return nodes, values
 
 
 def _motion(where: str, values: Array) -> Array:
-    """A motion from seven numbers (a quaternion last) or from six (three angles last)."""
+    """Return the motion of a translation followed by a quaternion (7) or three angles (6)."""
     if len(values) == 6:
         R = np.eye(3)
         for axis, angle_rad in zip(np.eye(3), values[3:], strict=True):
             R = se3.exp_so3(angle_rad * axis) @ R
         return se3.from_rotation_translation(R, values[:3])
-    # A quaternion with few decimals is off by as much; a longer error is another kind of line.
+    # Tolerate rounding to a few decimals; larger deviations indicate another column order.
     if abs(np.linalg.norm(values[3:]) - 1.0) > 1e-2:
-        raise FormatError(f"{where}: the quaternion (x y z w) has not length 1; mend the line")
+        raise FormatError(f"{where}: the quaternion (x y z w) does not have norm 1; fix the line")
     return se3.from_rotation_translation(se3.rotation_from_quaternion_xyzw(values[3:]), values[:3])
 
 

@@ -1,4 +1,4 @@
-"""A splat PLY written part by part, so that the whole map is never in memory at once."""
+"""Incremental writing of a splat PLY, so that the whole map need not be in memory at once."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _ROWS = b"element vertex %d\n"
 def write_splat_parts(
     path: PathLike, parts: Iterable[tuple[SplatLike, Mapping[str, NDArray]]]
 ) -> None:
-    """Write one PLY of several parts: the same bytes as `write_splat_ply` of all of them.
+    """Write the parts of a map as one PLY, byte-identical to `write_splat_ply` of the whole map.
 
     Args:
         path: the file, ending in `.ply`.
-        parts: splats and their further columns; empty ones are left out.
+        parts: splats and their additional columns; empty parts are skipped.
 
     Raises:
-        ValueError: a column has the wrong length, or the parts differ in their columns.
+        ValueError: a column has the wrong length, or the parts have different columns.
         RunFolderError: the file cannot be written, or there is nothing to write.
     """
     headers: set[bytes] = set()
@@ -57,7 +57,7 @@ def write_splat_parts(
 
 
 def _header(file: BinaryIO) -> bytes:
-    """The lines of a PLY up to its data."""
+    """Read the header of a PLY."""
     lines: list[bytes] = []
     while not lines or lines[-1] not in (_END, b""):
         lines.append(file.readline())

@@ -1,8 +1,8 @@
-"""Gaussian splat files (.ply, .splat, .spz) in the layout that 3DGS viewers read.
+"""Gaussian splat files (.ply, .splat, .spz) in the layout of 3DGS viewers.
 
-In a file opacity is a logit, scale a logarithm, rotation a quaternion wxyz and colour the
-constant harmonic, 0.5 + 0.28209479 f_dc. Open3D keeps the scale linear in memory and takes
-its logarithm when it writes.
+Files store opacity as a logit, scale as a logarithm, rotation as a quaternion wxyz and colour as
+the coefficient f_dc of the constant spherical harmonic: colour = 0.5 + 0.28209479 f_dc. Open3D
+stores linear scales in memory and writes their logarithm.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ PathLike = str | os.PathLike[str]
 SUFFIXES = (".ply", ".splat", ".spz")
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
-# Beyond this ratio of the largest to the smallest axis a splat is no ball.
+# Splats with a larger ratio of the longest to the shortest axis are not isotropic.
 _ISOTROPY = 1.01
-# Column of the nodes at a level; its number follows.
+# Prefix of the column with the nodes at a level; the level's index follows.
 _LEVEL = "label_l"
 _OWN_ATTRIBUTES = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
 
@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 
 
 class SplatLike(Protocol):
-    """What is written: `GaussianCloud` has these, as tensors; `Splats` has them as arrays."""
+    """Gaussians that can be written: `GaussianCloud` (tensors) or `Splats` (arrays)."""
 
     @property
     def means(self) -> Any: ...
@@ -64,16 +64,16 @@ class SplatLike(Protocol):
 
 @dataclass(frozen=True)
 class SplatLabels:
-    """What each splat is: columns that lie beside the cloud in a PLY.
+    """Semantic labels of splats, stored as additional columns in a PLY.
 
     Attributes:
-        label: [N] int32, class ids, 0 void.
-        levels: [N, L] int32, the node at each level of the class tree, an index into its
-            `nodes`; -1 for void, or where the map is unsure at that level.
+        label: [N] int32, class ids, 0 for void.
+        levels: [N, L] int32, the node at each level of the class tree, as an index into its
+            `nodes`; -1 for void or where the label at that level is uncertain.
         confidence: [N] float32 in [0, 1].
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: shapes do not match.
     """
 
     label: NDArray[np.int32]
@@ -94,18 +94,18 @@ class SplatLabels:
         return len(self.label)
 
     def columns(self) -> dict[str, NDArray]:
-        """The columns as `write_splat_ply` takes them."""
+        """Return the columns by name for `write_splat_ply`."""
         levels = {f"{_LEVEL}{i}": column for i, column in enumerate(self.levels.T)}
         return {"label": self.label, **levels, "confidence": self.confidence}
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray]) -> SplatLabels | None:
-        """Labels out of a file's columns; None where they are not there, or not ours.
+        """Build labels from a file's columns; None if the file has no labels of this format.
 
         Raises:
             FormatError: a level is missing between others.
         """
-        # Other tools have a column "label", too, of their own type and meaning.
+        # Other tools also write a column "label", with a different type and meaning.
         found = {i: columns[f"{_LEVEL}{i}"] for i in range(99) if f"{_LEVEL}{i}" in columns}
         integers = [columns.get("label"), *found.values()]
         if not found or "confidence" not in columns or not all(map(_is_integer, integers)):
@@ -120,20 +120,20 @@ class SplatLabels:
         )
 
     def select(self, index: NDArray) -> SplatLabels:
-        """The labels of a boolean mask [N] or of integer indices [M]."""
+        """Select labels by a boolean mask [N] or integer indices [M]."""
         return SplatLabels(self.label[index], self.levels[index], self.confidence[index])
 
 
 @dataclass(frozen=True)
 class Splats:
-    """Isotropic splats as read from a file.
+    """Isotropic splats read from a file.
 
     Attributes:
         means: [N, 3] float32, metres.
         log_radii: [N] float32, natural logarithm of the standard deviation in metres.
         opacity_logits: [N] float32.
         colours: [N, 3] float32, RGB.
-        extra: further columns [N] by name, such as `submap` (int32) or those of `labels`.
+        extra: additional columns [N] by name, such as `submap` (int32) or those of `labels`.
     """
 
     means: NDArray[np.float32]
@@ -147,7 +147,7 @@ class Splats:
 
     @property
     def labels(self) -> SplatLabels | None:
-        """What each splat is, or None where the file does not say.
+        """Semantic labels, or None if the file has none.
 
         Raises:
             FormatError: a level is missing between others.
@@ -158,13 +158,13 @@ class Splats:
 def write_splat_ply(
     path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None = None
 ) -> None:
-    """Write a splat PLY, the same bytes for the same values, whole or not at all.
+    """Write a splat PLY atomically; the output is byte-for-byte reproducible.
 
     Args:
         path: the file, ending in `.ply`.
         splats: the Gaussians; colours are clamped to [0, 1].
-        extra: further columns [N] by name, `SplatLabels.columns` for instance: integers
-            become int32, others float32.
+        extra: additional columns [N] by name, for example `SplatLabels.columns`; integers are
+            stored as int32, other types as float32.
 
     Raises:
         ValueError: a column has the wrong length, or the suffix is not `.ply`.
@@ -188,13 +188,13 @@ def write_splat_ply(
 def export_splats(
     path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None = None
 ) -> None:
-    """Write splats for viewers as `.ply`, `.splat` or `.spz`, chosen by the suffix.
+    """Write splats for viewers as `.ply`, `.splat` or `.spz`, depending on the suffix.
 
-    `.splat` and `.spz` quantise colour, opacity and scale to 8 bits or so, and have no
-    further columns: only a `.ply` keeps `extra`.
+    `.splat` and `.spz` quantise colour, opacity and scale to about 8 bits and do not support
+    additional columns; only `.ply` stores `extra`.
 
     Raises:
-        ValueError: another suffix.
+        ValueError: the suffix is not supported.
         RunFolderError: the file cannot be written, or there is nothing to write.
     """
     if Path(path).suffix not in SUFFIXES:
@@ -208,12 +208,12 @@ def export_splats(
 def read_splats(path: PathLike) -> Splats:
     """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
 
-    A splat that is not a ball gets the geometric mean of its axes as its radius; harmonics
-    beyond the constant one are dropped.
+    The radius of an anisotropic splat is the geometric mean of its axes. Spherical harmonics of
+    degree > 0 are dropped.
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is no splat file, or is truncated.
+        FormatError: the file is not a splat file, or is truncated.
     """
     if not Path(path).is_file():
         raise DatasetError(f"splat file {path} does not exist; check the path")
@@ -231,11 +231,11 @@ def read_splats(path: PathLike) -> Splats:
     for name in ("positions", "f_dc", "opacity", "scale"):
         if name not in columns or len(columns[name]) == 0:
             raise FormatError(
-                f"{path} is no splat file, or is truncated: it has no {name}; write it again"
+                f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
             )
     log_scales = np.log(columns["scale"])
     if (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
-        _log.warning("%s: stretched splats become balls of the same volume", path)
+        _log.warning("%s: anisotropic splats are converted to spheres of the same volume", path)
     return Splats(
         means=columns["positions"].astype(np.float32),
         log_radii=log_scales.mean(axis=1).astype(np.float32),
@@ -250,7 +250,7 @@ def read_splats(path: PathLike) -> Splats:
 
 
 def _open3d_cloud(path: PathLike, splats: SplatLike) -> Any:
-    """The splats as an Open3D tensor point cloud."""
+    """Convert splats to an Open3D tensor point cloud."""
     means = _array(splats.means)
     if len(means) == 0:
         raise RunFolderError(f"cannot write {path}: the map holds no Gaussian")
@@ -283,17 +283,17 @@ def _is_integer(column: NDArray | None) -> bool:
 
 
 def _array(values: Any) -> NDArray[np.float32]:
-    """float32 values of an array, or of a tensor on any device."""
+    """Convert an array, or a tensor on any device, to a float32 array."""
     if hasattr(values, "detach"):
         values = values.detach().cpu().numpy()
     return np.asarray(values, dtype=np.float32)
 
 
 def _check_ply_length(path: Path) -> None:
-    """Check that a binary PLY is as long as its header says; Open3D makes up the rest.
+    """Check that a binary PLY is as long as its header states, which Open3D does not check.
 
     Raises:
-        FormatError: it is shorter.
+        FormatError: the file is shorter.
     """
     content = path.read_bytes()
     header, end, body = content.partition(b"end_header\n")

@@ -1,4 +1,4 @@
-"""Trajectory files: TUM, Replica (NICE-SLAM) and Open3D's logs."""
+"""Trajectory files in the formats of TUM, Replica (NICE-SLAM) and Open3D (.log)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class TimedPoses:
-    """Poses as they stand in a file: unsorted, and NaN where the file has no finite pose.
+    """Unvalidated poses of a file: in file order, NaN where a pose is not finite.
 
     Attributes:
         timestamps_s: [N] float64, seconds.
@@ -37,25 +37,26 @@ class TimedPoses:
 def read_tum(path: PathLike) -> Trajectory:
     """Read `time tx ty tz qx qy qz qw` lines (seconds, metres, camera to world).
 
-    Of lines that repeat a time the first counts; TUM's own fr2/desk truth has such a pair.
+    If consecutive lines have the same timestamp, the first is used; the ground truth of TUM
+    fr2/desk contains such a pair.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a line is not eight finite numbers, or times run backwards.
+        FormatError: a line does not consist of eight finite numbers, or timestamps decrease.
     """
     poses = read_tum_lines(path)
     first = np.diff(poses.timestamps_s, prepend=-np.inf) != 0
     if not first.all():
-        _log.warning("%s: %d line(s) repeat a time and are left out", path, (~first).sum())
+        _log.warning("%s: ignored %d line(s) with repeated timestamps", path, (~first).sum())
     return _checked(path, poses.timestamps_s[first], poses.T_world_camera[first])
 
 
 def read_tum_lines(path: PathLike) -> TimedPoses:
-    """Read a TUM file as `read_tum`, but forgive order and poses that are not finite.
+    """Read a TUM file like `read_tum`, but accept unsorted timestamps and non-finite poses.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a line does not hold eight numbers, or its time is not finite.
+        FormatError: a line does not consist of eight numbers, or its timestamp is not finite.
     """
     times: list[float] = []
     poses: list[NDArray[np.float64]] = []
@@ -63,7 +64,7 @@ def read_tum_lines(path: PathLike) -> TimedPoses:
         if len(values) != 8 or not np.isfinite(values[0]):
             raise FormatError(
                 f"{path}, line {number}: expected 8 numbers (time tx ty tz qx qy qz qw), "
-                f"got {len(values)}; mend or remove the line"
+                f"got {len(values)}; fix or remove the line"
             )
         times.append(float(values[0]))
         poses.append(_pose(values[1:4], values[4:8]))
@@ -71,9 +72,9 @@ def read_tum_lines(path: PathLike) -> TimedPoses:
 
 
 def write_tum(path: PathLike, trajectory: Trajectory) -> None:
-    """Write `time tx ty tz qx qy qz qw` lines, the same bytes for the same values.
+    """Write `time tx ty tz qx qy qz qw` lines; the output is byte-for-byte reproducible.
 
-    Nine decimals (nanometres) keep a pose to about 1e-9 in a round trip.
+    Values have nine decimals (nanometres), so a round trip changes poses by about 1e-9.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -81,69 +82,73 @@ def write_tum(path: PathLike, trajectory: Trajectory) -> None:
     lines = ["# timestamp_s tx ty tz qx qy qz qw (camera to world, metres)\n"]
     for time, T in zip(trajectory.timestamps_s, trajectory.T_world_camera, strict=True):
         values = [*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3])]
-        # Adding zero turns -0.0 into 0.0, which would print its sign.
+        # Adding zero turns -0.0, which would be printed with its sign, into 0.0.
         numbers = " ".join(f"{round(float(v), 9) + 0.0:.9f}" for v in values)
         lines.append(f"{time:.6f} {numbers}\n")
     write_bytes(path, "".join(lines).encode("ascii"))
 
 
 def read_matrix_lines(path: PathLike) -> NDArray[np.float64]:
-    """Poses [N, 4, 4] of a file with 16 numbers (row by row) a line, as Replica's `traj.txt`.
+    """Read poses [N, 4, 4] from lines of 16 numbers (row-major), as in Replica's `traj.txt`.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a line does not hold 16 numbers.
+        FormatError: a line does not consist of 16 numbers.
     """
     rows = []
     for number, values in number_lines(path):
         if len(values) != 16:
             raise FormatError(
                 f"{path}, line {number}: expected 16 numbers (a 4x4 matrix, row by row), "
-                f"got {len(values)}; mend or remove the line"
+                f"got {len(values)}; fix or remove the line"
             )
         rows.append(values)
     return np.array(rows, dtype=np.float64).reshape(-1, 4, 4)
 
 
 def read_replica_traj(path: PathLike, fps: float = 30.0) -> Trajectory:
-    """Read Replica's `traj.txt`: camera-to-world matrices, one a line, at index / fps seconds.
+    """Read Replica's `traj.txt`: one camera-to-world matrix per line.
+
+    The format has no timestamps; frame i gets i / fps seconds.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a line is not 16 numbers, or a pose is not a rigid motion.
+        FormatError: a line does not consist of 16 numbers, or a pose is not a rigid motion.
     """
     poses = read_matrix_lines(path)
     return _checked(path, np.arange(len(poses)) / fps, poses)
 
 
 def read_matrix(path: PathLike) -> NDArray[np.float64]:
-    """The 4x4 or 3x3 matrix that fills a text file; infinite entries are allowed.
+    """Read a text file that contains a 4x4 or 3x3 matrix; infinite entries are allowed.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: it holds no such matrix.
+        FormatError: the content is not such a matrix.
     """
     rows = [values for _, values in number_lines(path)]
     side = len(rows)
     if side not in (3, 4) or any(len(row) != side for row in rows):
-        raise FormatError(f"{path} must hold a 4x4 or 3x3 matrix, one row a line; export it again")
+        raise FormatError(
+            f"{path} must contain a 4x4 or 3x3 matrix, one row per line; export it again"
+        )
     return np.array(rows)
 
 
 def read_open3d_log(path: PathLike, fps: float = 30.0) -> Trajectory:
-    """Read Open3D's `.log`: a line of three integers, then a 4x4 matrix, for each frame.
+    """Read Open3D's `.log`: for each frame a line of three integers and a 4x4 matrix.
 
-    The format has no times; frame i gets i / fps seconds.
+    The format has no timestamps; frame i gets i / fps seconds.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: the lines do not come in such groups of five.
+        FormatError: the lines do not form such groups of five.
     """
     rows = [values for _, values in number_lines(path)]
     groups = [rows[i : i + 5] for i in range(0, len(rows), 5)]
     if any([len(row) for row in group] != [3, 4, 4, 4, 4] for group in groups):
         raise FormatError(
-            f"{path} is no Open3D log: expected groups of one line with 3 integers and "
+            f"{path} is not an Open3D log: expected groups of one line with 3 integers and "
             f"4 lines with 4 numbers; save the trajectory again"
         )
     poses = np.array([group[1:] for group in groups]).reshape(-1, 4, 4)
@@ -151,7 +156,7 @@ def read_open3d_log(path: PathLike, fps: float = 30.0) -> Trajectory:
 
 
 def text_lines(path: PathLike) -> Iterator[tuple[int, str]]:
-    """The lines of a text file that hold something, with their numbers from 1; # comments go.
+    """Yield the non-empty lines of a text file without # comments, with line numbers from 1.
 
     Raises:
         DatasetError: the file cannot be read.
@@ -168,17 +173,17 @@ def text_lines(path: PathLike) -> Iterator[tuple[int, str]]:
 
 
 def number_lines(path: PathLike) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """The numbers of each line that holds any, with its line number from 1.
+    """Yield the numbers of each non-empty line, with line numbers from 1.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: a word is not a number.
+        FormatError: a token is not a number.
     """
     for number, line in text_lines(path):
         try:
             values = np.array([float(word) for word in line.replace(",", " ").split()])
         except ValueError as error:
-            raise FormatError(f"{path}, line {number}: {error}; mend or remove the line") from error
+            raise FormatError(f"{path}, line {number}: {error}; fix or remove the line") from error
         yield number, values
 
 
@@ -194,4 +199,4 @@ def _checked(path: PathLike, times_s: NDArray, poses: NDArray) -> Trajectory:
     try:
         return Trajectory(times_s, poses)
     except FormatError as error:
-        raise FormatError(f"{path}: {error}; mend the file") from error
+        raise FormatError(f"{path}: {error}; correct the file") from error

@@ -129,7 +129,7 @@ def faiss() -> ModuleType:
         import faiss as module
     except (ImportError, OSError) as error:
         raise DependencyError(
-            f"FAISS cannot be loaded ({error}); mend it with: pip install faiss-cpu"
+            f"FAISS cannot be loaded ({error}); fix it with: pip install faiss-cpu"
         ) from error
     return module
 

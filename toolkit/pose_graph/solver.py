@@ -137,7 +137,7 @@ def _gtsam() -> ModuleType:
         import gtsam
     except ImportError as error:
         raise DependencyError(
-            f"pose graphs need GTSAM, which cannot be loaded ({error}); mend it with: "
+            f"pose graphs need GTSAM, which cannot be loaded ({error}); fix it with: "
             f"pip install 'gtsam>=4.3'"
         ) from error
     return gtsam

@@ -26,7 +26,7 @@ def transformers() -> ModuleType:
         import transformers as module
     except (ImportError, OSError) as error:
         raise DependencyError(
-            f"transformers cannot be loaded ({error}); mend it with: {_MEND}"
+            f"transformers cannot be loaded ({error}); fix it with: {_MEND}"
         ) from error
     return module
 

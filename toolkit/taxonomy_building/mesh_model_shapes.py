@@ -52,7 +52,7 @@ class MeshModelShapes:
             package = importlib.import_module(PACKAGE)
         except ImportError as error:
             raise DependencyError(
-                f"shapes from a mesh model need {PACKAGE} ({error}); mend it with: "
+                f"shapes from a mesh model need {PACKAGE} ({error}); fix it with: "
                 "pip install meshgpt-pytorch"
             ) from error
         try:

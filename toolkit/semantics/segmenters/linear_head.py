@@ -149,7 +149,7 @@ def _safetensors() -> ModuleType:
         import safetensors.torch
     except ImportError as error:
         raise DependencyError(
-            f"safetensors cannot be loaded ({error}); mend it with: pip install "
+            f"safetensors cannot be loaded ({error}); fix it with: pip install "
             "'semsplat[semantics]'"
         ) from error
     return safetensors.torch
