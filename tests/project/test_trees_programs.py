@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from benchmarks.results_file import read_results
+
 DRAW = """
 import sys
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
@@ -22,10 +24,11 @@ def test_the_shipped_trees_are_made_again_byte_for_byte(run_python, checkout, tm
 def test_the_benchmark_measures_every_list_and_its_checks(run_python, tmp_path):
     result = run_python("-m", "benchmarks.taxonomies", "--out", str(tmp_path))
     assert result.returncode == 0, result.stderr
-    rows = [line.split(" | ") for line in result.stdout.splitlines() if line.startswith("| ")]
-    kinds = {(row[0].removeprefix("| "), row[2]) for row in rows[1:]}
+    results = read_results(tmp_path / "taxonomies.md")
+    kinds = {(name, tree) for name, _, tree, *_ in results.table().rows}
     assert {("replica", "rules"), ("objects_550", "random"), ("nyu40", "alphabetical")} <= kinds
-    assert (tmp_path / "taxonomies.md").read_text() in result.stdout
+    assert results.header.command == f"python -m benchmarks.taxonomies --out {tmp_path.name}"
+    assert results.markdown() in result.stdout
 
 
 def test_drawing_leaves_pyplot_alone(run_python, tmp_path):
