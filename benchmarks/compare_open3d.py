@@ -30,7 +30,7 @@ import tyro
 from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
-from benchmarks.tables import Table
+from benchmarks.tables import Table, Target, target_table
 
 RowName = Literal["dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat"]
 Figures = dict[str, float | None]
@@ -149,6 +149,18 @@ def comparison_table(rows: dict[str, Figures]) -> Table:
     return Table(("method", *(title for title, _, _ in COLUMNS)), tuple(cells))
 
 
+def targets(rows: dict[str, Figures]) -> list[Target]:
+    """What semsplat's time per frame should be, relative to Open3D's dense SLAM."""
+    ours, theirs = rows.get(TITLES["semsplat"], {}), rows.get(TITLES["dense-slam"], {})
+    track, both, whole = ours.get("track_ms"), ours.get("integrate_ms"), theirs.get("frame_ms")
+    if track is None or both is None or not whole:
+        return []
+    return [
+        Target("tracking, of Open3D's whole frame", track / whole, at_most=1.5),
+        Target("tracking and mapping, of Open3D's whole frame", (track + both) / whole, at_most=5),
+    ]
+
+
 def median_figures(runs: list[Figures]) -> Figures:
     """The median of each figure over runs, None where no run has it."""
     keys = [key for _, key, _ in COLUMNS]
@@ -212,13 +224,9 @@ def main(arguments: Arguments) -> int:
                 _log.error("%s: %s", name, error)
                 rows[f"{TITLES[name]}: failed"] = {}
     place = arguments.sequence or arguments.dataset.path.name
-    results = Results(
-        f"open3d-{place}",
-        f"Open3D and semsplat on {place}",
-        NOTE,
-        header,
-        (comparison_table(rows),),
-    )
+    tables = [comparison_table(rows), *([target_table(targets(rows))] if targets(rows) else [])]
+    title = f"Open3D and semsplat on {place}"
+    results = Results(f"open3d-{place}", title, NOTE, header, tuple(tables))
     everything = arguments.rows == get_args(RowName) and arguments.max_frames is None
     if arguments.sequence and everything and not failed:
         publish(results, arguments.out)

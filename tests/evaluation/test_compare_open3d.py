@@ -67,3 +67,14 @@ def test_the_machine_is_described_in_one_line() -> None:
     assert "\n" not in line
     assert "cores" in line
     assert "torch" in line
+
+
+def test_times_are_judged_relative_to_dense_slam() -> None:
+    rows: dict[str, compare.Figures] = {
+        compare.TITLES["semsplat"]: {"track_ms": 60.0, "integrate_ms": 90.0},
+        compare.TITLES["dense-slam"]: {"frame_ms": 30.0},
+    }
+    tracking, both = compare.targets(rows)
+    assert (tracking.value, tracking.met) == (2.0, False)
+    assert (both.value, both.met) == (5.0, True)
+    assert compare.targets({compare.TITLES["semsplat"]: {"track_ms": 60.0}}) == []
