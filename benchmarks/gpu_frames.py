@@ -180,7 +180,7 @@ def _frame_cells(found: Walked, plan: Plan) -> list[object]:
 def frame_table(plan: Plan) -> None:
     """A walk tracked and mapped, every fifth frame by 30 steps, without and with semantics."""
     frames = walked(plan)
-    keyframes = KeyframePolicy(interval=INTERVAL, least_overlap=0.0)
+    keyframes = KeyframePolicy(interval=INTERVAL, min_overlap=0.0)
     options = _quick(MapperOptions(iterations=30, keyframes=keyframes), plan)
     size = f"{plan.size[0]}x{plan.size[1]}"
     table("Whole frames", "device", "image", "semantic channels", *_FRAME_COLUMNS)

@@ -77,7 +77,7 @@ def walk(backend: Backend, camera: Camera, frames: int, device: str, classes: in
     out = []
     for index in range(frames):
         view = draw_surface(
-            backend, cloud, camera, se3.inverse(pose_of(index)), DrawOptions(least_silhouette=0.9)
+            backend, cloud, camera, se3.inverse(pose_of(index)), DrawOptions(min_silhouette=0.9)
         )
         rgb = view.output.colour.clamp(0.0, 1.0).contiguous().cpu().numpy()
         depth_m = view.depth_m.cpu().numpy()

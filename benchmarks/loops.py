@@ -51,14 +51,14 @@ Values = dict[str, Any]
 # Every registration is accepted.
 _BELIEVE_ALL: Values = {
     "verification": {
-        "least_overlap": 0.0,
-        "least_inliers": 0.0,
-        "least_class_agreement": 0.0,
-        "most_intensity": 1e9,
-        "most_depth_m": 1e9,
-        "least_information": 0.0,
+        "min_overlap": 0.0,
+        "min_inliers": 0.0,
+        "min_class_agreement": 0.0,
+        "max_intensity_residual": 1e9,
+        "max_depth_residual_m": 1e9,
+        "min_information": 0.0,
     },
-    "closing": {"least_visible": 0.0, "least_shared": 0.0},
+    "closing": {"min_visible": 0.0, "min_shared": 0.0},
     "pose_graph": {
         "consistency": {"odometry_confidence": 1.0, "pair_confidence": 1.0},
         "retraction": {"confidence": 1.0},
@@ -66,7 +66,7 @@ _BELIEVE_ALL: Values = {
     },
 }
 # No class is ever seen as often, so that landmarks have no effect.
-_NO_LANDMARKS: Values = {"landmarks": {"least_count": 10**9}}
+_NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}
 ROWS: dict[str, Values] = {
     "no loops": {"use": False},
     "descriptor alone": _BELIEVE_ALL | _NO_LANDMARKS,
@@ -211,7 +211,7 @@ def false_edges(result: SlamResult, dataset: Dataset) -> int:
         T_world_first, T_world_second = anchors[loop.first], anchors[loop.second]
         assert T_world_first is not None and T_world_second is not None
         error = loop.residual(T_world_first, T_world_second)
-        count += bool(np.linalg.norm(error[:3]) > LoopTruthOptions().most_distance_m)
+        count += bool(np.linalg.norm(error[:3]) > LoopTruthOptions().max_distance_m)
     return count
 
 
@@ -258,7 +258,7 @@ class DescribedSequence:
         positions_m = views.T_world_camera[:, :3, 3]
         steps_m = np.linalg.norm(np.diff(positions_m, axis=0, prepend=positions_m[:1]), axis=1)
         frames = np.arange(0, len(views), _EVERY)
-        anywhere = LoopTruthOptions(most_distance_m=np.inf, least_overlap=0.0)
+        anywhere = LoopTruthOptions(max_distance_m=np.inf, min_overlap=0.0)
         pairs = np.ix_(frames, frames)
         return cls(
             np.cumsum(steps_m)[frames],

@@ -132,7 +132,7 @@ PARTS: dict[PartName, Part] = {
 # What a sequence changes besides the dataset.
 _ALWAYS: Values = {"loops": {"closing": {"drift_confidence": 0.01}}}
 _CHANGES: dict[str, Values] = {
-    "office0, many submaps": {"submaps": {"allocation": {"most_keyframes": 5}}},
+    "office0, many submaps": {"submaps": {"allocation": {"max_keyframes": 5}}},
     "redkitchen, always corrected": _ALWAYS,
     "ring, always corrected": _ALWAYS,
 }
@@ -153,7 +153,7 @@ PAIRS = 8  # of each room
 # No class is ever seen as often, so that landmarks have no effect.
 _NEVER = 10**9
 LANDMARK_ROWS: dict[str, Values] = {
-    "descriptor alone": {"least_count": _NEVER},
+    "descriptor alone": {"min_count": _NEVER},
     "pixels (default)": {},
     "Gaussians": {"counted": "gaussians"},
     "pixels, weighted as printed": {"weighting": "paper"},

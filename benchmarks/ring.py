@@ -94,7 +94,7 @@ class Row:
 
 NO_REFINEMENT = {"mapping": {"final_iterations": 0}}
 NO_LOOPS = {"loops": {"use": False}}
-PLACES_ONLY = {"submaps": {"allocation": {"least_divergence": 0.0}}}
+PLACES_ONLY = {"submaps": {"allocation": {"min_divergence": 0.0}}}
 MOTION = {"submaps": {"allocation": {"rule": "motion"}}}
 
 

@@ -63,7 +63,7 @@ class MappedView:
         settings = validated(
             RunSettings,
             {
-                "mapping": {"first_iterations": 1, "seeding": {"largest_cell": 1}},
+                "mapping": {"first_iterations": 1, "seeding": {"max_cell": 1}},
                 "semantics": {
                     "code": {"kind": kind},
                     "loss": {"inter_pixels": inter or 0, "inter_from": 0},

@@ -46,7 +46,7 @@ def opaque_map_of_first_frame() -> GaussianCloud:
     """The same as the papers seed it: one wide Gaussian per pixel leaves no holes in their mask."""
     frame = first_steps().frames[0]
     everywhere = np.ones_like(frame.depth_m, dtype=bool)
-    return seed(frame, np.eye(4), everywhere, SeedingOptions(1.0, 0.95, largest_cell=1))
+    return seed(frame, np.eye(4), everywhere, SeedingOptions(1.0, 0.95, max_cell=1))
 
 
 def distance_mm(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> float:

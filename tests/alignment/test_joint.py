@@ -78,7 +78,7 @@ def test_every_pair_has_an_exposure_of_its_own(submaps: Scene, pairs):
 
 def test_no_step_is_longer_than_allowed(submaps: Scene, pairs):
     start = submaps.T_target_source @ motion(1, 0.1, 4.0)
-    short = replace(OPTIONS, levels=1, iterations=1, most_translation_m=0.01)
+    short = replace(OPTIONS, levels=1, iterations=1, max_translation_m=0.01)
     found = align(pairs, Estimate(start), short)
     assert error(found.T_target_source, start)[0] <= 10.0 + 1e-6
 

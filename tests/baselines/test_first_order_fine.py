@@ -49,7 +49,7 @@ def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, semantic
         features=source.gaussians.features,
     )
     # All pixels: where the mask's border moves, the loss jumps.
-    options = FirstOrderFineOptions(least_silhouette=-1.0, feature=5.0)
+    options = FirstOrderFineOptions(min_silhouette=-1.0, feature=5.0)
     view_features = None
     if source is not None:
         view_features = ViewFeatures(ViewDescriber(Thumbnails(), source), semantics)

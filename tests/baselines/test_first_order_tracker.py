@@ -80,7 +80,7 @@ def test_pose_gradient_is_the_derivative_by_a_left_perturbation():
 @BOTH
 def test_pose_gradient_is_the_derivative_of_the_rendered_loss(room, opaque_map, preset):
     """Through the loss and the renderer, as the tracker chains them."""
-    frame, weights = room.frames[1], replace(PRESETS[preset], least_silhouette=0.5)
+    frame, weights = room.frames[1], replace(PRESETS[preset], min_silhouette=0.5)
     rgb = torch.from_numpy(np.ascontiguousarray(frame.rgb.transpose(2, 0, 1)))
     depth_m = torch.from_numpy(frame.depth_m)
     T_camera_map = se3.inverse(room.T_map_camera[1] @ small_motion(1, 0.02, 1.0))
@@ -304,7 +304,7 @@ def labelled_map(room: Room, gaussians: GaussianCloud) -> GaussianCloud:
 @BOTH
 def test_semantic_term_has_the_gradient_of_its_loss(room, opaque_map, preset, monkeypatch):
     """Through code, loss and renderer to the pose, features alone being compared."""
-    monkeypatch.setitem(PRESETS, preset, replace(PRESETS[preset], least_silhouette=0.5))
+    monkeypatch.setitem(PRESETS, preset, replace(PRESETS[preset], min_silhouette=0.5))
     gaussians = labelled_map(room, opaque_map)
     options = FirstOrderOptions(preset, semantic=0.5)
     tracker = FirstOrderTracker(options, code=binary_code(CLASSES))

@@ -18,7 +18,7 @@ QUICK = [
     *("--mapping.iterations", "3"),
     *("--mapping.final-iterations", "1"),
     *("--mapping.keyframes.interval", "1"),
-    *("--loops.candidates.least-gap-frames", "100"),
+    *("--loops.candidates.min-gap-frames", "100"),
 ]
 
 

@@ -157,10 +157,10 @@ def test_unsure_gaussians_can_be_left_out(room_run, capsys):
     chairs = np.flatnonzero(columns["label"] == IDS["chair"])
     columns["confidence"][chairs[: len(chairs) // 2]] = 0.3
     write_splat_ply(room_run / "map.ply", splats, columns)
-    (answer,) = printed_json(capsys, room_run, "chair", "--least-confidence", "0.5")
+    (answer,) = printed_json(capsys, room_run, "chair", "--min-confidence", "0.5")
     assert answer["gaussians"] == len(chairs) // 2
     assert len(answer["objects"]) == 1
-    line = one_line_of_error(capsys, "query", room_run, "chair", "--least-confidence", "0.95")
+    line = one_line_of_error(capsys, "query", room_run, "chair", "--min-confidence", "0.95")
     assert "holds no 'chair' with confidence 0.95 or more" in line
 
 
@@ -180,7 +180,7 @@ def test_without_a_floor_it_says_so(finished, capsys):
         (["chair", "--cloud", "FOLDER/a.obj"], "must end in .ply or .pcd"),
         (["chair", "--mesh", "FOLDER/no/a.ply"], "there is no folder"),
         (["--summary", "FOLDER/scene.txt"], "must end in .json"),
-        (["chair", "--least-confidence", "2"], "--least-confidence"),
+        (["chair", "--min-confidence", "2"], "--min-confidence"),
         (["chair", "--link-m", "0"], "--link-m"),
         (["chair", "--mesh", "FOLDER/a.ply", "--every", "0"], "--every"),
         (["chair", "--floor", "flor"], "did you mean floor"),

@@ -111,7 +111,7 @@ def test_a_run_fits_itself(room_runs, tmp_path):
 
 def test_what_cannot_be_verified_leaves_nothing(room_runs, tmp_path, capsys):
     words = [room_runs.a, room_runs.b, "--out", tmp_path / "m", *FAST]
-    line = error_of(capsys, "register", *words, "--verification.least-overlap", "1.0")
+    line = error_of(capsys, "register", *words, "--verification.min-overlap", "1.0")
     assert "% overlap" in line and "can be verified" in line
     assert not (tmp_path / "m").exists()
 

@@ -156,7 +156,7 @@ def test_bad_input(room_runs, tmp_path, capsys, words, said):
 
 def test_a_camera_that_is_nowhere_maps_on_its_own(room_runs, tmp_path):
     """Patience is shorter than the walk, and nothing may count as found."""
-    more = ["--loops.relocalisation.patience", "2", "--loops.relocalisation.least-visible", "1.0"]
+    more = ["--loops.relocalisation.patience", "2", "--loops.relocalisation.min-visible", "1.0"]
     words = walk(room_runs.recordings[1], tmp_path / "run", "--map", str(room_runs.a), *more)
     assert main([*words, "--loops.closing.no-between"]) == 0
     frames = json.loads((tmp_path / "run/frames.json").read_text())

@@ -35,7 +35,7 @@ from toolkit.submaps.atlas import Atlas, BoundaryOptions
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(
-    search_every=1, least_gap_frames=4, least_gap_m=0.0, distance=0.5, most_landmark_distance=2.0
+    search_every=1, min_gap_frames=4, min_gap_m=0.0, distance=0.5, max_landmark_distance=2.0
 )
 
 
@@ -81,7 +81,7 @@ DRIFT = se3.exp(np.array([0.02, 0.0, 0.015, 0.0, 0.01, 0.0]))
 
 
 def closed(
-    frames, registrar_changes=None, log=None, options=None, nearby_changes=None, most_keyframes=3
+    frames, registrar_changes=None, log=None, options=None, nearby_changes=None, max_keyframes=3
 ):
     """An atlas of three submaps, the last of which drifted, and its closer.
 
@@ -89,7 +89,7 @@ def closed(
     """
     atlas = Atlas(
         Mapper(FEW, np.random.default_rng(0)),
-        Allocation(AllocationOptions(most_keyframes=most_keyframes), 0),
+        Allocation(AllocationOptions(max_keyframes=max_keyframes), 0),
         boundary=BoundaryOptions(steps=0),
     )
     truth = {0: np.eye(4)}
@@ -156,7 +156,7 @@ class TestBetween:
     def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
         # As between identical rooms, where the views do agree.
-        options = ClosingOptions(least_shared=0.0)
+        options = ClosingOptions(min_shared=0.0)
         atlas, closer, registrar = closed(frames, {"wrong": True}, log, options)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
@@ -184,7 +184,7 @@ class TestBetween:
 
     def test_submaps_that_fit_prove_no_other_suspicion(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
-        options = ClosingOptions(least_shared=1.01)
+        options = ClosingOptions(min_shared=1.01)
         atlas, closer, _ = closed(frames, log=log, options=options)
         assert not closer.close_between(atlas, atlas.active) and not closer.loops
         refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "verified"]
@@ -215,7 +215,7 @@ class TestWithin:
         away[0, 3] = 4.0
         moved = [(f, away @ T if f.index >= 20 else T) for f, T in frames]
         log = LoopLog(tmp_path / "loops.jsonl")
-        atlas, closer, _ = closed(moved, log=log, most_keyframes=100)
+        atlas, closer, _ = closed(moved, log=log, max_keyframes=100)
         before = bits(atlas)
         assert not closer.close_within(atlas) and bits(atlas) == before
         records = read_loop_log(tmp_path / "loops.jsonl")
@@ -235,7 +235,7 @@ class TestWithin:
 
         monkeypatch.setattr(keyframe_loops, "measure_offset", true_offset)
         options = ClosingOptions(mapping_iterations=iterations)
-        atlas, closer, _ = closed(frames, options=options, most_keyframes=100)
+        atlas, closer, _ = closed(frames, options=options, max_keyframes=100)
         before = dict(atlas.keyframe_poses(0))
         corrected: dict[int, np.ndarray] = {}
         stepped: list[int] = []
@@ -273,7 +273,7 @@ class TestSettle:
         atlas, closer, _ = closed(frames)
         atlas.rest()
         parts, last = closer._parts, atlas.active
-        loops = SubmapLoops(parts, ClosingOptions(most_partners=most), lambda *_: None)
+        loops = SubmapLoops(parts, ClosingOptions(max_partners=most), lambda *_: None)
         held = {(0, last)}
         pairs = loops.overlapping(atlas, held)
         assert held <= set(pairs) and pairs == sorted(set(pairs))

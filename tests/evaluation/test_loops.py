@@ -43,7 +43,7 @@ def circling(second_round_rad: float = 0.0) -> TrueViews:
 
 
 # A frame of the circle is 19 cm; half a metre and an interval of two frames leave no doubt.
-OPTIONS = LoopTruthOptions(interval=2, least_gap_frames=30, least_gap_m=1.0)
+OPTIONS = LoopTruthOptions(interval=2, min_gap_frames=30, min_gap_m=1.0)
 
 
 def test_each_interval_of_the_second_round_meets_the_first():
@@ -59,7 +59,7 @@ def test_each_interval_of_the_second_round_meets_the_first():
 def test_back_to_back_is_a_loop_by_position_alone():
     views = circling(math.pi)
     assert not true_intervals(views, OPTIONS).any()
-    alone = replace(OPTIONS, least_overlap=0.0)
+    alone = replace(OPTIONS, min_overlap=0.0)
     np.testing.assert_array_equal(true_intervals(views, alone), true_intervals(circling(), alone))
 
 
@@ -75,10 +75,10 @@ def test_overlap_is_the_smaller_of_both_directions():
 
 def test_the_gap_asks_for_frames_and_metres():
     views = circling()
-    assert not true_intervals(views, replace(OPTIONS, least_gap_frames=110)).any()
-    assert not true_intervals(views, replace(OPTIONS, least_gap_m=22.0)).any()
+    assert not true_intervals(views, replace(OPTIONS, min_gap_frames=110)).any()
+    assert not true_intervals(views, replace(OPTIONS, min_gap_m=22.0)).any()
     short = true_intervals(
-        views, replace(OPTIONS, least_gap_frames=1, least_gap_m=0.0, most_distance_m=0.7)
+        views, replace(OPTIONS, min_gap_frames=1, min_gap_m=0.0, max_distance_m=0.7)
     )
     assert short[10, 9]
 
@@ -86,7 +86,7 @@ def test_the_gap_asks_for_frames_and_metres():
 def test_pairs_within_the_gap_do_not_count_against_an_interval():
     views = circling()
     still = replace(views, T_world_camera=np.repeat(views.T_world_camera[:1], 200, axis=0))
-    options = LoopTruthOptions(least_gap_frames=5, least_gap_m=0.0, interval=2)
+    options = LoopTruthOptions(min_gap_frames=5, min_gap_m=0.0, interval=2)
     truth = true_intervals(still, options)
     # Of frames 4, 5 and 0, 1 only the pair (5, 0) is beyond the gap; of 2, 3 and 0, 1 none.
     assert truth[2, 0]
@@ -96,7 +96,7 @@ def test_pairs_within_the_gap_do_not_count_against_an_interval():
 def test_every_admissible_pair_of_two_intervals_must_be_close():
     # Six frames are 0.95 m of the circle: no two such intervals are within half a metre.
     assert not true_intervals(circling(), replace(OPTIONS, interval=6)).any()
-    wide = replace(OPTIONS, interval=6, most_distance_m=1.2)
+    wide = replace(OPTIONS, interval=6, max_distance_m=1.2)
     assert true_intervals(circling(), wide).any()
 
 

@@ -12,7 +12,7 @@ from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.geometry.trajectory import Trajectory
 
-GAP = LoopTruthOptions(least_gap_frames=6, least_gap_m=0.0)
+GAP = LoopTruthOptions(min_gap_frames=6, min_gap_m=0.0)
 
 
 class There:

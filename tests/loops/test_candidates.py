@@ -24,7 +24,7 @@ pytest.importorskip("faiss")
 D = 32
 PLACES = 30
 THRESHOLD = 0.3
-OPTIONS = CandidateOptions(search_every=1, least_gap_frames=50, least_gap_m=1.0)
+OPTIONS = CandidateOptions(search_every=1, min_gap_frames=50, min_gap_m=1.0)
 
 
 def looks() -> np.ndarray:
@@ -72,7 +72,7 @@ def test_the_second_round_finds_the_first():
 
 
 def test_landmarks_rank_what_descriptors_confuse():
-    finder, _ = walked(replace(OPTIONS, most_landmark_distance=2.0), PLACES + 20)
+    finder, _ = walked(replace(OPTIONS, max_landmark_distance=2.0), PLACES + 20)
     # Place 20 is seen again, in a light that makes it look like 5 rather than like itself.
     again = finder.add(replace(keyframe(PLACES + 20), descriptor=LOOKS[5]))
     assert accepted(again)[0] == 20
@@ -90,7 +90,7 @@ def test_landmarks_that_differ_refuse_a_twin():
 
 
 def test_each_submap_has_its_turn_where_places_are_twins():
-    finder = CandidateFinder(D, THRESHOLD, replace(OPTIONS, kept=2, least_gap_frames=1))
+    finder = CandidateFinder(D, THRESHOLD, replace(OPTIONS, kept=2, min_gap_frames=1))
     aside = np.eye(D, dtype=np.float32)[0]
     nothing = np.zeros(0, np.int64)
 
@@ -116,7 +116,7 @@ def test_every_weighting_tells_a_twin_from_the_place_itself(weighting):
 
 
 def test_every_considered_keyframe_is_returned_once_with_a_reason():
-    options = replace(OPTIONS, considered=7, kept=2, distance=1.0, most_landmark_distance=2.0)
+    options = replace(OPTIONS, considered=7, kept=2, distance=1.0, max_landmark_distance=2.0)
     _, found = walked(options)
     for candidates in found[PLACES:]:
         assert len(candidates) == len({c.match for c in candidates}) == 7
@@ -219,7 +219,7 @@ def test_a_keyframe_out_of_order_or_of_other_classes_is_refused():
 
 def test_a_finder_from_settings_takes_the_describers_threshold():
     describer = ViewDescriber(BuiltinEncoder())
-    candidates = CandidateSettings(search_every=1, least_gap_frames=1, least_gap_m=0.0)
+    candidates = CandidateSettings(search_every=1, min_gap_frames=1, min_gap_m=0.0)
     landmarks = LandmarkSettings(weighting="linear")
     settings = LoopSettings(candidates=candidates, landmarks=landmarks)
     finder = build_candidate_finder(settings, describer)

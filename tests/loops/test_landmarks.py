@@ -69,8 +69,8 @@ def test_a_stray_gaussian_moves_only_the_papers_vector():
     vectors = landmark_vectors(two_strays)
     assert landmark_distance(vectors[0], vectors[1]) == pytest.approx(0.0, abs=1e-12)
     map_counts = COUNTS.sum(axis=0)
-    printed = landmark_vectors(two_strays, LandmarkOptions("paper", least_count=1), map_counts)
-    floored = landmark_vectors(two_strays, LandmarkOptions("paper", least_count=100), map_counts)
+    printed = landmark_vectors(two_strays, LandmarkOptions("paper", min_count=1), map_counts)
+    floored = landmark_vectors(two_strays, LandmarkOptions("paper", min_count=100), map_counts)
     assert printed[0, DESK] > 0.9  # of 1: one Gaussian of 8,901
     assert floored[0, DESK] < printed[0, DESK]
 
@@ -78,7 +78,7 @@ def test_a_stray_gaussian_moves_only_the_papers_vector():
 def test_the_papers_weighting_is_equation_7():
     counts, map_counts = np.array([[400, 100]]), np.array([5000, 500])
     expected = np.array([500 / 400, 500 / 100]) * np.log(5500 / np.array([5001, 501]))
-    vector = landmark_vectors(counts, LandmarkOptions("paper", least_count=1), map_counts)[0]
+    vector = landmark_vectors(counts, LandmarkOptions("paper", min_count=1), map_counts)[0]
     np.testing.assert_allclose(vector, expected / np.linalg.norm(expected))
     np.testing.assert_allclose(gaussian_idf(map_counts), np.log(5500 / np.array([5001, 501])))
     with pytest.raises(ValueError, match="map_counts"):

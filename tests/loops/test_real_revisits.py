@@ -33,7 +33,7 @@ def test_the_way_back_is_recognised(kitchen):
     poses = np.array([truth.at(frame.timestamp_s) for frame in frames])
     steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, prepend=poses[:1, :3, 3]), axis=1)
     encoder = BuiltinEncoder()
-    options = CandidateOptions(search_every=1, least_gap_frames=4)
+    options = CandidateOptions(search_every=1, min_gap_frames=4)
     finder = CandidateFinder(encoder.dimensions, encoder.threshold, options)
     accepted = []
     for number, frame in enumerate(frames):
@@ -49,11 +49,11 @@ def test_the_way_back_is_recognised(kitchen):
         np.stack([observed_points(dataset.camera, f.depth_m, 300) for f in frames]),
         np.array([far_depth_m(f.depth_m) for f in frames]),
     )
-    strict = LoopTruthOptions(least_gap_frames=4)
+    strict = LoopTruthOptions(min_gap_frames=4)
     score = score_loops(views, range(len(frames)), accepted, strict)
     assert score.with_loop >= 8
     assert score.recall > 0.4
     # Those beyond half a metre see the same from a little farther.
     assert score.precision > 0.6
-    loose = replace(strict, most_distance_m=0.9)
+    loose = replace(strict, max_distance_m=0.9)
     assert score_loops(views, range(len(frames)), accepted, loose).precision > 0.9

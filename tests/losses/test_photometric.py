@@ -61,7 +61,7 @@ def restated(view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossW
     if weights.structure:
         value = value + weights.colour * weights.structure * (1 - ssim_torch(colour, rgb))
     measured = depth_m > 0
-    solid = measured & (surface > 0) & (silhouette > weights.least_silhouette)
+    solid = measured & (surface > 0) & (silhouette > weights.min_silhouette)
     scale = weights.depth_scale_m * depth_m[solid].square().clamp(min=0.25)
     mean = depth_sum[solid] / silhouette[solid]
     error = mean + (surface[solid] - mean).detach() - depth_m[solid]
@@ -151,7 +151,7 @@ class TestRgbdLoss:
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
         _, gradient = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
         direction = torch.zeros_like(images)
-        away = (images[4] - RgbdLossWeights().least_silhouette).abs() > 0.02
+        away = (images[4] - RgbdLossWeights().min_silhouette).abs() > 0.02
         direction[channel] = gradient[channel].sign() * away
         step = 1e-3
         surface, mean = seen(images).depth_m, images[3] / images[4]
@@ -176,7 +176,7 @@ class TestRgbdLoss:
 
     def test_depth_does_not_count_where_the_map_is_thin(self, kernels):
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
-        weights = replace(RgbdLossWeights(), least_silhouette=0.7)
+        weights = replace(RgbdLossWeights(), min_silhouette=0.7)
         _, gradient = rgbd_loss(seen(images), rgb, depth, weights)
         thin = images[4] < 0.69
         assert int(thin.sum()) > 50

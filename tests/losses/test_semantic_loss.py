@@ -198,7 +198,7 @@ def test_ssim_of_the_semantic_colour_has_the_gradient_of_its_loss():
         return semantic_loss_torch(code, (features, silhouette, labels), weights).value
 
     found = semantic_loss_torch(code, (features, silhouette, labels), weights)
-    counted = (labels > 0) & (silhouette >= weights.least_silhouette)
+    counted = (labels > 0) & (silhouette >= weights.min_silhouette)
     assert not found.features[:, ~counted].any() and not found.silhouette[~counted].any()
     step = 1e-6
     for row, column in counted.nonzero()[::60].tolist():

@@ -86,7 +86,7 @@ class TestKeyframe:
     [(1, 1.0, False), (4, 0.9, False), (5, 1.0, True), (9, 0.1, True), (1, 0.79, True)],
 )
 def test_a_keyframe_comes_by_time_or_by_overlap(frames, overlap, wanted):
-    assert KeyframePolicy(interval=5, least_overlap=0.8).wants(frames, overlap) is wanted
+    assert KeyframePolicy(interval=5, min_overlap=0.8).wants(frames, overlap) is wanted
 
 
 class TestWindow:
@@ -94,9 +94,9 @@ class TestWindow:
         """Turning away from the start: early ones no longer overlap the newest."""
         return [keyframe(i, turned(5.0 * i)) for i in range(count)]
 
-    def chosen(self, seed: int, size: int = 6, least_overlap: float = 0.5) -> list[int]:
+    def chosen(self, seed: int, size: int = 6, min_overlap: float = 0.5) -> list[int]:
         generator = np.random.default_rng(seed)
-        return [k.index for k in choose_window(self.path(), size, least_overlap, generator)]
+        return [k.index for k in choose_window(self.path(), size, min_overlap, generator)]
 
     def test_the_newest_comes_first_and_none_twice(self):
         window = self.chosen(0)

@@ -129,7 +129,7 @@ def test_useless_gaussians_are_pruned(room):
 
 
 def test_the_newest_frame_is_wanted_as_the_policy_says(room):
-    mapper = Mapper(replace(UNTOUCHED, keyframes=KeyframePolicy(interval=3, least_overlap=0.0)))
+    mapper = Mapper(replace(UNTOUCHED, keyframes=KeyframePolicy(interval=3, min_overlap=0.0)))
     assert mapper.wants(room.frames[0], room.T_map_camera[0])
     fed(mapper, room, [0])
     wanted = [mapper.wants(room.frames[i], room.T_map_camera[i]) for i in (1, 2, 3, 4)]

@@ -115,7 +115,7 @@ def test_votes_fit_a_gaussian_that_several_classes_show_through():
 def test_geometry_does_not_hear_of_semantics(room):
     # Cells do not span classes, so that the two maps differ in a few Gaussians at borders;
     # with the very same seeds, every value of geometry is the same.
-    single = replace(FEW, seeding=replace(FEW.seeding, largest_cell=1))
+    single = replace(FEW, seeding=replace(FEW.seeding, max_cell=1))
     plain = fed(Mapper(single, np.random.default_rng(3)), room, [0, 4])
     mapper = fed(mapper_with(single), room, [0, 4])
     for name in ("means", "log_radii", "opacity_logits", "colours"):
@@ -124,7 +124,7 @@ def test_geometry_does_not_hear_of_semantics(room):
 
 
 def test_the_papers_gradients_reach_geometry(room):
-    single = replace(FEW, seeding=replace(FEW.seeding, largest_cell=1))
+    single = replace(FEW, seeding=replace(FEW.seeding, max_cell=1))
     free = fed(mapper_with(single, moves_geometry=True, weight=5.0), room, [0])
     still = fed(mapper_with(single, weight=5.0), room, [0])
     assert (free.gaussians.means - still.gaussians.means).abs().max() > 1e-5

@@ -14,7 +14,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 CAMERA = Camera(40.0, 42.0, 15.0, 11.0, 32, 24)
-SINGLE, CELLS, LARGE = (SeedingOptions(largest_cell=n) for n in (1, 2, 4))
+SINGLE, CELLS, LARGE = (SeedingOptions(max_cell=n) for n in (1, 2, 4))
 POSE = se3.exp(np.array([0.5, -0.3, 0.2, 0.3, -0.2, 0.4]))
 
 

@@ -81,7 +81,7 @@ def test_a_keyframe_s_own_observation_fits_the_other_submap(labelled_room: Scene
 
 
 def test_large_images_are_drawn_smaller(room: Scene):
-    drawer = ViewDrawer(largest_width=100)
+    drawer = ViewDrawer(max_width=100)
     keyframe = room.source.keyframes[0]
     assert drawer.camera_of(keyframe).size == (80, 60)
     assert drawer.observed(keyframe).camera == drawer.camera_of(keyframe)

@@ -23,8 +23,8 @@ from toolkit.rendering.reference import ReferenceBackend
 CAMERA = Camera(fx=150.0, fy=150.0, cx=79.5, cy=59.5, width=160, height=120)
 
 
-def fallback(images: Tensor, scene: Scene, least_silhouette: float) -> Tensor:
-    return surface._surface_depth_torch(images, scene.camera, scene.T_camera_map, least_silhouette)
+def fallback(images: Tensor, scene: Scene, min_silhouette: float) -> Tensor:
+    return surface._surface_depth_torch(images, scene.camera, scene.T_camera_map, min_silhouette)
 
 
 def moved(points: Tensor, T: NDArray[np.float64]) -> Tensor:
@@ -80,7 +80,7 @@ def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None
     depth = (2.0 / (1.0 - rays[..., 0] * slope[0] - rays[..., 1] * slope[1])).astype(np.float32)
     frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
     everywhere = np.ones_like(depth, dtype=bool)
-    gaussians = seed(frame, np.eye(4), everywhere, SeedingOptions(largest_cell=1))
+    gaussians = seed(frame, np.eye(4), everywhere, SeedingOptions(max_cell=1))
     view = draw_surface(backend(), gaussians, CAMERA, np.eye(4))
     at_two_metres = np.abs(depth - 2.0) < 0.3
     at_two_metres[:8] = at_two_metres[-8:] = False
@@ -98,7 +98,7 @@ def test_steep_walls_are_drawn_where_they_are(radius: float) -> None:
     depth = 0.5 / np.maximum(CAMERA.rays() @ normal, 1e-9)
     depth = np.where(depth < 6.0, depth, 0.0).astype(np.float32)
     frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
-    options = SeedingOptions(radius=radius, largest_cell=1)
+    options = SeedingOptions(radius=radius, max_cell=1)
     gaussians = seed(frame, np.eye(4), depth > 0, options)
     view = draw_surface(backend(), gaussians, CAMERA, np.eye(4))
     error = abs(view.depth_m.numpy() - depth)

@@ -128,8 +128,8 @@ def test_far_specks_are_noise():
 def test_options_say_what_an_object_is(room):
     node = TAXONOMY.find("chair")
     assert len(room.objects(node, None, ObjectOptions(link_m=0.7))) == 1
-    assert room.objects(node, None, ObjectOptions(least_gaussians=10_000)) == []
-    assert room.objects(node, None, ObjectOptions(least_confidence=0.95)) == []
+    assert room.objects(node, None, ObjectOptions(min_gaussians=10_000)) == []
+    assert room.objects(node, None, ObjectOptions(min_confidence=0.95)) == []
 
 
 def test_what_is_unsure_of_its_class_is_of_its_group(room):

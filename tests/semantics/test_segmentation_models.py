@@ -270,7 +270,7 @@ def test_a_saved_head_labels_as_before(trained, tmp_path):
     np.testing.assert_array_equal(
         HeadSegmenter(encoder, loaded).segment(frame), HeadSegmenter(encoder, head).segment(frame)
     )
-    assert not HeadSegmenter(encoder, loaded, least_confidence=1.0).segment(frame).all()
+    assert not HeadSegmenter(encoder, loaded, min_confidence=1.0).segment(frame).all()
 
 
 def test_a_head_of_another_encoder_is_refused(trained, tiny_dinov2, broken):

@@ -64,9 +64,9 @@ def test_images_pair_as_the_settings_say(tmp_path):
             "h.safetensors is not there",
         ),
         (
-            {"kind": "geometric", "geometric": {"least_camera_height_m": 3.0}},
+            {"kind": "geometric", "geometric": {"min_camera_height_m": 3.0}},
             SettingsError,
-            "must be below most_camera_height_m",
+            "must be below max_camera_height_m",
         ),
     ],
 )
@@ -77,7 +77,7 @@ def test_what_is_missing_is_named(values, error, named):
 
 @pytest.mark.parametrize(
     "values",
-    [{"kind": "magic"}, {"model": {"least_confidence": 1.5}}, {"geometric": {"columns": 4}}],
+    [{"kind": "magic"}, {"model": {"min_confidence": 1.5}}, {"geometric": {"columns": 4}}],
 )
 def test_settings_are_closed_and_ranged(values):
     with pytest.raises(ValidationError):

@@ -26,16 +26,16 @@ def room():
     return first_steps(14)
 
 
-def new_slam(patience=3, most_keyframes=150, folder=None):
+def new_slam(patience=3, max_keyframes=150, folder=None):
     settings = LoopClosureSettings.model_validate(
         {
             "relocalisation": {"patience": patience},
-            "registration": {"coarse": {"matching": {"least_matches": 6}}},
+            "registration": {"coarse": {"matching": {"min_matches": 6}}},
         }
     )
     mapper = Mapper(FEW, np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
-    allocation = Allocation(AllocationOptions(most_keyframes=most_keyframes), 0)
+    allocation = Allocation(AllocationOptions(max_keyframes=max_keyframes), 0)
     atlas = Atlas(mapper, allocation, SubmapStore(folder))
     return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
 
@@ -62,7 +62,7 @@ def test_a_kidnapped_camera_is_found_in_its_submap(room):
 
 
 def test_found_in_another_submap_a_new_one_begins_there(room):
-    slam = new_slam(most_keyframes=3)
+    slam = new_slam(max_keyframes=3)
     fed(slam, room.frames)
     count = len(slam.atlas)
     assert count > 1

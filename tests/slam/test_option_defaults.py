@@ -47,7 +47,7 @@ from toolkit.submaps.atlas import BoundaryOptions
 from toolkit.tracking.placement import PlacementOptions
 
 PAIRS = [
-    (AllocationOptions(), AllocationSettings(least_divergence=0.4)),  # unset: the segmenter's
+    (AllocationOptions(), AllocationSettings(min_divergence=0.4)),  # unset: the segmenter's
     (BoundaryOptions(), BoundarySettings()),
     (VerificationOptions(), VerificationSettings()),
     (ClosingOptions(), ClosingSettings()),

@@ -29,17 +29,17 @@ def room():
     return first_steps(12)
 
 
-def new_slam(patience=3, most_keyframes=150, folder=None, **loops):
+def new_slam(patience=3, max_keyframes=150, folder=None, **loops):
     settings = LoopClosureSettings.model_validate(
         {
             "relocalisation": {"patience": patience},
-            "registration": {"coarse": {"matching": {"least_matches": 6}}},
+            "registration": {"coarse": {"matching": {"min_matches": 6}}},
             **loops,
         }
     )
     mapper = Mapper(replace(FEW, keyframes=KeyframePolicy(interval=2)), np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
-    allocation = Allocation(AllocationOptions(most_keyframes=most_keyframes), 0)
+    allocation = Allocation(AllocationOptions(max_keyframes=max_keyframes), 0)
     atlas = Atlas(mapper, allocation, SubmapStore(folder))
     return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
 
@@ -47,7 +47,7 @@ def new_slam(patience=3, most_keyframes=150, folder=None, **loops):
 @pytest.fixture(scope="module")
 def saved(room):
     """Two submaps of the first half of the path, under the numbers that a saved map has."""
-    slam = new_slam(most_keyframes=3)
+    slam = new_slam(max_keyframes=3)
     fed(slam, room.frames[:8])
     slam.finish()
     assert len(slam.atlas) > 1
@@ -153,8 +153,8 @@ def test_it_goes_on_from_a_checkpoint_to_the_same_bits(room, saved, cut, tmp_pat
 def test_a_submap_of_its_own_is_joined_by_a_loop(room, saved):
     slam = begun(
         saved,
-        relocalisation={"patience": 1, "least_visible": 1.0},  # nothing is ever found
-        candidates={"search_every": 1, "distance": 0.5, "most_landmark_distance": 2.0},
+        relocalisation={"patience": 1, "min_visible": 1.0},  # nothing is ever found
+        candidates={"search_every": 1, "distance": 0.5, "max_landmark_distance": 2.0},
     )
     fed(slam, back(room))
     assert max(errors_m(slam, room)) > 0.1, "it began at a guess"

@@ -94,7 +94,7 @@ class TestOverlap:
 
 class TestAllocation:
     def judge(self, keyframes, classes=0, gaussians=0, **options):
-        values = {"fewest_keyframes": 2, "recent": 1} | options
+        values = {"min_keyframes": 2, "recent": 1} | options
         return Allocation(AllocationOptions(**values), classes).judge(3, keyframes, gaussians)
 
     def test_the_rule_of_motion_looks_at_the_anchor_alone(self, keyframes):
@@ -109,9 +109,9 @@ class TestAllocation:
     def test_each_segmenter_has_its_own_threshold(self):
         labeller = Labeller(GeometricSegmenter(), shipped_taxonomy("geometric"))
         own = allocation_options(AllocationSettings(), labeller)
-        assert own.least_divergence == labeller.segmenter.place_divergence < 0.4
-        asked = allocation_options(AllocationSettings(least_divergence=0.7), labeller)
-        assert asked.least_divergence == 0.7
+        assert own.min_divergence == labeller.segmenter.place_divergence < 0.4
+        asked = allocation_options(AllocationSettings(min_divergence=0.7), labeller)
+        assert asked.min_divergence == 0.7
         assert allocation_options(AllocationSettings(), None) == AllocationOptions()
 
     def test_elsewhere_without_labels_is_enough(self, keyframes):
@@ -135,14 +135,14 @@ class TestAllocation:
 
     def test_small_submaps_go_on(self, keyframes):
         views = [keyframes[0], turned(keyframes[0], 180)]
-        assert not self.judge(views, fewest_keyframes=3).begins
+        assert not self.judge(views, min_keyframes=3).begins
 
     @pytest.mark.parametrize(
         ("options", "gaussians", "word"),
         [
-            ({"most_keyframes": 2}, 0, "keyframes"),
-            ({"most_gaussians": 10}, 10, "Gaussians"),
-            ({"most_path_m": 1e-4}, 0, "path"),
+            ({"max_keyframes": 2}, 0, "keyframes"),
+            ({"max_gaussians": 10}, 10, "Gaussians"),
+            ({"max_path_m": 1e-4}, 0, "path"),
         ],
     )
     def test_caps_act_alone(self, keyframes, options, gaussians, word):
@@ -254,7 +254,7 @@ def cut_slam(room, folder=None, every=2, inherit=True):
     """Maps with given poses, a new submap at every second keyframe."""
     _, truth = room
     mapper = Mapper(FEW, np.random.default_rng(0))
-    allocation = Allocation(AllocationOptions(most_keyframes=every), 0)
+    allocation = Allocation(AllocationOptions(max_keyframes=every), 0)
     boundary = BoundaryOptions(steps=2, inherit=inherit)
     atlas = Atlas(mapper, allocation, SubmapStore(folder, 0.0), boundary)
     return Slam(GivenPoses(truth), mapper, atlas=atlas)

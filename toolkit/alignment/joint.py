@@ -59,7 +59,7 @@ class JointOptions:
         max_distance: gate on depth differences at the finest level, as a share of depth;
             doubled at every coarser level.
         exposure: estimate gain and bias of each pair at the finest level.
-        most_translation_m, most_rotation_rad: longest step.
+        max_translation_m, max_rotation_rad: longest step.
         small_translation_m, small_rotation_rad: a step below both ends the finest level.
     """
 
@@ -67,8 +67,8 @@ class JointOptions:
     iterations: int = 12
     max_distance: float = 0.05
     exposure: bool = True
-    most_translation_m: float = 0.2
-    most_rotation_rad: float = 0.2
+    max_translation_m: float = 0.2
+    max_rotation_rad: float = 0.2
     small_translation_m: float = 1e-4
     small_rotation_rad: float = 5e-5
 
@@ -213,8 +213,8 @@ class _Eliminated:
 def _limited(step: Array, options: JointOptions) -> Array:
     """The step, scaled down if its translation or its rotation is too large."""
     longest = max(
-        float(np.linalg.norm(step[:3])) / options.most_translation_m,
-        float(np.linalg.norm(step[3:])) / options.most_rotation_rad,
+        float(np.linalg.norm(step[:3])) / options.max_translation_m,
+        float(np.linalg.norm(step[3:])) / options.max_rotation_rad,
         1.0,
     )
     return step / longest

@@ -39,8 +39,8 @@ class MatchingOptions:
         tolerance_rad: largest error of direction of a match, but at least 1.5 pixels of the
             coarser of the two cameras.
         tolerance_depth: largest error of depth, as a share of the depth.
-        least_matches: fewest matches that must agree.
-        largest_width: dense alignment halves images until they are no wider.
+        min_matches: fewest matches that must agree.
+        max_width: dense alignment halves images until they are no wider.
         dense: of the dense alignment; a match is good to a pixel or two, so few levels do.
         limits: bounds beyond which the dense alignment is not believed.
         redundancy: so many residuals count as one in the information matrix. Counted one by
@@ -52,8 +52,8 @@ class MatchingOptions:
     hypotheses: int = 500
     tolerance_rad: float = 0.008
     tolerance_depth: float = 0.05
-    least_matches: int = 12
-    largest_width: int = 400
+    min_matches: int = 12
+    max_width: int = 400
     dense: JointOptions = field(default_factory=lambda: JointOptions(levels=3))
     limits: HealthLimits = field(default_factory=HealthLimits)
     redundancy: float = 5.0
@@ -114,9 +114,9 @@ def _refined(
     levels = options.dense.levels
     model = [
         model_level(level)
-        for level in pyramid(limited_to_width(keyframe_level(first), options.largest_width), levels)
+        for level in pyramid(limited_to_width(keyframe_level(first), options.max_width), levels)
     ]
-    frame = pyramid(limited_to_width(keyframe_level(second), options.largest_width), levels)
+    frame = pyramid(limited_to_width(keyframe_level(second), options.max_width), levels)
     pair = Pair(model, frame, np.eye(4), np.eye(4))
     estimate = align([pair], Estimate(start), options.dense)
     measured = float((frame[0].depth_m > 0).sum())
@@ -184,9 +184,9 @@ def _by_features(
     options: MatchingOptions,
     generator: np.random.Generator,
 ) -> tuple[Array, int] | None:
-    """T_first_second and how many matches agree with it; None below `least_matches`."""
+    """T_first_second and how many matches agree with it; None below `min_matches`."""
     matched = match_features(first, second, options)
-    if matched is None or len(matched.first) < options.least_matches:
+    if matched is None or len(matched.first) < options.min_matches:
         return None
     return matched.motion(options, generator)
 
@@ -260,12 +260,12 @@ class Matched:
         best = inliers[int(np.argmax(inliers.sum(axis=1)))]
         T = np.eye(4)
         for _ in range(3):
-            if best.sum() < options.least_matches:
+            if best.sum() < options.min_matches:
                 return None
             T = rigid_fits(self.first[best][None], self.second[best][None])[0]
             best = self.inliers(T[None], options)[0]
         count = int(best.sum())
-        return (T, count) if count >= options.least_matches else None
+        return (T, count) if count >= options.min_matches else None
 
     def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
         """Which matches are inliers [H, n] of which motions [H, 4, 4]."""

@@ -32,9 +32,9 @@ class CloudOptions:
         search: from nothing, FPFH features matched by "ransac" or by "fast" global registration.
         icp: then "point-to-plane", or "coloured" where colour must fix what planes leave free.
         voxel_m: clouds are thinned to one point a voxel for the features, half that for ICP.
-        least_opacity: more transparent Gaussians are left out.
+        min_opacity: more transparent Gaussians are left out.
         hypotheses: of RANSAC.
-        least_fitness: fewer of the source's points on the target's surface are no overlap.
+        min_fitness: fewer of the source's points on the target's surface are no overlap.
         views: of the source, from which the result is judged.
         seed: of RANSAC and fast global registration.
     """
@@ -42,9 +42,9 @@ class CloudOptions:
     search: Literal["ransac", "fast"] = "ransac"
     icp: Literal["point-to-plane", "coloured"] = "point-to-plane"
     voxel_m: float = 0.05
-    least_opacity: float = 0.5
+    min_opacity: float = 0.5
     hypotheses: int = 50000
-    least_fitness: float = 0.1
+    min_fitness: float = 0.1
     views: int = 5
     seed: int = 0
 
@@ -92,7 +92,7 @@ class CloudRegistration:
         if len(found.correspondence_set) == 0:
             return failed(method, "the clouds have no point in common", T_target_source)
         check = check_alignment(target, source, T, self.drawer, self.options.views)
-        enough = found.fitness >= self.options.least_fitness
+        enough = found.fitness >= self.options.min_fitness
         return RegistrationResult(
             T_target_source=T,
             converged=bool(enough),
@@ -109,7 +109,7 @@ class CloudRegistration:
 
     def _cloud(self, o3d: ModuleType, submap: Submap) -> Any:
         """Solid Gaussians' centres with colours, and normals towards the cameras."""
-        solid = submap.gaussians.opacities >= self.options.least_opacity
+        solid = submap.gaussians.opacities >= self.options.min_opacity
         kept = submap.gaussians.select(solid)
         cloud = o3d.geometry.PointCloud(
             o3d.utility.Vector3dVector(kept.means.detach().numpy().astype(np.float64))

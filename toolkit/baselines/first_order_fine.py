@@ -135,7 +135,7 @@ def descend(
             # A motion is judged after its step, so there is one drawing more than steps.
             loss, gradient = objective(T)
             judged += 1
-            since = 0 if loss < threshold * (1.0 - options.least_gain) else since + 1
+            since = 0 if loss < threshold * (1.0 - options.min_gain) else since + 1
             threshold = loss if since == 0 else threshold
             if loss < best:
                 best, best_T = loss, T
@@ -202,8 +202,8 @@ class _Objective:
     def _loss(self, number: int, drawn: RenderOutput) -> Tensor | None:
         """Of one view, a mean over the pixels where both maps are solid."""
         shown, options = self._shown[number], self._options
-        mask = (drawn.silhouette.detach() > options.least_silhouette) & (
-            shown.silhouette > options.least_silhouette
+        mask = (drawn.silhouette.detach() > options.min_silhouette) & (
+            shown.silhouette > options.min_silhouette
         )
         if int(mask.sum()) < _MIN_PIXELS:
             return None

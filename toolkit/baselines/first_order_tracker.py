@@ -91,7 +91,7 @@ class FirstOrderTracker(MovingTracker):
         if code is not None and weight > 0:
             weights = SemanticLossWeights(
                 weight=weight,
-                least_silhouette=preset.least_silhouette,
+                min_silhouette=preset.min_silhouette,
                 moves_geometry=True,
             )
             self._semantic = SemanticLoss(code, weights)

@@ -46,11 +46,11 @@ class QueryProgram:
     """Write what was asked for as a mesh (.ply), drawn alone at the run's poses and fused."""
     summary: Path | None = None
     """Write the whole scene as JSON: the tree with counts, all objects with boxes, the room."""
-    least_confidence: float = 0.0
+    min_confidence: float = 0.0
     """Leave out Gaussians that are less sure of what they are, 0 to 1."""
     link_m: float = 0.06
     """Gaussians of a class that are nearer to each other, in metres, are one object."""
-    least_gaussians: int = 50
+    min_gaussians: int = 50
     """Pieces with fewer are noise."""
     floor: tuple[str, ...] = ()
     """Classes of the floor, which tell what is up; without any those named floor, ground, rug
@@ -79,7 +79,7 @@ def main(argv: Sequence[str]) -> int:
     _check_values(program)
     mesh_options = MeshOptions(program.voxel_m, program.max_depth_m, program.every)
     labelled = load_labelled_run(program.run)
-    chosen = labelled.holding(program.nodes, program.least_confidence)
+    chosen = labelled.holding(program.nodes, program.min_confidence)
     reader = _reader(program, labelled)
     print("\n".join(_printed(program, reader)))
 
@@ -110,9 +110,9 @@ def _check_values(program: QueryProgram) -> None:
     ):
         if path is not None:
             check_output(option, path, suffixes)
-    if not 0.0 <= program.least_confidence <= 1.0:
-        raise SettingsError(f"--least-confidence must be in [0, 1], got {program.least_confidence}")
-    for name in ("link_m", "least_gaussians"):
+    if not 0.0 <= program.min_confidence <= 1.0:
+        raise SettingsError(f"--min-confidence must be in [0, 1], got {program.min_confidence}")
+    for name in ("link_m", "min_gaussians"):
         value = getattr(program, name)
         if not value > 0:
             raise SettingsError(f"--{name.replace('_', '-')} must be positive, got {value}")
@@ -124,7 +124,7 @@ def _reader(program: QueryProgram, labelled: LabelledRun) -> SceneReader:
     poses = [frame.T_map_camera for frame in labelled.run.tracked] or [np.eye(4)]
     return SceneReader(
         labelled.map,
-        ObjectOptions(program.link_m, program.least_gaussians, program.least_confidence),
+        ObjectOptions(program.link_m, program.min_gaussians, program.min_confidence),
         poses[0 if program.distance_from == "first" else -1][:3, 3],
         program.floor or FLOOR_NAMES,
     )

@@ -49,7 +49,7 @@ class KeyframeLoops:
             return None
         apart_m = float(np.linalg.norm(offset.T_first_second[:3, 3]))
         values |= {"matches": offset.matches, "visible": offset.visible, "apart_m": apart_m}
-        if offset.visible < self._options.least_visible:
+        if offset.visible < self._options.min_visible:
             reason = f"only {100 * offset.visible:.0f} % of the view is shared"
             self._record("within", values | verdict(reason))
             return None

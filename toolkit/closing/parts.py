@@ -19,10 +19,10 @@ class ClosingOptions:
 
     Attributes:
         within, between: loops inside submaps and between them.
-        least_visible: share of the second image of a pair that the first must explain.
-        least_shared: share of what a suspected keyframe observed that the other one must see,
+        min_visible: share of the second image of a pair that the first must explain.
+        min_shared: share of what a suspected keyframe observed that the other one must see,
             once their submaps are registered.
-        most_partners: in the end a submap is registered with so many others that it overlaps
+        max_partners: in the end a submap is registered with so many others that it overlaps
             most, besides those a loop joins it to. Of many small ones in a room every pair
             overlaps, and measuring all would take longer than the walk.
         drift_confidence: the keyframes of a submap stay where they are unless its loops
@@ -35,9 +35,9 @@ class ClosingOptions:
 
     within: bool = True
     between: bool = True
-    least_visible: float = 0.4
-    least_shared: float = 0.3
-    most_partners: int = 8
+    min_visible: float = 0.4
+    min_shared: float = 0.3
+    max_partners: int = 8
     drift_confidence: float = 0.99
     mapping_iterations: int = 0
 

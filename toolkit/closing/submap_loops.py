@@ -24,7 +24,7 @@ from toolkit.registration.result import Registrar, RegistrationResult, register_
 from toolkit.submaps.atlas import Atlas
 
 # Two neighbours saw the same things from their boundary.
-_OF_NEIGHBOURS = VerificationOptions(least_overlap=0.15)
+_OF_NEIGHBOURS = VerificationOptions(min_overlap=0.15)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class SubmapLoops:
     def overlapping(self, atlas: Atlas, held: set[tuple[int, int]]) -> list[tuple[int, int]]:
         """Pairs of submaps with a loop, or whose keyframes see the same places.
 
-        Of the latter, those that share most, until both have `most_partners`.
+        Of the latter, those that share most, until both have `max_partners`.
         """
         views = {number: Sights.of(atlas.submap(number)) for number in atlas.readable()}
         # Two submaps of a saved map stay as they are.
@@ -55,7 +55,7 @@ class SubmapLoops:
         shares = {(a, b): views[a].shared(views[b]) for a, b in pairs if (a, b) not in held}
         for pair in sorted(shares, key=lambda pair: (-shares[pair], pair)):
             fewest = min(partners[number] for number in pair)
-            if shares[pair] >= self._options.least_visible and fewest < self._options.most_partners:
+            if shares[pair] >= self._options.min_visible and fewest < self._options.max_partners:
                 chosen.append(pair)
                 partners.update(pair)
         return sorted(chosen)
@@ -144,7 +144,7 @@ class SubmapLoops:
             shared = float(match.reaches(points).mean()) if len(points) else 0.0
             T_first_query = edge.T_first_second @ query.T_map_camera
             apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
-            enough = shared >= self._options.least_shared
+            enough = shared >= self._options.min_shared
             reason = "" if enough else f"the views share only {100 * shared:.0f} %"
             values = {
                 "first": edge.first,

@@ -44,17 +44,17 @@ class LoopTruthOptions:
     """What is a true loop.
 
     Attributes:
-        most_distance_m: of camera centres (G: tau_loop).
-        least_overlap: of the two views, the smaller share of one's observed points in the
+        max_distance_m: of camera centres (G: tau_loop).
+        min_overlap: of the two views, the smaller share of one's observed points in the
             other's frustum; 0 asks for position alone.
-        least_gap_frames, least_gap_m: the detector's own gap, along the true path.
+        min_gap_frames, min_gap_m: the detector's own gap, along the true path.
         interval: frames that are judged together, 1 for each by itself.
     """
 
-    most_distance_m: float = 0.5
-    least_overlap: float = 0.3
-    least_gap_frames: int = 30
-    least_gap_m: float = 0.5
+    max_distance_m: float = 0.5
+    min_overlap: float = 0.3
+    min_gap_frames: int = 30
+    min_gap_m: float = 0.5
     interval: int = 1
 
 
@@ -162,7 +162,7 @@ def true_intervals(views: TrueViews, options: LoopTruthOptions | None = None) ->
             if known[frame]:
                 sums += _pairs_of(views, frame, travelled_m, options)
         pairs, close, overlap = np.add.reduceat(sums, starts, axis=1)
-        truth[row] = (pairs > 0) & (close == pairs) & (overlap >= options.least_overlap * pairs)
+        truth[row] = (pairs > 0) & (close == pairs) & (overlap >= options.min_overlap * pairs)
     return truth
 
 
@@ -177,13 +177,13 @@ def _pairs_of(views: TrueViews, frame: int, travelled_m: Array, options: LoopTru
     """
     positions_m = views.T_world_camera[:, :3, 3]
     with np.errstate(invalid="ignore"):
-        beyond = travelled_m[frame] - travelled_m >= options.least_gap_m
+        beyond = travelled_m[frame] - travelled_m >= options.min_gap_m
         distance_m = np.linalg.norm(positions_m - positions_m[frame], axis=1)
-        close = distance_m < options.most_distance_m
-    beyond &= frame - np.arange(len(views)) >= options.least_gap_frames
+        close = distance_m < options.max_distance_m
+    beyond &= frame - np.arange(len(views)) >= options.min_gap_frames
     close &= beyond
     overlap = np.zeros(len(views))
-    if options.least_overlap > 0 and close.any():
+    if options.min_overlap > 0 and close.any():
         overlap[close] = views.overlaps(frame, np.flatnonzero(close))
     return np.stack([beyond.astype(float), close.astype(float), overlap])
 
@@ -239,7 +239,7 @@ def loop_metrics(
     """
     options = options or LoopTruthOptions()
     pairs = list(accepted)
-    alone = replace(options, least_overlap=0.0)
+    alone = replace(options, min_overlap=0.0)
     metrics: Metrics = {
         "loops_searched": len(set(searched)),
         "loops_accepted": len(set(pairs)),
@@ -267,13 +267,13 @@ def loop_metrics(
 
 
 def _convention(options: LoopTruthOptions) -> str:
-    percent = 100.0 * options.least_overlap
+    percent = 100.0 * options.min_overlap
     intervals = f"two intervals of {options.interval} frames, all pairs of them"
     return _CONVENTION.format(
         what="two frames" if options.interval == 1 else intervals,
-        frames=options.least_gap_frames,
-        metres=options.least_gap_m,
-        tau=options.most_distance_m,
+        frames=options.min_gap_frames,
+        metres=options.min_gap_m,
+        tau=options.max_distance_m,
         overlap=_OVERLAP.format(percent=percent) if percent else "",
     )
 

@@ -44,7 +44,7 @@ def run_loop_metrics(
     verified = [
         (r["query"], r["match"])
         for r in _accepted(records)
-        if r["apart_m"] < options.most_distance_m
+        if r["apart_m"] < options.max_distance_m
     ]
     suspected = [
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]

@@ -26,7 +26,7 @@ class SeedingOptions:
     Attributes:
         radius: standard deviation in units of d / f, the pixel's footprint.
         opacity: start opacity in (0, 1).
-        largest_cell: 1, 2 or 4; plain surfaces get one Gaussian for up to this many
+        max_cell: 1, 2 or 4; plain surfaces get one Gaussian for up to this many
             pixels a side.
         flat_colour: largest colour range within a cell that still counts as plain.
         flat_depth: largest deviation of a cell's depth from a plane, as a share of depth.
@@ -38,7 +38,7 @@ class SeedingOptions:
 
     radius: float = 0.6
     opacity: float = 0.95
-    largest_cell: int = 2
+    max_cell: int = 2
     flat_colour: float = 0.04
     flat_depth: float = 0.005
     choice: Literal["cells", "uniform", "semantic"] = "cells"
@@ -71,7 +71,7 @@ def seed(
         grown = torch.from_numpy(np.log(area[chosen]) / 2).to(cloud.log_radii)
         return replace(cloud, log_radii=cloud.log_radii + grown)
     parts = []
-    cell = options.largest_cell
+    cell = options.max_cell
     while cell >= 1:
         chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell, options)
         parts.append(_seed_cells(frame, T_map_camera, chosen, cell, options, start_values))

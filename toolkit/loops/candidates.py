@@ -94,9 +94,9 @@ class CandidateOptions:
         adaptive_quantile: of the distances to the neighbours in the keyframe's own submap,
             becomes the threshold, but never more than `adaptive_limit` times the fixed one.
         adaptive_limit: see there.
-        least_gap_frames: between query and match,
-        least_gap_m: and along the path, metres, or neighbours would always match.
-        most_landmark_distance: beyond it a candidate is refused. Nine of ten views that
+        min_gap_frames: between query and match,
+        min_gap_m: and along the path, metres, or neighbours would always match.
+        max_landmark_distance: beyond it a candidate is refused. Nine of ten views that
             overlap by 60 % are nearer than 0.67 in rooms of many classes.
     """
 
@@ -107,9 +107,9 @@ class CandidateOptions:
     distance: float | None = None
     adaptive_quantile: float = 0.5
     adaptive_limit: float = 1.5
-    least_gap_frames: int = 30
-    least_gap_m: float = 0.5
-    most_landmark_distance: float = 0.7
+    min_gap_frames: int = 30
+    min_gap_m: float = 0.5
+    max_landmark_distance: float = 0.7
 
 
 class CandidateFinder:
@@ -244,8 +244,8 @@ class CandidateFinder:
         """Which keyframes are older by enough frames and enough metres."""
         frames, travelled_m = np.array(self._frames), np.array(self._travelled_m)
         options = self.options
-        far = frames[number] - frames >= options.least_gap_frames
-        return far & (travelled_m[number] - travelled_m >= options.least_gap_m)
+        far = frames[number] - frames >= options.min_gap_frames
+        return far & (travelled_m[number] - travelled_m >= options.min_gap_m)
 
     def _threshold_of(self, number: int) -> float:
         """The descriptor distance below which a keyframe's matches are believed."""
@@ -265,7 +265,7 @@ class CandidateFinder:
     def _judged(
         self, number: int, near: Neighbour, limit: float, landmarks: float | None
     ) -> LoopCandidate:
-        most = self.options.most_landmark_distance
+        most = self.options.max_landmark_distance
         accepted, reason = True, ""
         if near.distance >= limit:
             accepted = False

@@ -76,7 +76,7 @@ class LoopDetector:
                 self._finder.remember(
                     self._passed(keyframe, submap.number, T_world_camera, descriptor, counts)
                 )
-        self._travelled_m += self._finder.options.least_gap_m
+        self._travelled_m += self._finder.options.min_gap_m
         self._last = None
 
     def _passed(

@@ -30,14 +30,14 @@ class LandmarkOptions:
 
     Attributes:
         weighting: "sqrt" as above; "linear" without the root; "paper" as printed in G-7.
-        least_count: a class with a smaller count is not seen in that view; in the paper's
+        min_count: a class with a smaller count is not seen in that view; in the paper's
             weighting it is the floor on M_c instead.
         counted: "pixels" counts the keyframe's labelled pixels, "gaussians" the Gaussians that it
             observes by the class they decode to, as in G-7.
     """
 
     weighting: Weighting = "sqrt"
-    least_count: int = 10
+    min_count: int = 10
     counted: Counted = "pixels"
 
 
@@ -61,9 +61,9 @@ def landmark_vectors(
     if counts.ndim != 2 or (counts.size and counts.min() < 0):
         raise ValueError(f"counts must be [K, C], not negative, got {list(counts.shape)}")
     if options.weighting == "paper":
-        vectors = _printed(counts, options.least_count, map_counts)
+        vectors = _printed(counts, options.min_count, map_counts)
     else:
-        counts = np.where(counts >= max(1, options.least_count), counts, 0)
+        counts = np.where(counts >= max(1, options.min_count), counts, 0)
         shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         if options.weighting == "sqrt":
             shares = np.sqrt(shares)

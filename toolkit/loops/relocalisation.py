@@ -33,10 +33,9 @@ class RelocalisationOptions:
         speed_m_s, slack_m: in reach is what lies no farther from where the camera was last than
             it can have gone since, and so much beyond. Of two rooms that look the same, it is in
             the one it was in; so other places are believed only once `patience` is at an end.
-        least_visible: share of the frame that the submap must explain there. More than of a
+        min_visible: share of the frame that the submap must explain there. More than of a
             tracked frame, which nothing but its neighbours would confirm.
-        most_intensity: photometric scale there, in [0, 1]; of a tracked frame the last one's
-            says what to expect.
+        max_intensity_residual: maximum photometric scale there, for intensities in [0, 1].
         patience: lost frames, one after another, after which a new submap begins; loops join
             it later.
     """
@@ -44,8 +43,8 @@ class RelocalisationOptions:
     tries: int = 5
     speed_m_s: float = 2.0
     slack_m: float = 2.0
-    least_visible: float = 0.4
-    most_intensity: float = 0.1
+    min_visible: float = 0.4
+    max_intensity_residual: float = 0.1
     patience: int = 15
 
 
@@ -142,9 +141,9 @@ class Relocaliser:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
         result = tracker.locate(frame, submap.gaussians, start)
-        if result.lost or result.visible_fraction < self.options.least_visible:
+        if result.lost or result.visible_fraction < self.options.min_visible:
             return None
-        if result.intensity_residual > self.options.most_intensity:
+        if result.intensity_residual > self.options.max_intensity_residual:
             return None
         return Found(submap.number, result)
 

@@ -36,7 +36,7 @@ class RgbdLossWeights:
         structure: share of SSIM in the colour term.
         colour_scale: errors well below it count quadratically, intensities in [0, 1].
         depth_scale_m: the same for depth at 1 m, metres; grows with the squared depth.
-        least_silhouette: depth counts only where the map is at least this opaque.
+        min_silhouette: depth counts only where the map is at least this opaque.
     """
 
     colour: float = 0.5
@@ -45,7 +45,7 @@ class RgbdLossWeights:
     structure: float = 0.2
     colour_scale: float = 0.02
     depth_scale_m: float = 0.005
-    least_silhouette: float = 0.5
+    min_silhouette: float = 0.5
 
 
 def rgbd_loss(
@@ -110,7 +110,7 @@ def rgbd_loss_torch(
     structural = 1.0 - ssim_torch(colour, rgb)
     value = weights.colour * ((1 - weights.structure) * flat + weights.structure * structural)
     measured = depth_m > 0
-    solid = measured & (surface_m > 0) & (silhouette > weights.least_silhouette)
+    solid = measured & (surface_m > 0) & (silhouette > weights.min_silhouette)
     safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
     scale = weights.depth_scale_m * (depth_m**2).clamp(min=MIN_NOISE_DEPTH_M**2)
     mean = images[DEPTH_SUM] / safe

@@ -29,7 +29,7 @@ class SemanticLossWeights:
         inter_pixels: pixels that the network sees a step; 0 takes them all.
         structure: share of SSIM in the loss of the colour code (G-3, G-4: 0.2); other codes
             have none.
-        least_silhouette: thinner pixels do not count.
+        min_silhouette: thinner pixels do not count.
         moves_geometry: whether semantics may move Gaussians, as in the papers, or only
             changes their features.
     """
@@ -41,7 +41,7 @@ class SemanticLossWeights:
     inter_from: int = 15
     inter_pixels: int = 2048
     structure: float = 0.0
-    least_silhouette: float = 0.5
+    min_silhouette: float = 0.5
     moves_geometry: bool = False
 
 
@@ -107,7 +107,7 @@ class SemanticLoss:
         self, features: Tensor, silhouette: Tensor, labels: Tensor, gradient: Tensor
     ) -> SemanticGradient:
         scale = self.weights.weight * self.weights.intra
-        least = self.weights.least_silhouette
+        least = self.weights.min_silhouette
         by_silhouette = torch.zeros_like(silhouette) if self.weights.moves_geometry else None
         module = kernels_for(features)
         if module is None or self.code.heads is None:
@@ -132,7 +132,7 @@ class SemanticLoss:
         """Adds the network's term on a sample of pixels, spread evenly over the image."""
         weights, network = self.weights, self.network
         assert network is not None
-        counted = (labels > 0) & (silhouette >= weights.least_silhouette)
+        counted = (labels > 0) & (silhouette >= weights.min_silhouette)
         pixels = counted.view(-1).nonzero().squeeze(1)
         if len(pixels) == 0:
             return 0.0
@@ -169,7 +169,7 @@ def semantic_loss_torch(
         images: features [S, H, W], silhouette [H, W] and labels [H, W].
     """
     features, silhouette, labels = images
-    counted = (labels > 0) & (silhouette >= weights.least_silhouette)
+    counted = (labels > 0) & (silhouette >= weights.min_silhouette)
     pixels = counted.view(-1).nonzero().squeeze(1)
     scale = weights.weight * weights.intra
     structure = weights.structure if code.is_colour else 0.0

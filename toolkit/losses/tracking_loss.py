@@ -20,14 +20,14 @@ class TrackingLossWeights:
         semantic: of the code's loss against the frame's labels; 0 leaves semantics out.
         summed: sums over pixels and channels (H), else means over both (G). A pixel has three
             colour channels and one depth, so this changes their balance as well.
-        least_silhouette: pixels count only where the map is more opaque.
+        min_silhouette: pixels count only where the map is more opaque.
     """
 
     colour: float
     depth: float
     semantic: float
     summed: bool
-    least_silhouette: float = 0.99
+    min_silhouette: float = 0.99
 
 
 PRESETS = {
@@ -64,7 +64,7 @@ def tracking_loss(
         rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
     """
     silhouette, depth_sum = images[SILHOUETTE], images[DEPTH_SUM]
-    mask = (silhouette > weights.least_silhouette) & (depth_m > 0)
+    mask = (silhouette > weights.min_silhouette) & (depth_m > 0)
     pixels = int(mask.sum())
     gradient = torch.zeros_like(images)
     if pixels == 0:

@@ -31,14 +31,14 @@ class ConsensusOptions:
 
     Attributes:
         rounds: of correcting and voting again; 0 only votes.
-        least_views: a pixel is evidence where the map was told by so many views.
-        least_share: share of a segment's pixels that must be evidence.
+        min_views: a pixel is evidence where the map was told by so many views.
+        min_share: share of a segment's pixels that must be evidence.
         margin: by how much the map's class must be the likelier.
     """
 
     rounds: int = 2
-    least_views: float = 1.5
-    least_share: float = 0.1
+    min_views: float = 1.5
+    min_share: float = 0.1
     margin: float = 0.1
 
 
@@ -134,7 +134,7 @@ def _corrected(
     counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
     view = draw(counted, keyframe)
     silhouette = view.output.silhouette.clamp(min=0.5)
-    known = (view.images[0] / silhouette >= options.least_views).view(-1).cpu().numpy()
+    known = (view.images[0] / silhouette >= options.min_views).view(-1).cpu().numpy()
     class_ids, probabilities = semantics.probabilities(view)
     assert keyframe.class_ids is not None
     labels = keyframe.class_ids.numpy()
@@ -149,7 +149,7 @@ def _corrected(
     place = np.searchsorted(class_ids, own)
     said = means[np.minimum(place, len(class_ids) - 1), np.arange(count)]
     likeliest = means.argmax(axis=0)
-    overruled = evidence > np.maximum(options.least_share * area, 1.0)
+    overruled = evidence > np.maximum(options.min_share * area, 1.0)
     overruled &= means[likeliest, np.arange(count)] > said + options.margin
     overruled &= own > 0
     if not overruled.any():

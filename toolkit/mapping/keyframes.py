@@ -15,12 +15,12 @@ class KeyframePolicy:
 
     Attributes:
         interval: every so many frames (G: d_k).
-        least_overlap: sooner, when less than this share of the last keyframe's points is
+        min_overlap: sooner, when less than this share of the last keyframe's points is
             still in view.
     """
 
     interval: int = 5
-    least_overlap: float = 0.95
+    min_overlap: float = 0.95
 
     def wants(self, frames_since_last: int, overlap: float) -> bool:
         """Whether the newest frame should become a keyframe.
@@ -29,13 +29,13 @@ class KeyframePolicy:
             frames_since_last: since the last keyframe.
             overlap: share of the last keyframe's points that the newest frame sees.
         """
-        return frames_since_last >= self.interval or overlap < self.least_overlap
+        return frames_since_last >= self.interval or overlap < self.min_overlap
 
 
 def choose_window(
     keyframes: list[Keyframe],
     size: int,
-    least_overlap: float,
+    min_overlap: float,
     generator: np.random.Generator,
 ) -> list[Keyframe]:
     """Choose the newest keyframe and up to `size - 1` random ones that see the same place.
@@ -43,12 +43,12 @@ def choose_window(
     Args:
         keyframes: at least one, in order.
         size: maximum number of keyframes in the window.
-        least_overlap: share of the newest keyframe's points that another one must see.
+        min_overlap: share of the newest keyframe's points that another one must see.
         generator: draws the random ones.
     """
     newest = keyframes[-1]
     others = keyframes[:-1]
-    overlapping = [k for k in others if newest.share_seen_by(k.T_map_camera) > least_overlap]
+    overlapping = [k for k in others if newest.share_seen_by(k.T_map_camera) > min_overlap]
     count = min(size - 1, len(overlapping))
     chosen = (
         [overlapping[i] for i in generator.choice(len(overlapping), count, replace=False)]

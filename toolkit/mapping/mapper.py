@@ -50,8 +50,8 @@ class MapperOptions:
         final_feature: weight of the papers' feature term in these (G: 0.5).
         window: keyframes a mapping call works on.
         newest_share: share of the steps spent on the newest keyframe.
-        least_overlap: share of the newest keyframe's points another one must see.
-        least_silhouette: seed where the map is thinner (H: tau_sil). At 0.5, pinholes stay that
+        min_overlap: share of the newest keyframe's points another one must see.
+        min_silhouette: seed where the map is thinner (H: tau_sil). At 0.5, pinholes stay that
             no keyframe closes: 0.5 dB, and 10 % fewer Gaussians (a room and a ring).
         depth_floor: seed where rendered depth lies behind the measured one by more than
             this share of it, and by more than `depth_factor` medians of the error.
@@ -61,8 +61,8 @@ class MapperOptions:
         bundle_adjustment: optimise the poses of keyframes together with the map (G-3); the
             first one stays, or the whole would drift.
         pose_translation_m, pose_rotation_rad: its steps.
-        least_opacity: prune below it.
-        largest_radius_m: prune beyond it.
+        min_opacity: prune below it.
+        max_radius_m: prune beyond it.
     """
 
     iterations: int = 12
@@ -73,8 +73,8 @@ class MapperOptions:
     final_feature: float = 0.0
     window: int = 8
     newest_share: float = 0.4
-    least_overlap: float = 0.15
-    least_silhouette: float = 0.85
+    min_overlap: float = 0.15
+    min_silhouette: float = 0.85
     depth_floor: float = 0.03
     depth_factor: float = 20.0
     fuse_depth: bool = True
@@ -82,8 +82,8 @@ class MapperOptions:
     bundle_adjustment: bool = False
     pose_translation_m: float = 1e-4
     pose_rotation_rad: float = 5e-5
-    least_opacity: float = 0.005
-    largest_radius_m: float = 0.5
+    min_opacity: float = 0.005
+    max_radius_m: float = 0.5
     keyframes: KeyframePolicy = field(default_factory=KeyframePolicy)
     seeding: SeedingOptions = field(default_factory=SeedingOptions)
     rates: LearningRates = field(default_factory=LearningRates)
@@ -211,7 +211,7 @@ class Mapper:
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Steps over the window of the newest keyframe; the last one's loss."""
         window = choose_window(
-            self.keyframes, self.options.window, self.options.least_overlap, self._generator
+            self.keyframes, self.options.window, self.options.min_overlap, self._generator
         )
         loss, adjust = float("nan"), poses or self.options.bundle_adjustment
         for step in range(steps):
@@ -382,7 +382,7 @@ class Mapper:
         uncovered = missing(
             self.view(keyframe),
             observed.depth_m,
-            self.options.least_silhouette,
+            self.options.min_silhouette,
             self.options.depth_floor,
             self.options.depth_factor,
         )
@@ -405,7 +405,7 @@ class Mapper:
     def _prune(self) -> int:
         """Remove what is invisible, far too large or not finite."""
         cloud, options = self.gaussians, self.options
-        bad = useless(cloud, options.least_opacity, options.largest_radius_m)
+        bad = useless(cloud, options.min_opacity, options.max_radius_m)
         count = int(bad.sum())
         if count:
             self.gaussians = cloud.select(~bad)

@@ -30,13 +30,13 @@ class CoarseOptions:
     Attributes:
         pairs: most pairs of keyframes (G: k).
         offsets: "measured" between the observed images; "none" is the paper's form, Z = I.
-        least_agreeing: fewest pairs that must agree.
+        min_agreeing: fewest pairs that must agree.
         enough: so many that agree spare the rest of the measurements.
     """
 
     pairs: int = 10
     offsets: Literal["measured", "none"] = "measured"
-    least_agreeing: int = 2
+    min_agreeing: int = 2
     enough: int = 4
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     average: AverageOptions = field(default_factory=AverageOptions)
@@ -118,7 +118,7 @@ def register_coarse(
                 break
     if agreement is None or len(agreement.agree) < len(usable):
         agreement = _agreement(target, source, usable, options, start) if usable else None
-    if agreement is None or agreement.agree.sum() < options.least_agreeing:
+    if agreement is None or agreement.agree.sum() < options.min_agreeing:
         pooled = _pooled(target, source, pairs[:tried], options, generator)
         if pooled is not None:
             return pooled
@@ -186,7 +186,7 @@ def _result(
     agreement: Agreement, offsets: list[Offset], tried: int, options: CoarseOptions
 ) -> RegistrationResult:
     agreeing = int(agreement.agree.sum())
-    enough = agreeing >= options.least_agreeing
+    enough = agreeing >= options.min_agreeing
     kept = [offset for offset, agrees in zip(offsets, agreement.agree, strict=True) if agrees]
     return RegistrationResult(
         T_target_source=agreement.T_target_source,

@@ -58,7 +58,7 @@ def coarse_options(settings: CoarseSettings) -> CoarseOptions:
     return CoarseOptions(
         pairs=settings.pairs,
         offsets=settings.offsets,
-        least_agreeing=settings.least_agreeing,
+        min_agreeing=settings.min_agreeing,
         enough=settings.enough,
         matching=matching_options(settings.matching),
         average=AverageOptions(**settings.average.model_dump()),

@@ -43,9 +43,9 @@ class FirstOrderFineOptions:
         iterations: maximum number of Adam steps.
         translation_rate, rotation_rate: learning rates in metres and radians.
         patience: a round ends after so many steps without a gain.
-        least_gain: minimum relative decrease of the loss that counts as a gain.
+        min_gain: minimum relative decrease of the loss that counts as a gain.
         rounds: each starts at the best motion so far, with rates multiplied by `rate_decay`.
-        least_silhouette: minimum silhouette in both maps of the pixels compared.
+        min_silhouette: minimum silhouette in both maps of the pixels compared.
     """
 
     semantic: float = 1.0
@@ -54,10 +54,10 @@ class FirstOrderFineOptions:
     translation_rate: float = 0.005
     rotation_rate: float = 0.003
     patience: int = 8
-    least_gain: float = 0.001
+    min_gain: float = 0.001
     rounds: int = 3
     rate_decay: float = 0.2
-    least_silhouette: float = 0.9
+    min_silhouette: float = 0.9
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class FineOptions:
         renders: how often the target is drawn from all of them, dense alone.
         rerender_distance: draw again when a view moved by more than this share of its median
             depth (translation) or this angle in radians.
-        least_overlap: a result on less common ground has not converged.
+        min_overlap: a result on less common ground has not converged.
         semantic_gate: leave out pixels whose classes differ.
         redundancy: so many residuals count as one in the information matrix. Pixels and views
             show the same Gaussians, and the error of a fit is that of two maps, not of pixels:
@@ -82,7 +82,7 @@ class FineOptions:
     views: int = 10
     renders: int = 6
     rerender_distance: float = 0.01
-    least_overlap: float = 0.1
+    min_overlap: float = 0.1
     semantic_gate: bool = True
     redundancy: float = 500.0
     dense: JointOptions = field(default_factory=JointOptions)
@@ -234,7 +234,7 @@ class FineRegistration:
         self, estimate: Estimate, check: AlignmentCheck, renders: int
     ) -> RegistrationResult:
         reason = ""
-        if check.overlap < self.options.least_overlap:
+        if check.overlap < self.options.min_overlap:
             reason = f"the submaps share only {100 * check.overlap:.0f} % of the views"
         elif not estimate.converged:
             reason = "the optimiser did not come to rest"

@@ -55,7 +55,7 @@ def pooled_motion(
     pool = [_Pooled(place, matched, *pairs[place]) for place, matched in found if matched]
     first = np.concatenate([p.in_target for p in pool] or [np.zeros((0, 3))])
     second = np.concatenate([p.in_source for p in pool] or [np.zeros((0, 3))])
-    least = 2 * options.least_matches
+    least = 2 * options.min_matches
     if len(first) < least:
         return None
     order = np.argsort(generator.random((_MORE * options.hypotheses, len(first))), axis=1)

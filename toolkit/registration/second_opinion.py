@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 class SecondOpinionOptions:
     """How far two answers may lie apart: well beyond what either errs by where it is right."""
 
-    most_apart_m: float = 0.1
-    most_apart_rad: float = 0.07
+    max_apart_m: float = 0.1
+    max_apart_rad: float = 0.07
 
 
 class SecondOpinion:
@@ -48,7 +48,7 @@ class SecondOpinion:
         apart = se3.inverse(result.T_target_source) @ other.T_target_source
         apart_m = float(np.linalg.norm(apart[:3, 3]))
         apart_rad = float(se3.rotation_angle_rad(apart[:3, :3]))
-        if apart_m <= self.options.most_apart_m and apart_rad <= self.options.most_apart_rad:
+        if apart_m <= self.options.max_apart_m and apart_rad <= self.options.max_apart_rad:
             return replace(result, renders=renders)
         reason = f"{other.method} has it {100 * apart_m:.0f} cm and {apart_rad:.2f} rad off"
         return replace(result, converged=False, renders=renders, reason=reason)

@@ -48,8 +48,8 @@ class ViewDrawer:
 
     Args:
         semantics: reads the features of the submaps; None leaves classes out.
-        least_silhouette: thinner pixels have no surface.
-        largest_width: images are halved until they are no wider.
+        min_silhouette: thinner pixels have no surface.
+        max_width: images are halved until they are no wider.
         centred: as `view_level` takes it.
     """
 
@@ -57,15 +57,15 @@ class ViewDrawer:
         self,
         backend_name: str = "auto",
         semantics: SemanticMapping | None = None,
-        least_silhouette: float = 0.9,
-        largest_width: int = 400,
+        min_silhouette: float = 0.9,
+        max_width: int = 400,
         centred: bool = True,
     ) -> None:
         self.renders = 0
         self._backend = backend(backend_name)
         self._semantics = semantics if semantics is not None and semantics.channels else None
-        self._least_silhouette = least_silhouette
-        self._largest_width = largest_width
+        self._min_silhouette = min_silhouette
+        self._max_width = max_width
         self._centred = centred
 
     @property
@@ -81,17 +81,17 @@ class ViewDrawer:
     def camera_of(self, keyframe: Keyframe) -> Camera:
         """The keyframe's camera at the size that is drawn."""
         camera = keyframe.camera
-        while camera.width > self._largest_width:
+        while camera.width > self._max_width:
             camera = camera.halved()
         return camera
 
     def draw(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
         """A submap as a camera sees it."""
         self.renders += 1
-        options = DrawOptions(self._least_silhouette, features=self._semantics is not None)
+        options = DrawOptions(self._min_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
         surface = draw_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
-        level = view_level(surface, self._least_silhouette, self._centred)
+        level = view_level(surface, self._min_silhouette, self._centred)
         if self._semantics is None:
             return View(level)
         class_ids = self._semantics.decode_view(surface).class_ids
@@ -103,7 +103,7 @@ class ViewDrawer:
         labels = None
         if self._semantics is not None and keyframe.labels is not None:
             labels = keyframe.labels.numpy()
-        while level.camera.width > self._largest_width:
+        while level.camera.width > self._max_width:
             level = halved(level)
             if labels is not None:
                 labels = labels[::2, ::2][: level.camera.height, : level.camera.width]

@@ -35,11 +35,11 @@ class DrawOptions:
     """What to draw beside colour, depth and silhouette.
 
     Attributes:
-        least_silhouette: pixels thinner than this have no surface.
+        min_silhouette: pixels thinner than this have no surface.
         features: draw the Gaussians' feature channels too.
     """
 
-    least_silhouette: float = 0.5
+    min_silhouette: float = 0.5
     features: bool = False
 
 
@@ -90,23 +90,23 @@ def draw_surface(
     options = options or DrawOptions()
     channels = gaussians.features if options.features else None
     drawn = backend.forward(gaussians, camera, T_camera_map, channels, None, centres=True)
-    depth_m = surface_depth(drawn.images, camera, T_camera_map, options.least_silhouette)
+    depth_m = surface_depth(drawn.images, camera, T_camera_map, options.min_silhouette)
     return SurfaceView(drawn, depth_m, camera, T_camera_map)
 
 
 def surface_depth(
-    images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], least_silhouette: float
+    images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], min_silhouette: float
 ) -> Tensor:
     """Surface depth [H, W] of images [..., H, W] whose last channels are the centres."""
     module = kernels_for(images)
     if module is None:
-        return _surface_depth_torch(images, camera, T_camera_map, least_silhouette)
+        return _surface_depth_torch(images, camera, T_camera_map, min_silhouette)
     depth_m = torch.empty(camera.height, camera.width)
     module.surface_depth(
         *kernel_geometry(camera, T_camera_map),
         address(images),
         address(images[-3:]),
-        least_silhouette,
+        min_silhouette,
         address(depth_m),
     )
     return depth_m
@@ -133,11 +133,11 @@ def same_surface(before_m: Tensor, depth_m: Tensor, after_m: Tensor) -> Tensor:
 
 
 def _surface_depth_torch(
-    images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], least_silhouette: float
+    images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], min_silhouette: float
 ) -> Tensor:
     """The kernel's equations: the reference, and what runs without a compiler."""
     T = torch.as_tensor(T_camera_map).to(images)
-    solid = images[SILHOUETTE] >= least_silhouette
+    solid = images[SILHOUETTE] >= min_silhouette
     mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
     points = torch.einsum("ij,jyx->yxi", T[:3, :3], mean) + T[:3, 3]
     points = torch.where(solid[..., None], points, torch.zeros_like(points))

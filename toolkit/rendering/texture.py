@@ -19,14 +19,14 @@ from toolkit.native.constants import MAX_CENTRE_OFFSET_PX, MIN_CENTRE_DEPTH_M, S
 from toolkit.rendering.surface import SurfaceView, kernel_geometry
 
 
-def centre_offsets(view: SurfaceView, least_silhouette: float) -> Tensor:
+def centre_offsets(view: SurfaceView, min_silhouette: float) -> Tensor:
     """From each pixel to the projection of its Gaussians' mean centre, [2, H, W] in pixels.
 
     Zero where the view is thinner than asked, and beside edges.
     """
     camera, images = view.camera, view.drawn.images
     T = torch.as_tensor(view.T_camera_map).to(images)
-    solid = images[SILHOUETTE] >= least_silhouette
+    solid = images[SILHOUETTE] >= min_silhouette
     mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
     points = torch.einsum("ij,jyx->iyx", T[:3, :3], mean) + T[:3, 3, None, None]
     solid &= points[2] > MIN_CENTRE_DEPTH_M
@@ -38,26 +38,26 @@ def centre_offsets(view: SurfaceView, least_silhouette: float) -> Tensor:
     return torch.where(near, torch.stack([across, down]), torch.zeros_like(images[:2]))
 
 
-def at_centres(rgb: Tensor, view: SurfaceView, least_silhouette: float = 0.5) -> Tensor:
+def at_centres(rgb: Tensor, view: SurfaceView, min_silhouette: float = 0.5) -> Tensor:
     """An observed image [3, H, W] sampled where each pixel of a view has its colour from."""
     images = view.drawn.images
     module = kernels_for(images)
     if module is None:
-        return _sampled(rgb, centre_offsets(view, least_silhouette))
+        return _sampled(rgb, centre_offsets(view, min_silhouette))
     rgb = rgb.contiguous()
     out = torch.empty_like(rgb)
     module.texture_at_centres(
         *kernel_geometry(view.camera, view.T_camera_map),
         address(images),
         address(images[-3:]),
-        least_silhouette,
+        min_silhouette,
         address(rgb),
         address(out),
     )
     return out
 
 
-def centred_intensity(view: SurfaceView, least_silhouette: float) -> Tensor | None:
+def centred_intensity(view: SurfaceView, min_silhouette: float) -> Tensor | None:
     """Intensity [H, W] of a view moved to where it belongs, by the native kernel if it is there.
 
     Intensity is 0 where the view is thinner than asked; pixels beside such ones stay.
@@ -71,20 +71,20 @@ def centred_intensity(view: SurfaceView, least_silhouette: float) -> Tensor | No
         *kernel_geometry(view.camera, view.T_camera_map),
         address(images),
         address(images[-3:]),
-        least_silhouette,
+        min_silhouette,
         address(intensity),
     )
     return intensity
 
 
-def moved_to_centres(intensity: Tensor, view: SurfaceView, least_silhouette: float) -> Tensor:
+def moved_to_centres(intensity: Tensor, view: SurfaceView, min_silhouette: float) -> Tensor:
     """Intensity [H, W] of a view moved to where it belongs: the kernel's equations in torch."""
     if min(intensity.shape) < 3:
         return intensity
-    solid = view.drawn.images[SILHOUETTE] >= least_silhouette
+    solid = view.drawn.images[SILHOUETTE] >= min_silhouette
     inner = solid[1:-1, 1:-1] & solid[1:-1, :-2] & solid[1:-1, 2:] & solid[:-2, 1:-1]
     inner &= solid[2:, 1:-1]
-    across, down = centre_offsets(view, least_silhouette)[:, 1:-1, 1:-1]
+    across, down = centre_offsets(view, min_silhouette)[:, 1:-1, 1:-1]
     along_x = 0.5 * (intensity[1:-1, 2:] - intensity[1:-1, :-2])
     along_y = 0.5 * (intensity[2:, 1:-1] - intensity[:-2, 1:-1])
     moved = intensity[1:-1, 1:-1] - along_x * across - along_y * down

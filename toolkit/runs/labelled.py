@@ -25,7 +25,7 @@ class LabelledRun:
     run: FinishedRun
     map: LabelledMap
 
-    def holding(self, names: Sequence[str], least_confidence: float = 0.0) -> NDArray[np.bool_]:
+    def holding(self, names: Sequence[str], min_confidence: float = 0.0) -> NDArray[np.bool_]:
         """Which Gaussians [N] are of any of these classes and groups.
 
         Raises:
@@ -34,9 +34,9 @@ class LabelledRun:
         """
         chosen = np.zeros(len(self.map), bool)
         for name in names:
-            mask = self.map.selected([name], least_confidence)
+            mask = self.map.selected([name], min_confidence)
             if not mask.any():
-                so_sure = f" with confidence {least_confidence:g} or more" * (least_confidence > 0)
+                so_sure = f" with confidence {min_confidence:g} or more" * (min_confidence > 0)
                 raise ToolkitError(
                     f"{self.run.folder.path} holds no '{name}'{so_sure}; "
                     "see what there is with: semsplat query RUN --list"

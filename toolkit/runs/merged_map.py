@@ -117,7 +117,7 @@ def _labels(
     for run, mine in zip(runs, (~of_b, of_b), strict=True):
         features = gaussians.features.index_select(0, torch.from_numpy(mine.nonzero()[0]))
         decoding = run.semantics.decode_gaussians(features)
-        parts.append(splat_labels(decoding, run.settings.semantics.least_confidence))
+        parts.append(splat_labels(decoding, run.settings.semantics.min_confidence))
     # A's submaps come before B's, so their Gaussians do.
     label, levels, confidence = (
         np.concatenate([getattr(part, name) for part in parts])

@@ -100,7 +100,7 @@ def _labelled_parts(
         labels = None
         if result.taxonomy is not None:
             decoding = result.semantics.decode_gaussians(part.features)
-            labels = splat_labels(decoding, settings.semantics.least_confidence)
+            labels = splat_labels(decoding, settings.semantics.min_confidence)
         yield part, labels, number
 
 
@@ -124,14 +124,14 @@ def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) ->
         return {}
     candidates = settings.loops.candidates
     options = LoopTruthOptions(
-        least_gap_frames=candidates.least_gap_frames, least_gap_m=candidates.least_gap_m
+        min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
     )
     return run_loop_metrics(read_loop_log(folder.loops), dataset, options)
 
 
-def splat_labels(decoding: Decoding, least_confidence: float) -> SplatLabels:
+def splat_labels(decoding: Decoding, min_confidence: float) -> SplatLabels:
     """The columns of a map's file; levels below the confidence are left open."""
-    levels = decoding.backed_off(least_confidence)
+    levels = decoding.backed_off(min_confidence)
     return SplatLabels(decoding.class_ids, levels, decoding.confidence)
 
 

@@ -34,12 +34,12 @@ class Decoding:
     nodes: NDArray[np.int32]
     node_confidence: NDArray[np.float32]
 
-    def backed_off(self, least_confidence: float) -> NDArray[np.int32]:
+    def backed_off(self, min_confidence: float) -> NDArray[np.int32]:
         """Nodes [P, L], -1 at levels where the map is not that sure.
 
         From 0.5 on the nodes of one column lie on one path: two siblings cannot both have it.
         """
-        return np.where(self.node_confidence >= least_confidence, self.nodes, -1).astype(np.int32)
+        return np.where(self.node_confidence >= min_confidence, self.nodes, -1).astype(np.int32)
 
 
 def decode(

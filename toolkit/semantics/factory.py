@@ -75,10 +75,10 @@ def build_segmenter(
     if kind == "model":
         return _model(settings.model)
     if kind == "geometric":
-        if settings.geometric.least_camera_height_m >= settings.geometric.most_camera_height_m:
+        if settings.geometric.min_camera_height_m >= settings.geometric.max_camera_height_m:
             raise SettingsError(
-                "semantics.segmenter.geometric.least_camera_height_m must be below "
-                "most_camera_height_m"
+                "semantics.segmenter.geometric.min_camera_height_m must be below "
+                "max_camera_height_m"
             )
         return GeometricSegmenter(GeometricOptions(**settings.geometric.model_dump()))
     return Unlabelled()
@@ -109,7 +109,7 @@ def _model(settings: ModelSettings) -> Segmenter:
     from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter
 
     if settings.head is None:
-        return TransformersSegmenter(settings.folder, settings.least_confidence, settings.device)
+        return TransformersSegmenter(settings.folder, settings.min_confidence, settings.device)
     head = LinearHead.load(settings.head)
     encoder = PatchEncoder(settings.folder, head.longest_side, settings.device)
-    return HeadSegmenter(encoder, head, settings.least_confidence)
+    return HeadSegmenter(encoder, head, settings.min_confidence)

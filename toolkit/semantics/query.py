@@ -37,13 +37,13 @@ class ObjectOptions:
 
     Attributes:
         link_m: Gaussians nearer to each other are of one object.
-        least_gaussians: what has fewer is noise.
-        least_confidence: Gaussians less sure of what they are do not count, in [0, 1].
+        min_gaussians: what has fewer is noise.
+        min_confidence: Gaussians less sure of what they are do not count, in [0, 1].
     """
 
     link_m: float = 0.06
-    least_gaussians: int = 50
-    least_confidence: float = 0.0
+    min_gaussians: int = 50
+    min_confidence: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,14 +95,14 @@ class LabelledMap:
     def __len__(self) -> int:
         return len(self.means_m)
 
-    def members(self, node: Node | None, least_confidence: float = 0.0) -> Mask:
+    def members(self, node: Node | None, min_confidence: float = 0.0) -> Mask:
         """Which Gaussians [N] are of a class or group, or of any, at least so surely."""
-        sure = self.labels.confidence >= least_confidence
+        sure = self.labels.confidence >= min_confidence
         if node is None:
             return sure & (self.labels.levels >= 0).any(axis=1)
         return sure & (self.labels.levels[:, node.level] == self.taxonomy.nodes.index(node))
 
-    def selected(self, names: Sequence[str], least_confidence: float = 0.0) -> Mask:
+    def selected(self, names: Sequence[str], min_confidence: float = 0.0) -> Mask:
         """Which Gaussians [N] are of any of these classes and groups; "void" has no class.
 
         Raises:
@@ -113,7 +113,7 @@ class LabelledMap:
             if name.strip().casefold() == VOID_NAME:
                 mask |= self.labels.label == VOID
             else:
-                mask |= self.members(self.taxonomy.find(name), least_confidence)
+                mask |= self.members(self.taxonomy.find(name), min_confidence)
         return mask
 
     def counts(self) -> NDArray[np.int64]:
@@ -166,7 +166,7 @@ class LabelledMap:
             ground: what boxes stand on; they are free without one.
             options: what counts as one object.
         """
-        kinds = np.where(self.members(node, options.least_confidence), self._finest(node), -1)
+        kinds = np.where(self.members(node, options.min_confidence), self._finest(node), -1)
         found = []
         for kind in np.unique(kinds[kinds >= 0]):
             index = np.flatnonzero(kinds == kind)
@@ -179,7 +179,7 @@ class LabelledMap:
     def pieces(self, index: NDArray[np.intp], options: ObjectOptions) -> list[NDArray[np.intp]]:
         """The connected pieces of some Gaussians, without what is noise."""
         found = [index[piece] for piece in connected(self.means_m[index], options.link_m)]
-        return [piece for piece in found if len(piece) >= options.least_gaussians]
+        return [piece for piece in found if len(piece) >= options.min_gaussians]
 
     def _finest(self, above: Node | None) -> NDArray[np.int32]:
         """Node index [N] of the finest level at which each Gaussian is known, -1 for none."""

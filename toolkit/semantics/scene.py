@@ -53,7 +53,7 @@ class SceneReader:
             FormatError: the name is none of the tree, or that of several nodes.
         """
         node = self.map.taxonomy.find(name)
-        members = self.map.members(node, self.options.least_confidence)
+        members = self.map.members(node, self.options.min_confidence)
         objects = self.map.objects(node, self.ground, self.options)
         return {
             "path": list(node.path),
@@ -138,7 +138,7 @@ class SceneReader:
 
     def _whole(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Which Gaussians are of some classes, without what is noise."""
-        members = self.map.selected(self.map.known(names), self.options.least_confidence)
+        members = self.map.selected(self.map.known(names), self.options.min_confidence)
         pieces = self.map.pieces(np.flatnonzero(members), self.options)
         return np.concatenate([np.empty(0, np.intp), *pieces])
 

@@ -14,12 +14,12 @@ from toolkit.settings.registration import RegistrationSettings
 class VerificationSettings(Settings):
     """What a registration must show to be a loop."""
 
-    least_overlap: float = Field(0.3, ge=0, le=1, description="share of the source in view")
-    least_inliers: float = Field(0.8, ge=0, le=1, description="of it on the same surface")
-    least_class_agreement: float = Field(0.7, ge=0, le=1, description="of it of the same class")
-    most_intensity: float = Field(0.1, gt=0, description="photometric scale, [0, 1]")
-    most_depth_m: float = Field(0.02, gt=0, description="geometric scale at 1 m, m")
-    least_information: float = Field(1e4, ge=0, description="smallest eigenvalue, 1 / m^2")
+    min_overlap: float = Field(0.3, ge=0, le=1, description="share of the source in view")
+    min_inliers: float = Field(0.8, ge=0, le=1, description="of it on the same surface")
+    min_class_agreement: float = Field(0.7, ge=0, le=1, description="of it of the same class")
+    max_intensity_residual: float = Field(0.1, gt=0, description="photometric scale, [0, 1]")
+    max_depth_residual_m: float = Field(0.02, gt=0, description="geometric scale at 1 m, m")
+    min_information: float = Field(1e4, ge=0, description="smallest eigenvalue, 1 / m^2")
 
 
 class RelocalisationSettings(Settings):
@@ -28,8 +28,8 @@ class RelocalisationSettings(Settings):
     tries: int = Field(5, ge=1, description="keyframes matched with the frame")
     speed_m_s: float = Field(2.0, ge=0, description="of the camera; beyond it, not at once")
     slack_m: float = Field(2.0, ge=0, description="as far it is looked for in any case, m")
-    least_visible: float = Field(0.4, ge=0, le=1, description="share that must be explained")
-    most_intensity: float = Field(0.1, gt=0, description="photometric scale, [0, 1]")
+    min_visible: float = Field(0.4, ge=0, le=1, description="share that must be explained")
+    max_intensity_residual: float = Field(0.1, gt=0, description="photometric scale, [0, 1]")
     patience: int = Field(15, ge=1, description="lost frames before a new submap begins")
 
 
@@ -38,9 +38,9 @@ class ClosingSettings(Settings):
 
     within: bool = Field(True, description="inside submaps, between keyframes")
     between: bool = Field(True, description="between submaps, by registration")
-    least_visible: float = Field(0.4, ge=0, le=1, description="share of a pair's view in common")
-    least_shared: float = Field(0.3, ge=0, le=1, description="of a suspected pair's views")
-    most_partners: int = Field(8, ge=0, description="of a submap, when overlaps are measured")
+    min_visible: float = Field(0.4, ge=0, le=1, description="share of a pair's view in common")
+    min_shared: float = Field(0.3, ge=0, le=1, description="of a suspected pair's views")
+    max_partners: int = Field(8, ge=0, description="of a submap, when overlaps are measured")
     drift_confidence: float = Field(
         0.99, gt=0, lt=1, description="of loops against the keyframes that they move"
     )

@@ -23,9 +23,9 @@ class CandidateSettings(Settings):
     )
     adaptive_quantile: float = Field(0.5, ge=0, le=1, description="of the neighbours' distances")
     adaptive_limit: float = Field(1.5, gt=0, description="at most so many times the fixed one")
-    least_gap_frames: int = Field(30, ge=1, description="between query and match")
-    least_gap_m: float = Field(0.5, ge=0, description="between them along the path, m")
-    most_landmark_distance: float = Field(
+    min_gap_frames: int = Field(30, ge=1, description="between query and match")
+    min_gap_m: float = Field(0.5, ge=0, description="between them along the path, m")
+    max_landmark_distance: float = Field(
         0.7, gt=0, description="of unit landmark vectors; from 1.42 on all pass"
     )
 
@@ -39,7 +39,7 @@ class LandmarkSettings(Settings):
     weighting: Literal["sqrt", "linear", "paper"] = Field(
         "sqrt", description="of a class's share of the view; paper is G-7 as printed"
     )
-    least_count: int = Field(10, ge=0, description="minimum count of a class that a keyframe sees")
+    min_count: int = Field(10, ge=0, description="minimum count of a class that a keyframe sees")
 
 
 class LoopSettings(Settings):

@@ -13,7 +13,7 @@ class KeyframeSettings(Settings):
     """When a tracked frame becomes a keyframe."""
 
     interval: int = Field(5, ge=1, description="every so many frames (G: d_k)")
-    least_overlap: float = Field(0.95, ge=0, le=1, description="sooner below this overlap")
+    min_overlap: float = Field(0.95, ge=0, le=1, description="sooner below this overlap")
 
 
 class SeedingSettings(Settings):
@@ -21,7 +21,7 @@ class SeedingSettings(Settings):
 
     radius: float = Field(0.6, gt=0, description="standard deviation in units of d / f")
     opacity: float = Field(0.95, gt=0, lt=1, description="start opacity")
-    largest_cell: Literal[1, 2, 4] = Field(2, description="pixels a side on plain surfaces")
+    max_cell: Literal[1, 2, 4] = Field(2, description="pixels a side on plain surfaces")
     flat_colour: float = Field(0.04, ge=0, description="colour range that counts as plain")
     flat_depth: float = Field(0.005, ge=0, description="bend that counts as plane, of depth")
     choice: Literal["cells", "uniform", "semantic"] = Field(
@@ -51,15 +51,15 @@ class LossSettings(Settings):
     structure: float = Field(0.2, ge=0, le=1, description="share of SSIM in the colour term")
     colour_scale: float = Field(0.02, gt=0, description="quadratic below it, [0, 1]")
     depth_scale_m: float = Field(0.005, gt=0, description="quadratic below it, m at 1 m")
-    least_silhouette: float = Field(0.5, ge=0, le=1, description="depth counts above it")
+    min_silhouette: float = Field(0.5, ge=0, le=1, description="depth counts above it")
 
 
 class ConsensusSettings(Settings):
     """When a segment of a keyframe's labels is overruled by the others."""
 
     rounds: int = Field(2, ge=0, description="of correcting and voting again; 0 only votes")
-    least_views: float = Field(1.5, ge=0, description="that told the map of a pixel")
-    least_share: float = Field(0.1, ge=0, le=1, description="of a segment, known to other views")
+    min_views: float = Field(1.5, ge=0, description="that told the map of a pixel")
+    min_share: float = Field(0.1, ge=0, le=1, description="of a segment, known to other views")
     margin: float = Field(0.1, ge=0, le=1, description="by which the map must be surer")
 
 
@@ -74,8 +74,8 @@ class MappingSettings(Settings):
     final_feature: float = Field(0.0, ge=0, description="their feature term (G: 0.5)")
     window: int = Field(8, ge=1, description="keyframes a mapping call works on")
     newest_share: float = Field(0.4, gt=0, le=1, description="of the steps, for the newest")
-    least_overlap: float = Field(0.15, ge=0, le=1, description="that joins the window")
-    least_silhouette: float = Field(0.85, gt=0, lt=1, description="seed below it (tau_sil)")
+    min_overlap: float = Field(0.15, ge=0, le=1, description="that joins the window")
+    min_silhouette: float = Field(0.85, gt=0, lt=1, description="seed below it (tau_sil)")
     depth_floor: float = Field(0.03, ge=0, description="depth error that seeds, of depth")
     depth_factor: float = Field(20.0, ge=0, description="the same in medians of the error")
     fuse_depth: bool = Field(True, description="centres at the mean of what is measured")
@@ -83,8 +83,8 @@ class MappingSettings(Settings):
     bundle_adjustment: bool = Field(False, description="optimise keyframe poses with the map")
     pose_translation_m: float = Field(1e-4, gt=0, description="its step, m")
     pose_rotation_rad: float = Field(5e-5, gt=0, description="its step, rad")
-    least_opacity: float = Field(0.005, ge=0, description="prune below it")
-    largest_radius_m: float = Field(0.5, gt=0, description="prune beyond it")
+    min_opacity: float = Field(0.005, ge=0, description="prune below it")
+    max_radius_m: float = Field(0.5, gt=0, description="prune beyond it")
     keyframes: KeyframeSettings = KeyframeSettings()
     seeding: SeedingSettings = SeedingSettings()
     rates: LearningRateSettings = LearningRateSettings()

@@ -17,8 +17,8 @@ class JointAlignmentSettings(Settings):
     iterations: int = Field(12, ge=1, description="most steps a level")
     max_distance: float = Field(0.05, gt=0, description="depth gate, share of the depth")
     exposure: bool = Field(True, description="estimate gain and bias of every pair")
-    most_translation_m: float = Field(0.2, gt=0, description="longest step, m")
-    most_rotation_rad: float = Field(0.2, gt=0, description="longest step, rad")
+    max_translation_m: float = Field(0.2, gt=0, description="longest step, m")
+    max_rotation_rad: float = Field(0.2, gt=0, description="longest step, rad")
     small_translation_m: float = Field(1e-4, gt=0, description="a step that ends, m")
     small_rotation_rad: float = Field(5e-5, gt=0, description="a step that ends, rad")
 
@@ -31,8 +31,8 @@ class MatchingSettings(Settings):
     hypotheses: int = Field(500, ge=1, description="motions tried")
     tolerance_rad: float = Field(0.008, gt=0, description="error of a match's direction, rad")
     tolerance_depth: float = Field(0.05, gt=0, description="error of its depth, a share")
-    least_matches: int = Field(12, ge=3, description="fewest that agree")
-    largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
+    min_matches: int = Field(12, ge=3, description="fewest that agree")
+    max_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
     dense: JointAlignmentSettings = JointAlignmentSettings(levels=3)
     limits: HealthLimits = HealthLimits()
     redundancy: float = Field(5.0, ge=1, description="residuals that count as one")
@@ -45,9 +45,9 @@ class PlacementSettings(Settings):
     recent: int = Field(2, ge=1, description="newest keyframes compared")
     older: int = Field(4, ge=0, description="most older ones compared")
     every: int = Field(4, ge=1, description="each n-th keyframe may be one of these")
-    least_recent: float = Field(0.2, ge=0, le=1, description="share of the view they must show")
-    least_older: float = Field(0.5, ge=0, le=1, description="the same for older ones")
-    largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
+    min_recent: float = Field(0.2, ge=0, le=1, description="share of the view they must show")
+    min_older: float = Field(0.5, ge=0, le=1, description="the same for older ones")
+    max_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
     dense: JointAlignmentSettings = JointAlignmentSettings(levels=2)
 
 
@@ -67,7 +67,7 @@ class CoarseSettings(Settings):
     offsets: Literal["measured", "none"] = Field(
         "measured", description="between a pair's images, or none (G)"
     )
-    least_agreeing: int = Field(2, ge=1, description="fewest pairs that agree")
+    min_agreeing: int = Field(2, ge=1, description="fewest pairs that agree")
     enough: int = Field(4, ge=1, description="pairs that agree and spare the others")
     matching: MatchingSettings = MatchingSettings()
     average: MotionAverageSettings = MotionAverageSettings()
@@ -84,10 +84,10 @@ class FirstOrderFineSettings(Settings):
     translation_rate: float = Field(0.005, gt=0, description="learning rate, m")
     rotation_rate: float = Field(0.003, gt=0, description="learning rate, rad")
     patience: int = Field(8, ge=1, description="steps without gain that end a round")
-    least_gain: float = Field(0.001, ge=0, lt=1, description="gain that counts, a share")
+    min_gain: float = Field(0.001, ge=0, lt=1, description="gain that counts, a share")
     rounds: int = Field(3, ge=1, description="with ever shorter steps")
     rate_decay: float = Field(0.2, gt=0, le=1, description="of the rates, from round to round")
-    least_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")
+    min_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")
 
 
 class FineSettings(Settings):
@@ -99,7 +99,7 @@ class FineSettings(Settings):
     views: int = Field(10, ge=1, description="most views of the source (G: k)")
     renders: int = Field(6, ge=1, description="drawings of the target from each view, most")
     rerender_distance: float = Field(0.01, gt=0, description="motion that asks for a drawing")
-    least_overlap: float = Field(0.1, ge=0, le=1, description="less is no registration")
+    min_overlap: float = Field(0.1, ge=0, le=1, description="less is no registration")
     semantic_gate: bool = Field(True, description="leave out pixels whose classes differ")
     redundancy: float = Field(500.0, ge=1, description="residuals that count as one")
     dense: JointAlignmentSettings = JointAlignmentSettings()
@@ -112,17 +112,17 @@ class CloudSettings(Settings):
     search: Literal["ransac", "fast"] = Field("ransac", description="how features are matched")
     icp: Literal["point-to-plane", "coloured"] = Field("point-to-plane", description="afterwards")
     voxel_m: float = Field(0.05, gt=0, description="of the thinned clouds, m")
-    least_opacity: float = Field(0.5, ge=0, lt=1, description="thinner Gaussians are left out")
+    min_opacity: float = Field(0.5, ge=0, lt=1, description="thinner Gaussians are left out")
     hypotheses: int = Field(50000, ge=1, description="of RANSAC")
-    least_fitness: float = Field(0.1, ge=0, le=1, description="share of points that must fit")
+    min_fitness: float = Field(0.1, ge=0, le=1, description="share of points that must fit")
     views: int = Field(5, ge=1, description="from which the result is judged")
 
 
 class DrawingSettings(Settings):
     """How submaps are drawn to be compared."""
 
-    least_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")
-    largest_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
+    min_silhouette: float = Field(0.9, gt=0, lt=1, description="thinner pixels are ignored")
+    max_width: int = Field(400, ge=16, description="images are halved down to it, pixels")
 
 
 class RegistrationSettings(Settings):

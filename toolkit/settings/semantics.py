@@ -27,7 +27,7 @@ class ModelSettings(Settings):
 
     folder: Path | None = Field(None, description="config.json, weights, image processor")
     head: Path | None = Field(None, description="of `semsplat train-head`; then an encoder's")
-    least_confidence: float = Field(0.5, ge=0, le=1, description="void below it, a probability")
+    min_confidence: float = Field(0.5, ge=0, le=1, description="void below it, a probability")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where it runs")
 
 
@@ -35,8 +35,8 @@ class GeometricSettings(Settings):
     """Floor, wall, ceiling, surface and object from depth alone."""
 
     columns: int = Field(160, ge=16, description="most cells across the image")
-    least_camera_height_m: float = Field(0.5, gt=0, description="above the floor, m")
-    most_camera_height_m: float = Field(2.5, gt=0, description="above the floor, m")
+    min_camera_height_m: float = Field(0.5, gt=0, description="above the floor, m")
+    max_camera_height_m: float = Field(2.5, gt=0, description="above the floor, m")
 
 
 class SegmenterSettings(Settings):
@@ -70,7 +70,7 @@ class SemanticLossSettings(Settings):
     structure: float = Field(
         0.0, ge=0, le=1, description="share of SSIM in the colour code's loss (G-4: 0.2)"
     )
-    least_silhouette: float = Field(0.5, gt=0, lt=1, description="thinner pixels do not count")
+    min_silhouette: float = Field(0.5, gt=0, lt=1, description="thinner pixels do not count")
     moves_geometry: bool = Field(False, description="let semantics move Gaussians, as in H")
 
 
@@ -95,7 +95,7 @@ class SemanticsSettings(Settings):
         (), description="classes or groups left out of tracking and mapping"
     )
     reader: Literal["path", "network"] = Field("path", description="decodes what was learned")
-    least_confidence: float = Field(
+    min_confidence: float = Field(
         0.5, ge=0.5, lt=1, description="a level below it is left open in the map's file"
     )
     segmenter: SegmenterSettings = SegmenterSettings()

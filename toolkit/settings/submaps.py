@@ -15,17 +15,17 @@ class AllocationSettings(Settings):
     rule: Literal["places", "motion"] = Field(
         "places", description="what is seen, or the distance from the anchor"
     )
-    least_overlap: float = Field(0.5, ge=0, le=1, description="of the view, spatially new below")
-    least_divergence: float | None = Field(
+    min_overlap: float = Field(0.5, ge=0, le=1, description="of the view, spatially new below")
+    min_divergence: float | None = Field(
         None, ge=0, description="KL from the anchor's classes, nats; unset, the segmenter's own"
     )
     recent: int = Field(10, ge=0, description="newest keyframes that are not the volume")
-    fewest_keyframes: int = Field(60, ge=2, description="a smaller submap takes what comes")
+    min_keyframes: int = Field(60, ge=2, description="a smaller submap takes what comes")
     moved_m: float = Field(0.5, gt=0, description="from the anchor, by the rule of motion")
     turned_deg: float = Field(50.0, gt=0, description="from the anchor, by the rule of motion")
-    most_keyframes: int = Field(150, ge=2, description="cap that acts alone")
-    most_gaussians: int = Field(1_000_000, ge=1, description="cap that acts alone")
-    most_path_m: float = Field(30.0, gt=0, description="cap that acts alone, m")
+    max_keyframes: int = Field(150, ge=2, description="cap that acts alone")
+    max_gaussians: int = Field(1_000_000, ge=1, description="cap that acts alone")
+    max_path_m: float = Field(30.0, gt=0, description="cap that acts alone, m")
 
 
 class BoundarySettings(Settings):

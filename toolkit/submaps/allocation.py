@@ -25,27 +25,27 @@ class AllocationOptions:
 
     Attributes:
         rule: "places", by what is seen, or "motion", by how far the anchor is.
-        least_overlap: spatially new below this share of the view inside the submap (G: 0.5).
-        least_divergence: semantically new above this KL divergence from the anchor's classes,
+        min_overlap: spatially new below this share of the view inside the submap (G: 0.5).
+        min_divergence: semantically new above this KL divergence from the anchor's classes,
             in nats (G: 0.4, for a rich set of classes).
         recent: newest keyframes that do not count as the submap's volume. With them the last
             view's neighbour always would, and the paper's criterion could never fire.
-        fewest_keyframes: a smaller submap takes whatever comes. While a camera explores, any
+        min_keyframes: a smaller submap takes whatever comes. While a camera explores, any
             view is new and other things are in it: only size tells a turn from a new room.
         moved_m, turned_deg: from the anchor, either is enough for the rule of motion.
-        most_keyframes, most_gaussians, most_path_m: caps that act alone.
+        max_keyframes, max_gaussians, max_path_m: caps that act alone.
     """
 
     rule: Literal["places", "motion"] = "places"
-    least_overlap: float = 0.5
-    least_divergence: float = 0.4
+    min_overlap: float = 0.5
+    min_divergence: float = 0.4
     recent: int = 10
-    fewest_keyframes: int = 60
+    min_keyframes: int = 60
     moved_m: float = 0.5
     turned_deg: float = 50.0
-    most_keyframes: int = 150
-    most_gaussians: int = 1_000_000
-    most_path_m: float = 30.0
+    max_keyframes: int = 150
+    max_gaussians: int = 1_000_000
+    max_path_m: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -106,22 +106,22 @@ class Allocation:
         overlap = self._volume.overlap(newest, established)
         divergence = self._divergence(newest, keyframes[0])
         reason = ""
-        if len(keyframes) >= options.most_keyframes:
+        if len(keyframes) >= options.max_keyframes:
             reason = f"{len(keyframes)} keyframes"
-        elif gaussians >= options.most_gaussians:
+        elif gaussians >= options.max_gaussians:
             reason = f"{gaussians} Gaussians"
-        elif path_length_m(keyframes) >= options.most_path_m:
+        elif path_length_m(keyframes) >= options.max_path_m:
             reason = f"a path of {path_length_m(keyframes):.1f} m"
         elif options.rule == "motion":
             reason = self._far_from_anchor(keyframes)
-        elif len(keyframes) >= options.fewest_keyframes:
+        elif len(keyframes) >= options.min_keyframes:
             reason = self._elsewhere(overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
 
     def _elsewhere(self, overlap: float, divergence: float) -> str:
         # Without labels the place alone decides.
-        same_things = divergence <= self.options.least_divergence
-        if overlap >= self.options.least_overlap or same_things:
+        same_things = divergence <= self.options.min_divergence
+        if overlap >= self.options.min_overlap or same_things:
             return ""
         return f"overlap {overlap:.2f} and divergence {divergence:.2f}"
 

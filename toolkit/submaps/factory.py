@@ -38,6 +38,6 @@ def allocation_options(
 ) -> AllocationOptions:
     """When submaps begin, by the classes of whoever labels the frames."""
     values = settings.model_dump()
-    if labeller is not None and settings.least_divergence is None:
-        values["least_divergence"] = labeller.segmenter.place_divergence
+    if labeller is not None and settings.min_divergence is None:
+        values["min_divergence"] = labeller.segmenter.place_divergence
     return AllocationOptions(**{name: v for name, v in values.items() if v is not None})

@@ -38,8 +38,8 @@ class PlacementOptions:
         recent: newest keyframes that are compared.
         older: most others, spread from the oldest on: they hold the path together.
         every: only each n-th keyframe is one of these, so that they stay the same for a while.
-        least_recent, least_older: share of the new keyframe's points that either has to show.
-        largest_width: images are halved until they are no wider. 320 as 160 pixels take two
+        min_recent, min_older: share of the new keyframe's points that either has to show.
+        max_width: images are halved until they are no wider. 320 as 160 pixels take two
             fifths of the time, and cost 0.1 mm on a ring of rooms, a quarter of a decibel of
             mapped views on fr1_rpy.
         dense: of the alignment; a tracked pose is good to a pixel or two, so few levels do.
@@ -48,9 +48,9 @@ class PlacementOptions:
     recent: int = 2
     older: int = 4
     every: int = 4
-    least_recent: float = 0.2
-    least_older: float = 0.5
-    largest_width: int = 400
+    min_recent: float = 0.2
+    min_older: float = 0.5
+    max_width: int = 400
     dense: JointOptions = field(default_factory=lambda: JointOptions(levels=2))
 
 
@@ -95,12 +95,12 @@ class KeyframePlacement:
         options, points = self.options, new.points_in_map()
         first_recent = max(len(keyframes) - options.recent, 0)
         recent = [
-            k for k in keyframes[first_recent:] if k.share_observed(points) >= options.least_recent
+            k for k in keyframes[first_recent:] if k.share_observed(points) >= options.min_recent
         ]
         older = [
             k
             for k in keyframes[: first_recent : options.every]
-            if k.share_observed(points) >= options.least_older
+            if k.share_observed(points) >= options.min_older
         ]
         if len(older) > options.older:
             spread = np.linspace(0, len(older) - 1, options.older).round().astype(int)
@@ -110,7 +110,7 @@ class KeyframePlacement:
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.exposure)
         if key not in self._cache:
-            finest = limited_to_width(keyframe_level(keyframe), self.options.largest_width)
+            finest = limited_to_width(keyframe_level(keyframe), self.options.max_width)
             frame = pyramid(finest, self.options.dense.levels)
             self._cache[key] = _Levels([model_level(level) for level in frame], frame)
             while len(self._cache) > _CACHED:

@@ -103,7 +103,7 @@ class HeadSegmenter:
     Args:
         encoder: of the features, at the head's `longest_side`.
         head: trained on this very encoder.
-        least_confidence: probability of the likeliest class, 0 to 1, below which a pixel is
+        min_confidence: probability of the likeliest class, 0 to 1, below which a pixel is
             void.
 
     Raises:
@@ -112,7 +112,7 @@ class HeadSegmenter:
     """
 
     def __init__(
-        self, encoder: PatchEncoder, head: LinearHead, least_confidence: float = 0.0
+        self, encoder: PatchEncoder, head: LinearHead, min_confidence: float = 0.0
     ) -> None:
         if head.encoder_digest != encoder.digest:
             raise FormatError(
@@ -124,7 +124,7 @@ class HeadSegmenter:
                 f"the encoder must see {head.longest_side} pixels, got {encoder.longest_side}"
             )
         self._encoder, self._head = encoder, head
-        self._least_confidence = least_confidence
+        self._min_confidence = min_confidence
         self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = dict(enumerate(head.class_names, start=1))
 
@@ -133,7 +133,7 @@ class HeadSegmenter:
     ) -> NDArray[np.int32]:
         """Class ids [H, W], 0 where the head is not sure enough."""
         logits = self._head.scores(self._encoder.features(frame.rgb)).permute(2, 0, 1)[None]
-        labels = confident_labels(logits, frame.depth_m.shape, self._least_confidence)
+        labels = confident_labels(logits, frame.depth_m.shape, self._min_confidence)
         return labels.to(torch.int32).cpu().numpy()
 
     def state(self) -> dict[str, NDArray]:

@@ -27,7 +27,7 @@ class TransformersSegmenter:
     Args:
         folder: a local folder with the model (`AutoModelForSemanticSegmentation`) and its
             image processor.
-        least_confidence: probability of the likeliest class, 0 to 1, below which a pixel is
+        min_confidence: probability of the likeliest class, 0 to 1, below which a pixel is
             void.
         device: "cpu", "cuda", or "auto".
 
@@ -36,12 +36,12 @@ class TransformersSegmenter:
         FormatError: the folder is not what it should be.
     """
 
-    def __init__(self, folder: Path, least_confidence: float = 0.0, device: str = "auto") -> None:
+    def __init__(self, folder: Path, min_confidence: float = 0.0, device: str = "auto") -> None:
         self._device = device_of(device)
         self._model = load_model("AutoModelForSemanticSegmentation", folder).to(self._device)
         self._processor = load_image_processor(folder)
         self._whole = {name: False for name in _CROPS if getattr(self._processor, name, False)}
-        self._least_confidence = least_confidence
+        self._min_confidence = min_confidence
         names = {int(i): str(name) for i, name in self._model.config.id2label.items()}
         self._count = len(names)
         if sorted(names) != list(range(self._count)):
@@ -68,7 +68,7 @@ class TransformersSegmenter:
                 f"the model scores {logits.shape[1]} classes, but config.json names {self._count}; "
                 "correct its id2label"
             )
-        labels = confident_labels(logits, frame.depth_m.shape, self._least_confidence)
+        labels = confident_labels(logits, frame.depth_m.shape, self._min_confidence)
         labels = torch.where(self._void[labels], 0, labels)
         return labels.to(torch.int32).cpu().numpy()
 
@@ -81,18 +81,18 @@ class TransformersSegmenter:
 
 
 def confident_labels(
-    logits: torch.Tensor, shape: tuple[int, ...], least_confidence: float
+    logits: torch.Tensor, shape: tuple[int, ...], min_confidence: float
 ) -> torch.Tensor:
     """The likeliest class plus one [H, W], 0 where its probability is too small.
 
     Args:
         logits: [1, C, h, w], enlarged to (H, W) before anything is decided.
         shape: (H, W).
-        least_confidence: 0 to 1.
+        min_confidence: 0 to 1.
     """
     with torch.inference_mode():
         full = torch.nn.functional.interpolate(
             logits.float(), size=tuple(shape), mode="bilinear", align_corners=False
         )[0]
         confidence, best = full.softmax(dim=0).max(dim=0)
-        return torch.where(confidence >= least_confidence, best + 1, 0)
+        return torch.where(confidence >= min_confidence, best + 1, 0)

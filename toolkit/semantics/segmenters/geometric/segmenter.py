@@ -36,13 +36,13 @@ class GeometricOptions:
 
     Attributes:
         columns: most cells across the image on which surfaces are found, at least 16.
-        least_camera_height_m, most_camera_height_m: height of the camera above the floor. What
+        min_camera_height_m, max_camera_height_m: height of the camera above the floor. What
             is level and nearer is a table; what is farther below is another storey.
     """
 
     columns: int = 160
-    least_camera_height_m: float = 0.5
-    most_camera_height_m: float = 2.5
+    min_camera_height_m: float = 0.5
+    max_camera_height_m: float = 2.5
 
 
 class GeometricSegmenter:
@@ -67,7 +67,7 @@ class GeometricSegmenter:
 
     def _new_room(self) -> Room:
         options = self._options
-        return Room((options.least_camera_height_m, options.most_camera_height_m))
+        return Room((options.min_camera_height_m, options.max_camera_height_m))
 
     @property
     def up(self) -> NDArray[np.float64] | None:
