@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "Camera": "toolkit.geometry.camera",
     "Frame": "toolkit.frame",
-    "RunSettings": "toolkit.settings.run",
+    "RunSettings": "toolkit.runs.settings",
     "build_slam": "toolkit.runs.building",
     "evaluate": "toolkit.runs.evaluation",
     "load_run": "toolkit.runs.finished",

@@ -11,6 +11,7 @@ import pytest
 
 import toolkit
 from toolkit.cli.main import main
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.errors import DatasetError
 from toolkit.io.splats import write_splat_ply
@@ -70,7 +71,7 @@ def test_the_readme_camera_loop_runs(tmp_path, monkeypatch):
 
 
 def test_run_from_python_writes_the_same_folder_as_the_command(tiny_recording, tiny_run, tmp_path):
-    dataset = {"kind": "folder", "path": tiny_recording}
+    dataset = DatasetOptions(kind="folder", path=tiny_recording)
     toolkit.run(toolkit.RunSettings(dataset=dataset), tmp_path / "run")
     for name in ("trajectory.txt", "map.ply", "loops.jsonl", "config.yaml"):
         assert (tmp_path / "run" / name).read_bytes() == (tiny_run / name).read_bytes(), name
