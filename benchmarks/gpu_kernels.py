@@ -29,7 +29,7 @@ _TYPES = {
     **dict.fromkeys(("checkpoints", "transmittance"), _FLOAT),
     **dict.fromkeys(("by_images", "sums", "feature_rows", "rows", "out"), _FLOAT),
     **dict.fromkeys(("by_means", "by_log_radii", "by_opacity_logits", "by_colours"), _FLOAT),
-    **dict.fromkeys(("texture", "surface", "intensity", "depth", "camera", "parts"), _FLOAT),
+    **dict.fromkeys(("texture", "surface", "intensity", "depth", "cameras", "parts"), _FLOAT),
     **dict.fromkeys(("counts", "pair_gaussians", "tile_begins", "batches"), _INT),
     **dict.fromkeys(("gaussians", "begins", "ids", "pair_rows"), _LONG),
     **dict.fromkeys(("rectangles", "pair_tiles"), "*i16"),
