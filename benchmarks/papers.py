@@ -15,7 +15,6 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from toolkit.settings.run import RunSettings
 
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.registration import Methods, judged
@@ -32,8 +31,10 @@ from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import CandidateFinder, CandidateOptions, DescribedKeyframe
 from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
 from toolkit.loops.landmarks import Counted, LandmarkOptions
+from toolkit.options import validated
 from toolkit.rendering import backend
 from toolkit.runs.building import build_slam
+from toolkit.runs.settings import RunSettings
 
 Values = dict[str, Any]
 PartName = Literal["tracking", "colour", "network", "registration", "landmarks", "correction"]
@@ -248,9 +249,10 @@ def measured_run(sequence: str, values: Values, seed: int) -> Metrics:
         kind, path, size = recording.kind, recording.path, recording.image_size
     else:
         kind, path, size = "synthetic", room("ring-small", seed), None
-    settings = RunSettings.model_validate(
+    settings = validated(
+        RunSettings,
         merged(values, _CHANGES.get(sequence, {}))
-        | {"dataset": {"kind": kind, "path": str(path)}, "image_size": size, "seed": seed}
+        | {"dataset": {"kind": kind, "path": str(path)}, "image_size": size, "seed": seed},
     )
     with finished_slam(settings, open_dataset(kind, path, size)) as run:
         corrections = [r for r in run.records if r["kind"] == "correction within" and r["applied"]]
@@ -288,8 +290,8 @@ class CountedRing:
 def counted_ring(seed: int) -> CountedRing:
     """The keyframes of a run of the default system, without refinement."""
     path = room("ring-small", seed)
-    settings = RunSettings.model_validate(
-        {"dataset": {"kind": "synthetic", "path": str(path)}, "seed": seed}
+    settings = validated(
+        RunSettings, {"dataset": {"kind": "synthetic", "path": str(path)}, "seed": seed}
     )
     dataset = open_dataset("synthetic", path, None)
     slam = build_slam(dataset, settings)
