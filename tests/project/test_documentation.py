@@ -1,0 +1,194 @@
+"""The documentation is true: Python blocks run, commands parse, files and options exist."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import importlib
+import re
+import runpy
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import documentation
+import numpy as np
+import pytest
+import tyro
+from documentation import PAGES, ROOT, Block, Command
+
+from toolkit.cli.main import JOBS
+
+PYTHON_BLOCKS = [b for page in PAGES for b in documentation.blocks(page) if b.language == "python"]
+COMMANDS = [command for page in PAGES for command in documentation.commands(page)]
+
+
+class ParsedError(Exception):
+    """The command line was parsed; what it asks for is not done."""
+
+
+def stop_after(parse: Callable[..., Any]) -> Callable[..., Any]:
+    def parsed(*args: Any, **options: Any) -> Any:
+        parse(*args, **options)
+        raise ParsedError
+
+    return parsed
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory, tiny_recording, tiny_run) -> Path:
+    """A folder with a recording in `mine` and a finished run in `runs/demo`."""
+    folder = tmp_path_factory.mktemp("documentation")
+    (folder / "mine").symlink_to(tiny_recording)
+    (folder / "runs").mkdir()
+    (folder / "runs" / "demo").symlink_to(tiny_run)
+    return folder
+
+
+@functools.cache
+def camera_images() -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """What the driver of a camera delivers: time, colour, depth in millimetres."""
+    depth_mm = np.full((240, 320), 2000, np.uint16)
+    rgb = np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8)
+    return [(index / 30.0, rgb, depth_mm) for index in range(2)]
+
+
+GIVEN: dict[str, Callable[[], Any]] = {"images": camera_images}
+
+
+@pytest.mark.parametrize("block", PYTHON_BLOCKS, ids=lambda block: block.place)
+def test_python_blocks_run(block: Block, workspace: Path, monkeypatch):
+    monkeypatch.chdir(workspace)
+    names = {name: GIVEN[name]() for name in block.given}
+    path, line = block.place.rsplit(":", 1)
+    # Line numbers of a traceback are those of the page.
+    code = compile("\n" * (int(line) - 1) + block.text, path, "exec")
+    exec(code, {"__name__": "__main__", **names})
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: f"{c.place} {' '.join(c.words[:2])}")
+def test_commands_parse(command: Command, workspace: Path, monkeypatch):
+    monkeypatch.chdir(workspace)
+    program, *words = command.words
+    program = Path(program).name
+    if program == "semsplat":
+        # Settings of runs that only the documentation has.
+        words = ["runs/demo/config.yaml" if w.endswith("/config.yaml") else w for w in words]
+        parse_job(words, monkeypatch)
+    elif program == "make":
+        targets = {word for word in words if "=" not in word}
+        assert targets <= make_targets()
+    elif words[:1] == ["-m"]:
+        parse_module(words[1], words[2:], monkeypatch)
+    else:
+        assert words[0] in ("setup.py", "-c") or (ROOT / words[0]).is_file()
+
+
+def parse_job(words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    words = [word for word in words if word != "--verbose"]
+    if not words or words[0] in ("JOB", "--help", "--version"):
+        return
+    assert words[0] in JOBS, f"there is no job {words[0]}"
+    if {"--help", "--help-all"} & set(words):
+        return
+    module = importlib.import_module(f"toolkit.cli.{JOBS[words[0]][0]}")
+    if hasattr(module, "parse_arguments"):
+        monkeypatch.setattr(module, "parse_arguments", stop_after(module.parse_arguments))
+    stop_parsers(monkeypatch)
+    with pytest.raises(ParsedError):
+        module.main(words[1:])
+
+
+def parse_module(name: str, words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    if name in ("pytest", "pip", "venv"):
+        return
+    assert (ROOT / name.replace(".", "/")).with_suffix(".py").is_file(), f"no module {name}"
+    monkeypatch.syspath_prepend(str(ROOT))
+    monkeypatch.setattr(sys, "argv", [name, *words])
+    monkeypatch.setattr(tyro, "cli", stop_after(tyro.cli))
+    stop_parsers(monkeypatch)
+    with pytest.raises(ParsedError):
+        runpy.run_module(name, run_name="__main__")
+
+
+def stop_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
+    parse = argparse.ArgumentParser.parse_args
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop_after(parse))
+
+
+@functools.cache
+def make_targets() -> set[str]:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    return set(re.findall(r"^([\w-]+):", makefile, flags=re.M))
+
+
+@functools.cache
+def job_options() -> dict[str, set[str]]:
+    """All options of each job, as its parser knows them."""
+    return {job: set(options_of(module)) for job, (module, _) in JOBS.items()}
+
+
+def options_of(module_name: str) -> list[str]:
+    module = importlib.import_module(f"toolkit.cli.{module_name}")
+    if not hasattr(module, "parse_arguments"):
+        return []
+    found: list[str] = []
+
+    def record(kind: type, argv: Sequence[str], job: str, **options: Any) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            parser = tyro.extras.get_parser(kind, **options)
+        found.extend(o for action in parser._actions for o in action.option_strings)
+        raise ParsedError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "parse_arguments", record)
+        with pytest.raises(ParsedError):
+            module.main([])
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_options_jobs_and_files_in_the_text_exist(page: Path):
+    known = set.union(*job_options().values(), {"--help", "--help-all", "--verbose", "--version"})
+    wrong = []
+    for place, code in documentation.inline_codes(page):
+        if code.startswith("--"):
+            option = re.split(r"[ =|]", code)[0]
+            group = option.removesuffix("*").removesuffix(".") + "."
+            if option not in known and not any(o.startswith(group) for o in known):
+                wrong.append(f"{place}: no job has the option {option}")
+        elif code.startswith("semsplat ") and re.match(r"[a-z-]+$", code.split()[1]):
+            if code.split()[1] not in JOBS:
+                wrong.append(f"{place}: there is no job {code.split()[1]}")
+        elif re.match(r"(toolkit|tests|apps|docs|data_tools|benchmarks)/[\w./*-]+$", code):
+            if not list(ROOT.glob(code.rstrip("/"))):
+                wrong.append(f"{place}: {code} does not exist")
+        elif re.match(r"toolkit(\.\w+)+$", code) and not exists(code):
+            wrong.append(f"{place}: {code} does not exist")
+    assert not wrong, "\n".join(wrong)
+
+
+def exists(dotted: str) -> bool:
+    """Whether a module, or an attribute of one, has this name."""
+    try:
+        importlib.import_module(dotted)
+    except ModuleNotFoundError:
+        parent, _, name = dotted.rpartition(".")
+        return bool(parent) and exists(parent) and hasattr(sys.modules[parent], name)
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path):
+    broken = []
+    for place, target in documentation.links(page):
+        file, _, anchor = target.partition("#")
+        path = (page.parent / file).resolve() if file else page
+        if not path.exists():
+            broken.append(f"{place}: {target} does not exist")
+        elif anchor and anchor not in documentation.anchors(path):
+            broken.append(f"{place}: {file or page.name} has no heading #{anchor}")
+    assert not broken, "\n".join(broken)
