@@ -46,6 +46,8 @@ and RedKitchen have one recording and several seeds of the random choices. Each 
 settings that it names and nothing else."""
 
 _GIVEN: Values = {"poses": "given", "hold_out": 5}
+# No class is ever seen as often, so that landmarks have no effect.
+_NEVER = 10**9
 _COLOUR: Values = {"code": {"kind": "colour"}}
 _GAUSEM: Values = {"kind": "first-order", "first_order": {"preset": "gausem"}}
 
@@ -56,9 +58,9 @@ class Part:
 
     Attributes:
         title: of the table.
-        sequences: on which each row is measured.
+        sequences: on which each row is run; empty where the rows are no runs.
         columns: of metrics.json and of `measure`.
-        rows: settings by the name of the row; the first one is the default.
+        rows: settings by the name of the row; of rows that are no runs, what `measure` takes.
         note: below the table.
     """
 
@@ -116,6 +118,46 @@ PARTS: dict[PartName, Part] = {
         },
         "Poses are given, every fifth frame is held out, and submaps end after five keyframes.",
     ),
+    "registration": Part(
+        "The feature term of registration (G-6)",
+        (),
+        ("success_percent", "error_cm", "error_deg"),
+        {
+            row: {"method": row}
+            for row in (
+                "SGR",
+                "SGR, first-order fine, no feature term",
+                "SGR, first-order fine (G-6)",
+            )
+        },
+        "Pairs of submaps of synthetic rooms with ideal images, 160x120, each in a frame of its "
+        "own; success is 5 cm and 2 degrees, errors are medians over the pairs. SGR is the "
+        "default. Both first-order rows minimise colour and semantics; the last one adds the "
+        "feature term with the built-in encoder.",
+    ),
+    "landmarks": Part(
+        "Landmarks of observed Gaussians (G-7)",
+        (),
+        (
+            "loop_precision_percent",
+            "loop_recall_percent",
+            "loop_f1_percent",
+            "loops_searched",
+            "loops_accepted",
+        ),
+        {
+            "descriptor alone": {"landmarks": {"min_count": _NEVER}},
+            "pixels (default)": {"landmarks": {}},
+            "Gaussians": {"landmarks": {"counted": "gaussians"}},
+            "pixels, weighted as printed": {"landmarks": {"weighting": "paper"}},
+            "Gaussians, weighted as printed": {
+                "landmarks": {"counted": "gaussians", "weighting": "paper"}
+            },
+        },
+        "Candidates of the search on the ring, before verification. One run of the default system, "
+        "without refinement, counts both; every keyframe is then searched for among the earlier "
+        "ones.",
+    ),
     "correction": Part(
         "Mapping after a correction inside a submap (G, III.C)",
         ("redkitchen, always corrected", "ring, always corrected"),
@@ -138,39 +180,7 @@ _CHANGES: dict[str, Values] = {
     "ring, always corrected": _ALWAYS,
 }
 
-REGISTRATION_ROWS = (
-    "SGR",
-    "SGR, first-order fine, no feature term",
-    "SGR, first-order fine (G-6)",
-)
-REGISTRATION_COLUMNS = ("success_percent", "error_cm", "error_deg")
-REGISTRATION_TITLE = "The feature term of registration (G-6)"
-REGISTRATION_NOTE = """\
-Pairs of submaps of synthetic rooms with ideal images, 160x120, each in a frame of its own; success
-is 5 cm and 2 degrees, errors are medians over the pairs. Both first-order rows minimise colour and
-semantics; the last one adds the feature term with the built-in encoder."""
 PAIRS = 8  # of each room
-
-# No class is ever seen as often, so that landmarks have no effect.
-_NEVER = 10**9
-LANDMARK_ROWS: dict[str, Values] = {
-    "descriptor alone": {"min_count": _NEVER},
-    "pixels (default)": {},
-    "Gaussians": {"counted": "gaussians"},
-    "pixels, weighted as printed": {"weighting": "paper"},
-    "Gaussians, weighted as printed": {"counted": "gaussians", "weighting": "paper"},
-}
-LANDMARK_COLUMNS = (
-    "loop_precision_percent",
-    "loop_recall_percent",
-    "loop_f1_percent",
-    "loops_searched",
-    "loops_accepted",
-)
-LANDMARK_TITLE = "Landmarks of observed Gaussians (G-7)"
-LANDMARK_NOTE = """\
-Candidates of the search on the ring, before verification. One run of the default system, without
-refinement, counts both; every keyframe is then searched for among the earlier ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,11 +217,9 @@ def main() -> None:
 
 def jobs_of(part: PartName) -> dict[str, Values]:
     """What each row of a table measures."""
-    if part == "registration":
-        return {row: {"method": row} for row in REGISTRATION_ROWS}
-    if part == "landmarks":
-        return {row: {"landmarks": values} for row, values in LANDMARK_ROWS.items()}
     chosen = PARTS[part]
+    if not chosen.sequences:
+        return chosen.rows
     return {
         f"{sequence}, {row}": {"sequence": sequence, "settings": values}
         for sequence in chosen.sequences
@@ -221,15 +229,9 @@ def jobs_of(part: PartName) -> dict[str, Values]:
 
 def table_of_part(part: PartName, found: Rows) -> Table:
     """The rows of one part."""
-    prefix = f"{part}: "
+    prefix, chosen = f"{part}: ", PARTS[part]
     rows = {name.removeprefix(prefix): found[name] for name in found if name.startswith(prefix)}
-    if part == "registration":
-        title, columns, note = REGISTRATION_TITLE, REGISTRATION_COLUMNS, REGISTRATION_NOTE
-    elif part == "landmarks":
-        title, columns, note = LANDMARK_TITLE, LANDMARK_COLUMNS, LANDMARK_NOTE
-    else:
-        title, columns, note = PARTS[part].title, PARTS[part].columns, PARTS[part].note
-    return replace(table_of(columns, rows, title=title), note=note)
+    return replace(table_of(chosen.columns, rows, title=chosen.title), note=chosen.note)
 
 
 def measure(job: Values, seed: int) -> Metrics:
@@ -249,11 +251,8 @@ def measured_run(sequence: str, values: Values, seed: int) -> Metrics:
         kind, path, size = recording.kind, recording.path, recording.image_size
     else:
         kind, path, size = "synthetic", room("ring-small", seed), None
-    settings = validated(
-        RunSettings,
-        merged(values, _CHANGES.get(sequence, {}))
-        | {"dataset": {"kind": kind, "path": str(path)}, "image_size": size, "seed": seed},
-    )
+    place = {"dataset": {"kind": kind, "path": str(path)}, "image_size": size, "seed": seed}
+    settings = validated(RunSettings, merged(values, _CHANGES.get(sequence, {})) | place)
     with finished_slam(settings, open_dataset(kind, path, size)) as run:
         corrections = [r for r in run.records if r["kind"] == "correction within" and r["applied"]]
         return run.metrics | {
@@ -290,9 +289,8 @@ class CountedRing:
 def counted_ring(seed: int) -> CountedRing:
     """The keyframes of a run of the default system, without refinement."""
     path = room("ring-small", seed)
-    settings = validated(
-        RunSettings, {"dataset": {"kind": "synthetic", "path": str(path)}, "seed": seed}
-    )
+    values = {"dataset": {"kind": "synthetic", "path": str(path)}, "seed": seed}
+    settings = validated(RunSettings, values)
     dataset = open_dataset("synthetic", path, None)
     slam = build_slam(dataset, settings)
     assert slam.taxonomy is not None
