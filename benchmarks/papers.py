@@ -33,7 +33,7 @@ from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGau
 from toolkit.loops.landmarks import Counted, LandmarkOptions
 from toolkit.options import validated
 from toolkit.rendering import backend
-from toolkit.runs.building import build_slam
+from toolkit.runs.building import build_run_labeller, build_slam
 from toolkit.runs.settings import RunSettings
 
 Values = dict[str, Any]
@@ -256,7 +256,7 @@ def measured_run(sequence: str, values: Values, seed: int) -> Metrics:
     with finished_slam(settings, open_dataset(kind, path, size)) as run:
         corrections = [r for r in run.records if r["kind"] == "correction within" and r["applied"]]
         return run.metrics | {
-            "submaps": len(run.slam.atlas),
+            "submaps": len(run.result.submaps),
             "corrections": len(corrections),
             "largest correction cm": max((100 * r["largest_m"] for r in corrections), default=0.0),
         }
@@ -293,8 +293,9 @@ def counted_ring(seed: int) -> CountedRing:
     settings = validated(RunSettings, values)
     dataset = open_dataset("synthetic", path, None)
     slam = build_slam(dataset, settings)
-    assert slam.taxonomy is not None
-    semantics, classes = slam.mapper.semantics, len(slam.taxonomy)
+    labeller = build_run_labeller(settings, dataset)
+    assert labeller is not None
+    semantics, classes = slam.mapper.semantics, len(labeller.taxonomy)
     counters: dict[Counted, ClassCounter] = {
         "pixels": LabelledPixels(classes),
         "gaussians": ObservedGaussians(semantics, classes, backend()),
