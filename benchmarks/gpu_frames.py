@@ -31,6 +31,7 @@ from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.exposure import Exposure
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -266,8 +267,9 @@ def check_alignment(plan: Plan) -> bool:
     camera = camera_of(*((320, 180) if plan.timed else (24, 16)))
     frames = walk(backend("cuda"), camera, 2, plan.device, 2)
     view, frame = (finest_level(frame, torch.device("cpu")) for frame in frames)
-    model, pose, exposure, gate = model_level(view), pose_of(1), (1.02, -0.01), 0.1
-    scalars = (*exposure, INITIAL_SCALES.intensity, INITIAL_SCALES.depth_m, gate, 1.0)
+    model, pose, exposure, gate = model_level(view), pose_of(1), Exposure(1.02, -0.01), 0.1
+    sigmas = INITIAL_SCALES.intensity, INITIAL_SCALES.depth_m
+    scalars = (exposure.gain, exposure.bias, *sigmas, gate, 1.0)
     sums = reference.accumulate(
         (model.texture.numpy(), model.surface.numpy()),
         (frame.intensity.numpy(), frame.depth_m.numpy()),

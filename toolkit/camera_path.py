@@ -15,7 +15,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.relocalisation import LastSeen
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.health import shows_something
+from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ class CameraPath:
     def add_lost(self, frame: Frame) -> None:
         """Add a frame without a pose."""
         self.lost_frames.append(frame.index)
-        self.lost_in_a_row += shows_something(frame)
+        self.lost_in_a_row += has_depth(frame)
 
     @property
     def indices(self) -> list[int]:

@@ -16,7 +16,7 @@ from toolkit.frame import Frame, Recorder
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Found
 from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.health import shows_something
+from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
@@ -70,7 +70,7 @@ class Recovery:
         tracker, relocaliser = self._tracker, self._closer.relocaliser
         if relocaliser is None or not isinstance(tracker, LocatingTracker):
             return Located(None, lost)
-        if not shows_something(frame):
+        if not has_depth(frame):
             return Located(None, lost)
         out_of_patience = self._path.lost_in_a_row >= relocaliser.options.patience
         with self._recorder.timed("relocalisation"):

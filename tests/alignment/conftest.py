@@ -5,8 +5,6 @@ from __future__ import annotations
 from types import ModuleType
 
 import pytest
-import registered_room
-from registered_room import Scene, scene
 from tracked_room import Room, first_steps
 
 from toolkit.keyframe import Keyframe
@@ -19,13 +17,18 @@ def room() -> Room:
 
 
 @pytest.fixture(scope="session")
-def submaps() -> Scene:
+def submaps():
+    # Imported here: the tests of the GPU run where libraries that submaps need are missing.
+    from registered_room import scene
+
     return scene()
 
 
 @pytest.fixture(scope="session")
 def stranger() -> Keyframe:
-    return registered_room.stranger()
+    from registered_room import stranger
+
+    return stranger()
 
 
 @pytest.fixture(params=available_instruction_sets())

@@ -22,6 +22,7 @@ from toolkit.alignment.data import (
     ModelLevel,
 )
 from toolkit.alignment.levels import finest_level, model_level, pyramid
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import kernels_for
@@ -69,7 +70,7 @@ def test_sums(room, aligner):
     pose = se3.inverse(room.T_map_camera[0]) @ room.T_map_camera[1]
     pose = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ pose
     model = model_level(view)
-    arguments = (pose, SCALES, (1.1, -0.02), 0.05)
+    arguments = (pose, SCALES, Exposure(1.1, -0.02), 0.05)
     expected = linearise(model, frame, *arguments)
     assert expected.depth_pixels > 500 and expected.intensity_pixels > 500
     actual = aligner.linearise(model_there(model), there(frame), *arguments)
@@ -79,19 +80,19 @@ def test_sums(room, aligner):
 @pytest.mark.parametrize(("levels", "exposure"), [(2, True), (1, False)])
 def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     """Level by level, with exposure and scales, as often, to a hundredth of a millimetre."""
-    previous = (1.0, 0.0) if exposure else None
+    previous = IDENTITY if exposure else None
     rules = GaussNewtonOptions(5, 0.05, 0.4, previous, 50, 2e-5, 1e-5)
     view = [model_level(level) for level in pyramid(level_of(room, 0, 32, 24), levels)]
     frames = pyramid(level_of(room, 1, 32, 24), levels)
     offset = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004]))
-    start = Alignment(offset, INITIAL_SCALES, 1.0, 0.0)
+    start = Alignment(offset, INITIAL_SCALES)
     expected = align(view, frames, start, rules)
     views_there, frames_there = [model_there(v) for v in view], [there(f) for f in frames]
     actual = aligner.align(views_there, frames_there, start, rules)
     assert distance_mm(actual.T_view_camera, expected.T_view_camera) < 0.01
     assert angle_deg(actual.T_view_camera, expected.T_view_camera) < 0.001
-    assert actual.gain == pytest.approx(expected.gain, abs=1e-4)
-    assert actual.bias == pytest.approx(expected.bias, abs=1e-4)
+    assert actual.exposure.gain == pytest.approx(expected.exposure.gain, abs=1e-4)
+    assert actual.exposure.bias == pytest.approx(expected.exposure.bias, abs=1e-4)
     assert actual.scales.intensity == pytest.approx(expected.scales.intensity, rel=1e-3)
     assert actual.scales.depth_m == pytest.approx(expected.scales.depth_m, rel=1e-3)
     assert actual.iterations == expected.iterations
@@ -103,11 +104,11 @@ def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
 def test_too_few_pixels_change_nothing(room, aligner):
     frame, view = level_of(room, 1, 20, 16), level_of(room, 0, 20, 16)
     frame.depth_m[:] = 0.0
-    start = Alignment(np.eye(4), INITIAL_SCALES, 1.0, 0.0)
-    rules = GaussNewtonOptions(3, 0.05, 1.0, (1.0, 0.0), 50, 1e-5, 1e-5)
+    start = Alignment(np.eye(4), INITIAL_SCALES)
+    rules = GaussNewtonOptions(3, 0.05, 1.0, IDENTITY, 50, 1e-5, 1e-5)
     found = aligner.align([model_there(model_level(view))], [there(frame)], start, rules)
     assert np.array_equal(found.T_view_camera, np.eye(4))
-    assert (found.iterations, found.converged, found.gain) == (1, False, 1.0)
+    assert (found.iterations, found.converged, found.exposure) == (1, False, IDENTITY)
 
 
 @pytest.mark.parametrize("size", [(95, 71), (1, 9), (8, 1), (2, 2)])
@@ -146,15 +147,15 @@ def test_cameras_of_model_and_frame_may_differ(aligner, widths):
     models = [model_level(level) for level in views]
     frames = pyramid(finest_level(box_frame(1, T, frame_camera), cpu), 2)
     models_there, frames_there = [model_there(m) for m in models], [there(f) for f in frames]
-    arguments = (se3.exp(np.full(6, 0.003)) @ T, SCALES, (1.1, -0.02), 0.05)
+    arguments = (se3.exp(np.full(6, 0.003)) @ T, SCALES, Exposure(1.1, -0.02), 0.05)
     expected = linearise(models[0], frames[0], *arguments)
     assert expected.depth_pixels > 100 and expected.intensity_pixels > 100
     actual = aligner.linearise(models_there[0], frames_there[0], *arguments)
     assert_same_sums(actual, expected, 2e-3)
     rules = GaussNewtonOptions(
-        1, 0.05, 1.0, (1.0, 0.0), min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
+        1, 0.05, 1.0, IDENTITY, min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
     )
-    start = Alignment(np.eye(4), INITIAL_SCALES, 1.0, 0.0)
+    start = Alignment(np.eye(4), INITIAL_SCALES)
     found = aligner.align(models_there, frames_there, start, rules)
     assert (
         distance_mm(found.T_view_camera, align(models, frames, start, rules).T_view_camera) < 0.01

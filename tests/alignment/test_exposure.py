@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 import torch
@@ -15,6 +17,7 @@ from toolkit.alignment.exposure import (
 )
 from toolkit.alignment.levels import model_level, pyramid
 from toolkit.alignment.normal_equations import BIAS, GAIN
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry.camera import Camera
 
 
@@ -27,24 +30,25 @@ def blurred(image, contrast=0.97):
     return image.mean() + contrast * (image - image.mean())
 
 
-def estimated(frame, model, at=(1.0, 0.0)):
-    """Exposure from the normal equations of a fit at some exposure."""
+def estimated(frame, model, at=IDENTITY):
+    """Gain and bias from the normal equations of a fit at some exposure."""
     J = np.zeros((len(frame), 8))
     J[:, GAIN], J[:, BIAS] = -frame, -1.0
-    residual = model - (at[0] * frame + at[1])
+    residual = model - (at.gain * frame + at.bias)
     weight = 1.0 / 0.05**2
     H, g = weight * J.T @ J, weight * J.T @ residual
-    return exposure_between(*intensity_statistics(H, g, weight * float(residual @ residual), at))
+    squares = weight * float(residual @ residual)
+    return astuple(exposure_between(*intensity_statistics(H, g, squares, at)))
 
 
-@pytest.mark.parametrize("at", [(1.0, 0.0), (0.8, 0.1)])
+@pytest.mark.parametrize("at", [IDENTITY, Exposure(0.8, 0.1)])
 def test_statistics_do_not_depend_on_the_linearisation_point(image, at):
     model = 1.2 * image - 0.05
     frame, view = (
         IntensityStatistics(image.mean(), image.std()),
         IntensityStatistics(model.mean(), model.std()),
     )
-    assert estimated(image, model, at) == pytest.approx(exposure_between(frame, view))
+    assert estimated(image, model, at) == pytest.approx(astuple(exposure_between(frame, view)))
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
@@ -65,8 +69,8 @@ def test_a_flat_view_gives_a_gain_and_a_black_one_no_exposure(image):
     flat = np.full_like(image, 0.5)
     assert estimated(0.8 * flat, flat) == (pytest.approx(1.25), 0.0)
     assert estimated(0.01 * image, image) == (1.0, 0.0)
-    nothing = intensity_statistics(np.zeros((8, 8)), np.zeros(8), 0.0, (1.0, 0.0))
-    assert exposure_between(*nothing) == (1.0, 0.0)
+    nothing = intensity_statistics(np.zeros((8, 8)), np.zeros(8), 0.0, IDENTITY)
+    assert exposure_between(*nothing) == IDENTITY
 
 
 class TestFrame:
@@ -85,8 +89,9 @@ class TestFrame:
         view = pyramid(FrameLevel(self.CAMERA, rendered, measured), 3)
         return list(zip([model_level(v) for v in view], pyramid(frame, 3), strict=True))
 
-    def estimated(self, levels, fitted=(1.0, 0.0)):
-        return estimate_exposure(levels, np.eye(4), ResidualScales(0.05, 0.01), fitted, 0.05)
+    def estimated(self, levels, fitted=IDENTITY):
+        scales = ResidualScales(0.05, 0.01)
+        return astuple(estimate_exposure(levels, np.eye(4), scales, fitted, 0.05))
 
     @pytest.mark.parametrize("exposure", [(1.2, 0.0), (0.85, 0.0), (0.7, 0.15), (1.3, -0.05)])
     def test_the_exposure_is_estimated(self, exposure):
@@ -101,4 +106,4 @@ class TestFrame:
 
     def test_without_common_pixels_there_is_no_exposure(self):
         everywhere = torch.ones(96, 128, dtype=torch.bool)
-        assert self.estimated(self.levels(1.2, 0.0, everywhere), (0.9, 0.1)) == (1.0, 0.0)
+        assert self.estimated(self.levels(1.2, 0.0, everywhere), Exposure(0.9, 0.1)) == (1.0, 0.0)

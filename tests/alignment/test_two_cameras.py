@@ -23,6 +23,7 @@ from toolkit.alignment.data import (
 )
 from toolkit.alignment.levels import finest_level, model_level, pyramid
 from toolkit.errors import ToolkitError
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.tracking.odometry import frame_to_model
@@ -38,7 +39,7 @@ PAIRS = {
 T_MODEL_FRAME = se3.exp(np.array([0.03, -0.02, 0.025, 0.012, -0.01, 0.015]))
 SCALES = ResidualScales(intensity=0.03, depth_m=0.005)
 RULES = GaussNewtonOptions(
-    12, 0.05, 1.0, (1.0, 0.0), min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
+    12, 0.05, 1.0, IDENTITY, min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
 )
 
 both_orders = pytest.mark.parametrize("cameras", PAIRS.values(), ids=PAIRS.keys())
@@ -80,7 +81,7 @@ def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.usefixtures("backend")
 def test_the_pose_is_unbiased(cameras):
     models, frames = levels_of(cameras)
-    found = align(models, frames, Alignment(np.eye(4), INITIAL_SCALES, 1.0, 0.0), RULES)
+    found = align(models, frames, Alignment(np.eye(4), INITIAL_SCALES), RULES)
     assert found.converged
     assert distance_mm(found.T_view_camera, T_MODEL_FRAME) < 1.0
     assert angle_deg(found.T_view_camera, T_MODEL_FRAME) < 0.03
@@ -91,7 +92,7 @@ def test_residuals_vanish_at_the_true_pose(cameras, monkeypatch):
     """Every pixel of the frame whose point lies in the model's image has a residual."""
     monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
     models, frames = levels_of(cameras)
-    linear = linearise(models[0], frames[0], T_MODEL_FRAME, SCALES, (1.0, 0.0), 0.05)
+    linear = linearise(models[0], frames[0], T_MODEL_FRAME, SCALES, IDENTITY, 0.05)
     points = frames[0].camera.unproject(frames[0].depth_m.numpy()).reshape(-1, 3)
     uv = models[0].camera.project(se3.transform_points(T_MODEL_FRAME, points))
     inside = (uv >= 0).all(axis=1) & (uv < np.array(models[0].camera.size) - 1).all(axis=1)
@@ -105,7 +106,7 @@ def test_native_sums_are_those_of_numpy(cameras, module, monkeypatch):
     """Memory around each image holds NaN, which any read beyond the image would bring in."""
     models, frames = levels_of(cameras)
     T = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ T_MODEL_FRAME
-    arguments = (T, SCALES, (1.1, -0.02), 0.05)
+    arguments = (T, SCALES, Exposure(1.1, -0.02), 0.05)
     monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
     expected = linearise(models[0], frames[0], *arguments)
     assert expected.depth_pixels > 500 and expected.intensity_pixels > 500

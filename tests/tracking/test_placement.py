@@ -80,7 +80,7 @@ def test_a_correction_by_many_pixels_is_not_believed(room: Scene):
     assert np.array_equal(T, new.T_map_camera)
 
 
-def test_a_keyframe_that_shows_something_else_has_no_say(room: Scene):
+def test_a_keyframe_that_has_depth_else_has_no_say(room: Scene):
     """Two hands wide of where it was taken, its surfaces are not the new one's."""
     wrong = replace(keyframe(room, 1), T_map_camera=motion(3, 0.8, 20.0))
     new = moved(keyframe(room, 3), 6)

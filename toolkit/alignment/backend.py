@@ -20,6 +20,7 @@ from toolkit.alignment.data import (
     ModelLevel,
     ResidualScales,
 )
+from toolkit.exposure import Exposure
 from toolkit.native import kernels_for
 
 
@@ -53,7 +54,7 @@ class AlignmentBackend(Protocol):
         frame: FrameLevel,
         T_model_frame: NDArray[np.float64],
         scales: ResidualScales,
-        exposure: tuple[float, float],
+        exposure: Exposure,
         max_distance: float,
     ) -> Linearisation:
         """See `linearise`."""
@@ -91,7 +92,7 @@ def linearise(
     frame: FrameLevel,
     T_model_frame: NDArray[np.float64],
     scales: ResidualScales,
-    exposure: tuple[float, float],
+    exposure: Exposure,
     max_distance: float,
 ) -> Linearisation:
     """Linearise the alignment of a frame to a model at a pose. Their cameras may differ.
@@ -99,7 +100,7 @@ def linearise(
     Args:
         T_model_frame: [4, 4]. The tangent multiplies from the left.
         scales: of the residuals.
-        exposure: gain and bias, model intensity = gain * frame intensity + bias.
+        exposure: of the frame against the model.
         max_distance: maximum depth difference of corresponding pixels, as a fraction of depth.
     """
     backend = backend_for(frame.depth_m)

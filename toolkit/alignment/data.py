@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry.camera import Camera
 
 # A numpy image [H, W] or [H, W, C] of one level.
@@ -170,7 +171,7 @@ class GaussNewtonOptions:
         max_distance: maximum depth difference of corresponding pixels at the finest level, as a
             fraction of depth; doubled at every coarser level.
         photometric_weight: weight of the photometric term relative to the geometric term.
-        exposure: gain and bias of the previous frame, or None to keep the exposure fixed. Only
+        exposure: exposure of the previous frame, or None to keep the exposure fixed. Only
             the finest level adjusts it: a coarse view may be far from the frame, and its pose is
             fitted at the previous exposure.
         min_pixels: minimum number of residuals.
@@ -181,7 +182,7 @@ class GaussNewtonOptions:
     iterations: int
     max_distance: float
     photometric_weight: float
-    exposure: tuple[float, float] | None
+    exposure: Exposure | None
     min_pixels: int
     min_translation_m: float
     min_rotation_rad: float
@@ -194,7 +195,7 @@ class Alignment:
     Attributes:
         T_view_camera: [4, 4] float64.
         scales: of the residuals.
-        gain, bias: exposure of the frame, view = gain * frame + bias.
+        exposure: of the frame against the view.
         iterations: number of iterations so far.
         converged: the last step at the finest level was small.
         last: normal equations of the last iteration, or None before the first.
@@ -202,8 +203,7 @@ class Alignment:
 
     T_view_camera: NDArray[np.float64]
     scales: ResidualScales
-    gain: float
-    bias: float
+    exposure: Exposure = IDENTITY
     iterations: int = 0
     converged: bool = False
     last: Linearisation | None = None

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import FrameLevel, ModelLevel, ResidualScales
 from toolkit.alignment.normal_equations import BIAS, GAIN
+from toolkit.exposure import IDENTITY, Exposure
 
 # Contrasts that differ by less count as equal, since noise and smoothness cause a difference too.
 # Automatic exposure causes more: 16 % on RedKitchen and on fr1_rpy.
@@ -40,24 +41,24 @@ class IntensityStatistics:
     deviation: float
 
 
-def exposure_between(frame: IntensityStatistics, model: IntensityStatistics) -> tuple[float, float]:
-    """Gain and bias that map the intensities of a frame to those of a model of the same surface.
+def exposure_between(frame: IntensityStatistics, model: IntensityStatistics) -> Exposure:
+    """Exposure of a frame against a model of the same surface.
 
     The ratio of the means is the gain, without a bias, unless the contrasts say otherwise.
     """
     if min(frame.mean, model.mean) < _MIN_MEAN:
-        return 1.0, 0.0
+        return IDENTITY
     ratio = model.mean / frame.mean
     if min(frame.deviation, model.deviation) < _MIN_DEVIATION:
-        return ratio, 0.0
+        return Exposure(ratio)
     gain = model.deviation / frame.deviation
     if abs(gain / ratio - 1.0) < _MIN_CONTRAST_CHANGE:
-        return ratio, 0.0
-    return gain, model.mean - gain * frame.mean
+        return Exposure(ratio)
+    return Exposure(gain, model.mean - gain * frame.mean)
 
 
 def intensity_statistics(
-    H: NDArray[np.float64], g: NDArray[np.float64], squares: float, exposure: tuple[float, float]
+    H: NDArray[np.float64], g: NDArray[np.float64], squares: float, exposure: Exposure
 ) -> tuple[IntensityStatistics, IntensityStatistics]:
     """Statistics of a frame and of the view it was aligned to, from normal equations.
 
@@ -65,9 +66,9 @@ def intensity_statistics(
         H: [8, 8], g: [8] at some pose and exposure.
         squares: sum of the weighted squared residuals, view - (gain * frame + bias), weighted as
             in H.
-        exposure: gain and bias at which the equations were linearised.
+        exposure: at which the equations were linearised.
     """
-    (gain, bias), weight = exposure, float(H[BIAS, BIAS])
+    gain, bias, weight = exposure.gain, exposure.bias, float(H[BIAS, BIAS])
     if weight <= 0.0:
         return IntensityStatistics(0.0, 0.0), IntensityStatistics(0.0, 0.0)
     mean = float(H[GAIN, BIAS]) / weight
@@ -85,10 +86,10 @@ def estimate_exposure(
     levels: Sequence[tuple[ModelLevel, FrameLevel]],
     T_view_camera: NDArray[np.float64],
     scales: ResidualScales,
-    fitted: tuple[float, float],
+    fitted: Exposure,
     max_distance: float,
-) -> tuple[float, float]:
-    """Gain and bias of an aligned frame, from the coarsest level with enough pixels.
+) -> Exposure:
+    """Exposure of an aligned frame, from the coarsest level with enough pixels.
 
     Noise and smoothness matter least there. The robust weights depend on the exposure, so it is
     estimated twice.
@@ -96,7 +97,7 @@ def estimate_exposure(
     Args:
         levels: view and frame, from fine to coarse.
         T_view_camera: [4, 4] pose of the frame in the view's coordinates.
-        fitted: gain and bias of the alignment.
+        fitted: exposure of the alignment.
         max_distance: maximum depth difference at the finest level, as a fraction of depth.
     """
     for level in reversed(range(len(levels))):
@@ -105,10 +106,10 @@ def estimate_exposure(
             continue
         first = exposure_between(*found)
         again = _statistics_at(levels, level, T_view_camera, scales, first, max_distance)
-        gain, bias = exposure_between(*(again or found))
-        unchanged = bias == 0.0 and abs(gain - 1.0) < _MIN_BRIGHTNESS_CHANGE
-        return (1.0, 0.0) if unchanged else (gain, bias)
-    return 1.0, 0.0
+        exposure = exposure_between(*(again or found))
+        unchanged = exposure.bias == 0.0 and abs(exposure.gain - 1.0) < _MIN_BRIGHTNESS_CHANGE
+        return IDENTITY if unchanged else exposure
+    return IDENTITY
 
 
 def _statistics_at(
@@ -116,7 +117,7 @@ def _statistics_at(
     level: int,
     T_view_camera: NDArray[np.float64],
     scales: ResidualScales,
-    exposure: tuple[float, float],
+    exposure: Exposure,
     max_distance: float,
 ) -> tuple[IntensityStatistics, IntensityStatistics] | None:
     """Statistics of frame and view on one level, None if too few pixels have both."""

@@ -20,7 +20,14 @@ from toolkit.alignment.data import (
     ResidualScales,
     rescaled,
 )
-from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
+from toolkit.alignment.normal_equations import (
+    BIAS,
+    GAIN,
+    add_exposure_prior,
+    damped_step,
+    fix_exposure,
+)
+from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 
 
@@ -34,7 +41,7 @@ class HostGaussNewton(ABC):
         frame: FrameLevel,
         T_model_frame: NDArray[np.float64],
         scales: ResidualScales,
-        exposure: tuple[float, float],
+        exposure: Exposure,
         max_distance: float,
     ) -> Linearisation:
         """See AlignmentBackend."""
@@ -70,19 +77,18 @@ class HostGaussNewton(ABC):
         level: int,
     ) -> Linearisation:
         scales = replace(estimate.scales, photometric_weight=options.photometric_weight)
-        exposure = (estimate.gain, estimate.bias)
-        max_distance = options.max_distance * 2**level
-        return self.linearise(model, frame, estimate.T_view_camera, scales, exposure, max_distance)
+        max_distance, T = options.max_distance * 2**level, estimate.T_view_camera
+        return self.linearise(model, frame, T, scales, estimate.exposure, max_distance)
 
 
 def _moved(estimate: Alignment, step: NDArray[np.float64], converged: bool) -> Alignment:
     """The estimate after a step [8], with re-estimated scales."""
     assert estimate.last is not None
+    exposure = estimate.exposure
     return replace(
         estimate,
         T_view_camera=se3.orthonormalise(se3.exp(step[:6]) @ estimate.T_view_camera),
-        gain=estimate.gain + float(step[6]),
-        bias=estimate.bias + float(step[7]),
+        exposure=Exposure(exposure.gain + float(step[GAIN]), exposure.bias + float(step[BIAS])),
         scales=rescaled(estimate.scales, estimate.last),
         converged=converged,
     )
@@ -106,6 +112,7 @@ def _solved(
         fix_exposure(H, g)
     else:
         pixels = linear.intensity_pixels / estimate.scales.intensity**2
-        change = np.array([estimate.gain, estimate.bias]) - options.exposure
+        own, previous = estimate.exposure, options.exposure
+        change = np.array([own.gain - previous.gain, own.bias - previous.bias])
         add_exposure_prior(H, g, options.photometric_weight * pixels, change)
     return damped_step(H, g)

@@ -22,6 +22,7 @@ from toolkit.alignment.data import (
     rescaled,
 )
 from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
+from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
@@ -161,7 +162,7 @@ def _linearised(
             pair.frame[level],
             pair.T_model_target @ estimate.T_target_source @ pair.T_source_frame,
             estimate.scales,
-            (float(estimate.exposures[k, 0]), float(estimate.exposures[k, 1])),
+            Exposure(*(float(value) for value in estimate.exposures[k])),
             gate,
         )
         for k, pair in enumerate(pairs)

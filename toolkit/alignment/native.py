@@ -11,6 +11,7 @@ from torch import Tensor
 
 from toolkit.alignment.data import FrameLevel, Linearisation, ModelLevel, ResidualScales
 from toolkit.alignment.gauss_newton import HostGaussNewton
+from toolkit.exposure import Exposure
 from toolkit.geometry.camera import Camera
 from toolkit.native import address
 from toolkit.native.constants import ALIGNMENT_SUMS
@@ -69,7 +70,7 @@ class NativeBackend(HostGaussNewton):
         frame: FrameLevel,
         T_model_frame: NDArray[np.float64],
         scales: ResidualScales,
-        exposure: tuple[float, float],
+        exposure: Exposure,
         max_distance: float,
     ) -> Linearisation:
         """See AlignmentBackend."""
@@ -81,7 +82,7 @@ class NativeBackend(HostGaussNewton):
             [camera.size for camera in cameras],
             [address(t) for t in (model.texture, model.surface, frame.intensity, frame.depth_m)],
             np.asarray(T_model_frame[:3]).reshape(-1).tolist(),
-            (*exposure, *sigmas, max_distance, scales.photometric_weight),
+            (exposure.gain, exposure.bias, *sigmas, max_distance, scales.photometric_weight),
             sums.ctypes.data,
         )
         return Linearisation.from_sums(sums)

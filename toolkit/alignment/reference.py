@@ -9,6 +9,7 @@ from torch import Tensor
 
 from toolkit.alignment.data import FrameLevel, Image, Linearisation, ModelLevel, ResidualScales
 from toolkit.alignment.gauss_newton import HostGaussNewton
+from toolkit.exposure import Exposure
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import (
     LUMA_BLUE,
@@ -47,7 +48,7 @@ class NumpyBackend(HostGaussNewton):
         frame: FrameLevel,
         T_model_frame: NDArray[np.float64],
         scales: ResidualScales,
-        exposure: tuple[float, float],
+        exposure: Exposure,
         max_distance: float,
     ) -> Linearisation:
         """See AlignmentBackend."""
@@ -57,7 +58,7 @@ class NumpyBackend(HostGaussNewton):
             (frame.intensity.numpy(), frame.depth_m.numpy()),
             (model.camera, frame.camera),
             T_model_frame,
-            (*exposure, *sigmas, max_distance, scales.photometric_weight),
+            (exposure.gain, exposure.bias, *sigmas, max_distance, scales.photometric_weight),
         )
         return Linearisation.from_sums(sums)
 

@@ -24,6 +24,7 @@ from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import finest_level, intensity_of, model_level
 from toolkit.alignment.options import HealthLimits
 from toolkit.errors import SettingsError
+from toolkit.exposure import IDENTITY
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -188,7 +189,7 @@ def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, ResidualScal
     own = finest_level(frame, view.depth_m.device)
     scales = INITIAL_SCALES
     for _ in range(_ROUNDS):
-        linear = linearise(model, own, np.eye(4), scales, (1.0, 0.0), _MAX_DISTANCE)
+        linear = linearise(model, own, np.eye(4), scales, IDENTITY, _MAX_DISTANCE)
         scales = rescaled(scales, linear)
     return linear, scales
 

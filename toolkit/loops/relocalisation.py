@@ -16,7 +16,7 @@ from toolkit.loops.candidates import Sighting
 from toolkit.loops.detection import LoopDetector
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.health import shows_something
+from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -104,7 +104,7 @@ class Relocaliser:
             last: where the camera was before, None if nobody knows.
             anywhere: False leaves out what is not in reach from there.
         """
-        if not shows_something(frame):
+        if not has_depth(frame):
             return None
         for sighting in self._alike(frame, atlas, last, anywhere):
             try:

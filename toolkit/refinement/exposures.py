@@ -71,12 +71,12 @@ def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:
 
 def _link(a: int, b: int, first: Array, second: Array) -> _Link:
     """The exposure between two submaps, robust against what is not the same thing."""
-    gain, bias = float(np.median(first) / max(np.median(second), 1e-3)), 0.0
+    exposure = Exposure(float(np.median(first) / max(np.median(second), 1e-3)))
     for _ in range(_ROUNDS):
-        residual = first - (gain * second + bias)
+        residual = first - (exposure.gain * second + exposure.bias)
         weight = 1.0 / (1.0 + (residual / _SCALE) ** 2)
-        gain, bias = exposure_between(_statistics(second, weight), _statistics(first, weight))
-    return _Link(a, b, gain, bias, float(weight.sum()))
+        exposure = exposure_between(_statistics(second, weight), _statistics(first, weight))
+    return _Link(a, b, exposure.gain, exposure.bias, float(weight.sum()))
 
 
 def _statistics(colours: Array, weight: Array) -> IntensityStatistics:

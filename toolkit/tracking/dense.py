@@ -28,16 +28,16 @@ from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.alignment.options import HealthLimits
 from toolkit.errors import DependencyError
-from toolkit.exposure import Exposure
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.tracking.health import (
+    has_depth,
     misfit_reason,
     reference_scales,
     relaxed_scales,
-    shows_something,
 )
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
@@ -48,8 +48,8 @@ from toolkit.tracking.result import Health, TrackingResult
 _log = logging.getLogger(__name__)
 
 
-# Fewer residuals than this fix no pose.
-_FEWEST_PIXELS = 50
+# Minimum number of residuals.
+_MIN_PIXELS = 50
 
 # A frame fits badly when its residual scales, multiplied, exceed so many times those of the
 # last frame. Ordinary frames of the real sequences stay below 1.8; of the wrong poses that
@@ -114,7 +114,7 @@ class DenseTracker(MovingTracker):
         self._recorder = recorder or NullRecorder()
         self._scales = INITIAL_SCALES
         self._fit = INITIAL_SCALES
-        self._exposure = (1.0, 0.0)
+        self._exposure = IDENTITY
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Bring a frame's pyramid to a GPU while earlier frames are tracked there.
@@ -127,7 +127,8 @@ class DenseTracker(MovingTracker):
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         scales, fit = ([s.intensity, s.depth_m] for s in (self._scales, self._fit))
-        own = {"scales": scales, "fit": fit, "exposure": self._exposure}
+        exposure = [self._exposure.gain, self._exposure.bias]
+        own = {"scales": scales, "fit": fit, "exposure": exposure}
         return super().state() | {name: np.array(values) for name, values in own.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
@@ -136,8 +137,7 @@ class DenseTracker(MovingTracker):
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         # Earlier checkpoints have no "fit".
         self._fit = ResidualScales(*(float(s) for s in state.get("fit", state["scales"])))
-        gain, bias = state["exposure"]
-        self._exposure = (float(gain), float(bias))
+        self._exposure = Exposure(*(float(value) for value in state["exposure"]))
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
         """Pose of a frame against the map; the motion model follows unless it is lost."""
@@ -153,12 +153,12 @@ class DenseTracker(MovingTracker):
             result = replace(result, health=Health.LOST, reason=misfit)
         if result.lost:
             self.motion.forget_velocity()
-            if shows_something(frame):
+            if has_depth(frame):
                 self._scales = relaxed_scales(self._scales)
         else:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
             self._scales = self._fit = found
-            self._exposure = (result.exposure.gain, result.exposure.bias)
+            self._exposure = result.exposure
         return result
 
     def locate(
@@ -240,7 +240,7 @@ class DenseTracker(MovingTracker):
     def _aligned(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
         """Alignment from a start, first against a view of the map near it."""
         T_view_camera = se3.inverse(view.T_map_view) @ start
-        found = Alignment(T_view_camera, self._scales, *self._exposure)
+        found = Alignment(T_view_camera, self._scales, self._exposure)
         renders, levels, rules = 1, len(view.levels), self._rules
         while True:
             with self._recorder.timed("tracking align"):
@@ -261,7 +261,7 @@ class DenseTracker(MovingTracker):
             max_distance=options.max_distance,
             photometric_weight=options.photometric_weight,
             exposure=self._exposure if options.exposure else None,
-            min_pixels=_FEWEST_PIXELS,
+            min_pixels=_MIN_PIXELS,
             min_translation_m=_SMALL_TRANSLATION_M,
             min_rotation_rad=_SMALL_ROTATION_RAD,
         )
@@ -272,14 +272,13 @@ class DenseTracker(MovingTracker):
         turned = se3.rotation_angle_rad(T_view_camera[:3, :3])
         return bool(moved + turned > self.options.rerender_distance)
 
-    def _told(self, task: _Task, view: _View, found: Alignment) -> tuple[float, float]:
-        """Gain and bias of the frame for the map."""
-        fitted = (found.gain, found.bias)
+    def _estimated_exposure(self, task: _Task, view: _View, found: Alignment) -> Exposure:
+        """Exposure of the frame that is stored with a keyframe."""
         if not self.options.exposure or found.last is None:
-            return fitted
+            return found.exposure
         levels = list(zip(view.levels, task.levels, strict=True))
         gate = self.options.max_distance
-        return estimate_exposure(levels, found.T_view_camera, found.scales, fitted, gate)
+        return estimate_exposure(levels, found.T_view_camera, found.scales, found.exposure, gate)
 
     def _result(self, task: _Task, view: _View, found: Alignment, renders: int) -> TrackingResult:
         measured, linear = float(task.ready.measured), found.last
@@ -300,5 +299,5 @@ class DenseTracker(MovingTracker):
             information=information,
             health=Health.LOST if reason else Health.GOOD,
             reason=reason,
-            exposure=Exposure(*self._told(task, view, found)),
+            exposure=self._estimated_exposure(task, view, found),
         )

@@ -55,8 +55,8 @@ def misfit_reason(limits: HealthLimits, found: ResidualScales, before: ResidualS
     return f"it fits {misfit:.1f} times worse than the frame before"
 
 
-def shows_something(frame: Frame) -> bool:
-    """Whether any pixel has depth: a covered lens says nothing about where the camera is."""
+def has_depth(frame: Frame) -> bool:
+    """Whether any pixel has depth; a frame of a covered lens does not locate the camera."""
     return bool((frame.depth_m > 0).any())
 
 

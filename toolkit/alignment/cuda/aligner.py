@@ -20,6 +20,7 @@ from toolkit.alignment.data import (
     ResidualScales,
 )
 from toolkit.alignment.normal_equations import EXPOSURE_PRIOR
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
 from toolkit.rendering.cuda.backend import on
 
@@ -65,12 +66,12 @@ def linearise(
     frame: FrameLevel,
     T_model_frame: NDArray[np.float64],
     scales: ResidualScales,
-    exposure: tuple[float, float],
+    exposure: Exposure,
     max_distance: float,
 ) -> Linearisation:
     """See AlignmentBackend."""
     device = frame.depth_m.device
-    state = _state_of(Alignment(T_model_frame, scales, *exposure), device)
+    state = _state_of(Alignment(T_model_frame, scales, exposure), device)
     parts = torch.empty(_PARTS, _PART, device=device)
     cameras = _intrinsics(model, frame)
     with on(device):
@@ -82,7 +83,8 @@ def linearise(
 def _state_of(start: Alignment, device: torch.device) -> Tensor:
     numbers = np.zeros(layout.STATE)
     numbers[:12] = start.T_view_camera[:3].reshape(-1)
-    numbers[12:16] = start.gain, start.bias, start.scales.intensity, start.scales.depth_m
+    numbers[12:14] = start.exposure.gain, start.exposure.bias
+    numbers[14:16] = start.scales.intensity, start.scales.depth_m
     return torch.from_numpy(numbers).to(device)
 
 
@@ -129,12 +131,14 @@ def _advance(
 ) -> None:
     """Launch one step from its partial sums."""
     parts, state, last = tensors
+    previous = options.exposure or IDENTITY
     stepping.advance[(1,)](
         parts,
         state,
         last,
         count,
-        *(options.exposure or (1.0, 0.0)),
+        previous.gain,
+        previous.bias,
         options.photometric_weight,
         EXPOSURE_PRIOR,
         options.min_pixels,
@@ -159,8 +163,7 @@ def _read(state: Tensor, last: Tensor) -> Alignment:
     return Alignment(
         se3.orthonormalise(T),
         ResidualScales(intensity, depth_m),
-        gain,
-        bias,
+        Exposure(gain, bias),
         int(steps),
         phase == _CONVERGED,
         _unpack(numbers[layout.STATE :].reshape(_WIDE, _WIDE)) if steps else None,

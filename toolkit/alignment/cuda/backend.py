@@ -17,6 +17,7 @@ from toolkit.alignment.data import (
     ModelLevel,
     ResidualScales,
 )
+from toolkit.exposure import Exposure
 
 
 class CudaBackend:
@@ -42,7 +43,7 @@ class CudaBackend:
         frame: FrameLevel,
         T_model_frame: NDArray[np.float64],
         scales: ResidualScales,
-        exposure: tuple[float, float],
+        exposure: Exposure,
         max_distance: float,
     ) -> Linearisation:
         """See AlignmentBackend."""
