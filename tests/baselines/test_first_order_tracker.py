@@ -21,6 +21,7 @@ from tracked_room import (
     small_motion,
 )
 
+from toolkit.alignment.pose_adam import pose_gradient
 from toolkit.baselines.factory import build_tracker
 from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
@@ -36,7 +37,6 @@ from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import FirstOrderOptions, TrackingOptions
-from toolkit.tracking.pose_adam import pose_gradient
 
 BOTH = pytest.mark.parametrize("preset", sorted(PRESETS))
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.baselines.view_features import ViewFeatures
 from toolkit.features.sources import ViewDescriber
 from toolkit.gaussians.cloud import GaussianCloud
@@ -28,7 +29,6 @@ from toolkit.registration.fine import (
 from toolkit.registration.views import ViewDrawer
 from toolkit.rendering import RenderOutput, render
 from toolkit.submaps.submap import Submap
-from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
 Array = NDArray[np.float64]
 

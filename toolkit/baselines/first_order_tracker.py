@@ -23,6 +23,7 @@ from toolkit.alignment.data import (
 from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import finest_level, intensity_of, model_level
 from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
 from toolkit.frame import Frame, NullRecorder, Recorder
@@ -37,7 +38,6 @@ from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import FirstOrderOptions
-from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 from toolkit.tracking.result import Health, TrackingResult
 
 # How the final pose is judged: rounds of the residual scales' fixed point, the gate on depth

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -33,7 +34,6 @@ from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import at_centres
-from toolkit.tracking.pose_adam import PoseAdam, pose_gradient
 
 
 @dataclass(frozen=True)

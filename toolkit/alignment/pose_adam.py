@@ -1,4 +1,4 @@
-"""Adam on a camera pose: for the first-order tracker and for local bundle adjustment."""
+"""Adam on a camera pose, for local bundle adjustment and the first-order baselines."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ MOMENTS = 13  # first and second moments of six coordinates, and the number of s
 def pose_gradient(
     by_matrix: NDArray[np.float64], T_camera_map: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Derivative [6] by xi of exp(xi) @ T_camera_map, from that by its entries [3, 4].
+    """Derivative [6] by the tangent xi of exp(xi) @ T_camera_map.
 
-    A rotation phi moves each column c of the matrix by phi x c, so its share of the
-    derivative is phi . (c x g); only the translation's column moves with rho.
+    A rotation phi changes each column c of the matrix by phi x c, which contributes
+    phi . (c x g) to the derivative. A translation changes the last column only.
+
+    Args:
+        by_matrix: [3, 4] derivative g by the matrix entries.
     """
     by_rotation = np.cross(T_camera_map[:3], by_matrix, axis=0).sum(axis=1)
     return np.concatenate([by_matrix[:, 3], by_rotation])
 
 
 class PoseAdam:
-    """Adam over the six tangent coordinates, with a rate for each kind.
+    """Adam over the six tangent coordinates.
 
     Args:
-        translation_rate: metres a step. rotation_rate: radians a step.
-        moments: [13] where an earlier one stopped; changed in place.
+        translation_rate: learning rate in metres. rotation_rate: learning rate in radians.
+        moments: [13] state of an earlier optimiser to continue from; changed in place.
     """
 
     def __init__(
@@ -40,7 +43,7 @@ class PoseAdam:
         self.moments = np.zeros(MOMENTS) if moments is None else moments
 
     def step(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The tangent step [6] that a gradient [6] asks for."""
+        """The tangent step [6] for a gradient [6]."""
         first, second = self.moments[:6], self.moments[6:12]
         first[:] = _BETA1 * first + (1.0 - _BETA1) * gradient
         second[:] = _BETA2 * second + (1.0 - _BETA2) * gradient**2
