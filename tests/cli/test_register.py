@@ -16,6 +16,8 @@ from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
 from toolkit.runs.finished import load_run
+from toolkit.runs.settings import load_settings
+from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 
 FAST = ["--registration.fine.views", "3", "--registration.coarse.pairs", "4"]
@@ -121,8 +123,13 @@ def other_tree(run: Path) -> None:
     tree = Taxonomy.load(run / "taxonomy.yaml")
     Taxonomy({"all": list(tree.classes)}, classes=tree.classes).save(run / "taxonomy.yaml")
     kept = read_array_tree(run / "semantics")
-    digest = {"taxonomy": Taxonomy.load(run / "taxonomy.yaml").digest}
-    write_array_tree(run / "semantics", kept.arrays, kept.metadata | digest)
+    tree = Taxonomy.load(run / "taxonomy.yaml")
+    code = build_code(load_settings(run / "config.yaml").semantics.code, tree)
+    features = np.zeros((len(kept.arrays["features"]), code.channels), np.float16)
+    digest = {"taxonomy": tree.digest}
+    write_array_tree(
+        run / "semantics", kept.arrays | {"features": features}, kept.metadata | digest
+    )
 
 
 def test_different_trees_merge_without_labels(room_runs, b, tmp_path, capsys):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from toolkit import __version__
-from toolkit.errors import DependencyError
+from toolkit.errors import DependencyError, SettingsError
 
 # Import name: distribution.
 _REQUIRED = {
@@ -79,7 +79,9 @@ def main(argv: Sequence[str]) -> int:
         0, or 1 where something is missing that the main job needs.
     """
     parser = argparse.ArgumentParser(prog="semsplat doctor", description=__doc__)
-    parser.parse_args(list(argv))
+    _, unknown = parser.parse_known_args(list(argv))
+    if unknown:
+        raise SettingsError(f"doctor takes no arguments, got {' '.join(unknown)}")
     findings = list(examine())
     width = max(len(finding.subject) for finding in findings)
     for finding in findings:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
 from toolkit.datasets.base import RecordedDataset
-from toolkit.errors import RunFolderError
+from toolkit.errors import FormatError, RunFolderError
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import Frustum, contained_fraction, far_depth_m, observed_points
@@ -39,6 +39,17 @@ _POINTS = 1000
 _LEAST_WIDTH = 480
 
 Record = dict[str, Any]
+
+# Values of the records that are explained, by kind.
+_NEEDED = {
+    "candidate": (
+        *("query", "match", "query_submap", "match_submap"),
+        *("distance", "cosine", "landmark_distance", "accepted", "reason"),
+    ),
+    "between": ("first", "second", "reason"),
+    "retracted": ("first", "second", "reason"),
+    "found": ("first", "second"),
+}
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,7 @@ def main(argv: Sequence[str]) -> int:
     options = parse_arguments(ExplainLoopsOptions, list(argv), "explain-loops")
     run = load_run(options.run)
     records = read_loop_log(run.folder.loops)
+    _check(records, run.folder.loops)
     suspected = [
         (place, record)
         for place, record in enumerate(records)
@@ -89,6 +101,19 @@ def main(argv: Sequence[str]) -> int:
         write_rgb(out / name, picture.astype(np.float32) / 255.0)
     _log.info("%d pictures in %s", len(suspected), out)
     return 0
+
+
+def _check(records: Sequence[Record], path: Path) -> None:
+    """Check that the records have the values that are shown.
+
+    Raises:
+        FormatError: a value is missing.
+    """
+    for number, record in enumerate(records, start=1):
+        needed = _NEEDED.get(record.get("kind", ""), ("kind",))
+        missing = [key for key in needed if key not in record]
+        if missing:
+            raise FormatError(f"{path}:{number} lacks {', '.join(missing)}; remove the line")
 
 
 def summary(records: Sequence[Record]) -> list[str]:

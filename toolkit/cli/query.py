@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +115,7 @@ def _check_values(program: QueryProgram) -> None:
         raise SettingsError(f"--min-confidence must be in [0, 1], got {program.min_confidence}")
     for name in ("link_m", "min_gaussians"):
         value = getattr(program, name)
-        if not value > 0:
+        if not 0 < value < math.inf:
             raise SettingsError(f"--{name.replace('_', '-')} must be positive, got {value}")
 
 

@@ -54,4 +54,5 @@ def _parse(argv: list[str]) -> RunProgram:
 
 
 def _with_progress(frames: Iterable[Frame], total: int, first: int) -> Iterable[Frame]:
-    return tqdm(frames, total=total, initial=first, unit="frame", file=sys.stderr)
+    bar = {"unit": "frame", "file": sys.stderr, "disable": not sys.stderr.isatty()}
+    return tqdm(frames, total=total, initial=first, **bar)

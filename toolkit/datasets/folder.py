@@ -99,7 +99,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
             int(numbers["width"]),
             int(numbers["height"]),
         )
-    except (TypeError, ValueError, SettingsError) as error:
+    except (TypeError, ValueError, OverflowError, SettingsError) as error:
         raise DatasetError(f"{path}: {error}; mend the value") from error
     if len(distortion) not in (0, 5) or not np.isfinite(distortion).all():
         raise DatasetError(f"{path}: distortion must be the 5 numbers [k1, k2, p1, p2, k3]")

@@ -147,6 +147,13 @@ def _channels(values: Sequence[float]) -> Tensor:
     return torch.tensor(values).reshape(1, 3, 1, 1)
 
 
+# What torch.load raises for files that are not its own.
+_UNREADABLE = (
+    *(OSError, RuntimeError, EOFError, LookupError, ValueError),
+    pickle.UnpicklingError,
+)
+
+
 def _read(path: Path) -> Mapping[str, Tensor]:
     """The tensors of a file by name."""
     if not path.is_file():
@@ -155,7 +162,7 @@ def _read(path: Path) -> Mapping[str, Tensor]:
         return _read_safetensors(path)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, EOFError, ValueError, pickle.UnpicklingError) as error:
+    except _UNREADABLE as error:
         raise FormatError(
             f"{path} cannot be read as a PyTorch state dict ({_first_line(error)}); {_REMEDY}"
         ) from error

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from toolkit.errors import SettingsError
 
+# Larger images would need tens of gigabytes: a frame takes about 1 kB per pixel while it is mapped.
+MAX_PIXELS = 8192 * 4096
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -18,7 +21,7 @@ class Camera:
     Attributes:
         fx, fy: focal lengths in pixels, > 0.
         cx, cy: principal point in pixels; the centre of the first pixel is (0, 0).
-        width, height: image size in pixels, > 0.
+        width, height: image size in pixels, > 0, at most `MAX_PIXELS` together.
     """
 
     fx: float
@@ -37,6 +40,11 @@ class Camera:
             )
         if self.width < 1 or self.height < 1:
             raise SettingsError(f"camera size must be positive, got {self.width}x{self.height}")
+        if self.width * self.height > MAX_PIXELS:
+            raise SettingsError(
+                f"an image of {self.width}x{self.height} pixels is too large; "
+                f"the limit is {MAX_PIXELS} pixels (8192x4096)"
+            )
 
     @property
     def size(self) -> tuple[int, int]:

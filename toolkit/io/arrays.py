@@ -104,6 +104,8 @@ def read_array_tree(folder: PathLike) -> ArrayTree:
         raise FormatError(
             f"{folder} is damaged ({error}); use an older checkpoint, or start again"
         ) from error
+    if not isinstance(metadata, dict):
+        raise FormatError(f"{folder} is damaged: {_METADATA} is not a JSON object")
     return ArrayTree(arrays, metadata)
 
 

@@ -296,6 +296,8 @@ def _check_ply_length(path: Path) -> None:
         FormatError: the file is shorter.
     """
     content = path.read_bytes()
+    if not content.startswith(b"ply"):
+        raise FormatError(f"{path} is not a PLY file; write it again")
     header, end, body = content.partition(b"end_header\n")
     words = [line.split() for line in header.decode("latin-1").splitlines()]
     if not end or ["format", "binary_little_endian", "1.0"] not in words:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,13 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, make_room
-from toolkit.errors import DatasetError, SettingsError, ToolkitError
+from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import lpips_of
+from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.results import held_out, write_results
@@ -68,21 +70,62 @@ def run(
         folder.check_config(config)
     else:
         folder = RunFolder.create(out, config)
-    watch = StageRecorder()
     try:
-        slam = build_slam(dataset, settings, folder, watch)
-    except ToolkitError:
-        if not resume:
-            folder.discard()  # so that the same folder can be given again
+        _execute(settings, dataset, folder, saved, progress)
+    except Exception:
+        # Without a checkpoint there is nothing to resume.
+        if not resume and not folder.has_checkpoint:
+            folder.discard()
         raise
-    _log_to(folder.log)
+
+
+def _execute(
+    settings: RunSettings,
+    dataset: Dataset,
+    folder: RunFolder,
+    saved: FinishedRun | None,
+    progress: Progress,
+) -> None:
+    recorder = StageRecorder()
+    slam = build_slam(dataset, settings, folder, recorder)
     folder.check_taxonomy(slam.result().taxonomy)
-    if saved is not None:
-        load_saved_map(slam, saved)
-        # The checkpoint holds the saved map, so that resuming does not need the saved run.
-        _save(slam, folder, 0)
-    result = _process(slam, dataset, folder, settings, watch, progress)
-    write_results(result, dataset, folder, settings, watch)
+    start = _restore(slam, dataset, folder)
+    with _logged_to(folder.log):
+        if start is not None:
+            _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
+        if saved is not None:
+            load_saved_map(slam, saved)
+            # The checkpoint holds the saved map, so that resuming does not need the saved run.
+            _save(slam, folder, 0)
+        frames = prefetched(dataset, range(start or 0, len(dataset)), prepare=slam.prepare)
+        _process(slam, progress(frames, len(dataset), start or 0), folder, settings, recorder)
+        if not slam.result().keyframe_indices:
+            raise DatasetError(f"no frame of {settings.dataset.path} could start a map")
+        _save(slam, folder, len(dataset))
+        write_results(_finish(slam), dataset, folder, settings, recorder)
+
+
+def _restore(slam: Slam, dataset: Dataset, folder: RunFolder) -> int | None:
+    """Restore the newest checkpoint; the frame to continue at, or None without a checkpoint.
+
+    Raises:
+        RunFolderError: the checkpoint is damaged or of another sequence.
+    """
+    checkpoint = folder.load_checkpoint()
+    if checkpoint is None:
+        return None
+    if not 0 <= checkpoint.next_frame <= len(dataset):
+        raise RunFolderError(
+            f"the checkpoint in {folder.checkpoints} is at frame {checkpoint.next_frame}, but "
+            f"{dataset.name} has {len(dataset)} frames; resume with the dataset of the run"
+        )
+    try:
+        slam.restore(checkpoint.arrays, checkpoint.values)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise RunFolderError(
+            f"the checkpoint in {folder.checkpoints} is damaged ({error!r}); start again"
+        ) from error
+    return checkpoint.next_frame
 
 
 def _dataset_path(settings: RunSettings, out: Path, resume: bool, progress: Progress) -> Path:
@@ -106,23 +149,15 @@ def _with_path(settings: RunSettings, path: Path) -> RunSettings:
 
 def _process(
     slam: Slam,
-    dataset: Dataset,
+    frames: Iterable[Frame],
     folder: RunFolder,
     settings: RunSettings,
-    watch: StageRecorder,
-    progress: Progress,
-) -> SlamResult:
-    """Process the remaining frames, saving checkpoints on the way, and refine the map."""
-    checkpoint = folder.load_checkpoint()
-    start = 0
-    if checkpoint is not None:
-        slam.restore(checkpoint.arrays, checkpoint.values)
-        start = checkpoint.next_frame
-        _log.info("resumed %s at frame %d of %d", folder.path, start, len(dataset))
+    recorder: StageRecorder,
+) -> None:
+    """Process the remaining frames, saving checkpoints on the way."""
     saved_at, new_keyframes = time.monotonic(), 0
-    frames = prefetched(dataset, range(start, len(dataset)), prepare=slam.prepare)
-    for frame in progress(frames, len(dataset), start):
-        with watch.timed("frame"):
+    for frame in frames:
+        with recorder.timed("frame"):
             result = slam.process_frame(frame, may_map=not held_out(frame.index, settings))
         if result.lost:
             reason = result.tracking.reason if result.tracking else "the map has not begun"
@@ -132,10 +167,10 @@ def _process(
         if due or new_keyframes >= settings.checkpoint.every_keyframes:
             _save(slam, folder, frame.index + 1)
             saved_at, new_keyframes = time.monotonic(), 0
+
+
+def _finish(slam: Slam) -> SlamResult:
     keyframes, submaps = len(slam.result().keyframe_indices), len(slam.atlas)
-    if not keyframes:
-        raise DatasetError(f"no frame of {settings.dataset.path} could start a map; see the log")
-    _save(slam, folder, len(dataset))
     _log.info(
         "Refining the map over %d keyframes in %s.",
         keyframes,
@@ -149,7 +184,15 @@ def _save(slam: Slam, folder: RunFolder, next_frame: int) -> None:
     slam.atlas.checkpointed()
 
 
-def _log_to(path: Path) -> None:
+@contextmanager
+def _logged_to(path: Path) -> Iterator[None]:
+    """Append the log of the toolkit to a file."""
     handler = logging.FileHandler(path)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logging.getLogger("toolkit").addHandler(handler)
+    logger = logging.getLogger("toolkit")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        handler.close()

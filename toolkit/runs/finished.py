@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError, RunFolderError
+from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
@@ -142,21 +142,27 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
     code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
     semantics.restore(folder.read_semantics())
+    gaussians = folder.read_map()
+    if gaussians.features.shape[1] != semantics.channels:
+        raise RunFolderError(
+            f"{folder.semantics} has {gaussians.features.shape[1]} channels, but the code of "
+            f"{folder.config} has {semantics.channels}; run again"
+        )
     try:
         return FinishedRun(
             folder=folder,
             settings=settings,
             semantics=semantics,
             taxonomy=taxonomy,
-            gaussians=folder.read_map(),
+            gaussians=gaussians,
             tracked=_tracked(content["frames"], folder.read_trajectory().T_world_camera),
             lost=[int(i) for i in content["lost"]],
             keyframes=[int(i) for i in content["keyframes"]],
             anchors=_anchors(content.get("submaps", [])),
-            stored_camera=Camera(**content["camera"]) if "camera" in content else None,
+            stored_camera=_camera(content),
             dataset_from_run=content.get("dataset_from_run"),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, SettingsError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
 
 
@@ -168,6 +174,10 @@ def _read_frames(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunFolderError(f"{path} holds no dictionary; run again")
     return content
+
+
+def _camera(content: dict[str, Any]) -> Camera | None:
+    return Camera(**content["camera"]) if "camera" in content else None
 
 
 def _anchors(rows: list[dict[str, Any]]) -> dict[int, NDArray[np.float64]]:
@@ -184,7 +194,7 @@ def _anchors(rows: list[dict[str, Any]]) -> dict[int, NDArray[np.float64]]:
 def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[TrackedFrame]:
     if len(rows) != len(poses):
         raise ValueError(f"{len(rows)} frames, but trajectory.txt has {len(poses)} poses")
-    return [
+    tracked = [
         TrackedFrame(
             index=int(row["index"]),
             timestamp_s=float(row["timestamp_s"]),
@@ -194,3 +204,8 @@ def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[Tra
         )
         for row, T_map_camera in zip(rows, poses, strict=True)
     ]
+    for frame in tracked:
+        numbers = (frame.timestamp_s, frame.exposure.gain, frame.exposure.bias)
+        if frame.index < 0 or not np.isfinite(numbers).all():
+            raise ValueError(f"the values of frame {frame.index} are out of range")
+    return tracked

@@ -109,10 +109,10 @@ class RunFolder:
         return folder
 
     def discard(self) -> None:
-        """Take back a folder that was just created, before anything was written into it."""
-        for path in (self.config, self.loops):
+        """Remove the folder of a run that saved no checkpoint; results in it are kept."""
+        for path in (self.config, self.loops, self.log, self.taxonomy):
             path.unlink(missing_ok=True)
-        for path in (self.renders, self.checkpoints, self.path):
+        for path in (self.renders, self.checkpoints, self.submaps, self.path):
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
 
@@ -122,7 +122,10 @@ class RunFolder:
         Raises:
             SettingsError: they differ; the first differing line is named.
         """
-        before = self.config.read_text(encoding="utf-8").splitlines()
+        try:
+            before = self.config.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise RunFolderError(f"cannot read {self.config} ({error}); start again") from error
         for old, new in zip_longest(before, config.splitlines(), fillvalue="(nothing)"):
             if old != new:
                 raise SettingsError(
@@ -165,13 +168,19 @@ class RunFolder:
                 _log.warning("checkpoint %s is damaged, trying the one before: %s", path, error)
                 damaged.append(path)
                 continue
-            threads = tree.metadata["threads"]
+            try:
+                next_frame = int(tree.metadata["next_frame"])
+                threads, values = tree.metadata["threads"], tree.metadata["values"]
+            except (KeyError, TypeError, ValueError) as error:
+                _log.warning("checkpoint %s is damaged (%r)", path, error)
+                damaged.append(path)
+                continue
             if threads != torch.get_num_threads():
                 raise RunFolderError(
                     f"{self.path} was begun with {threads} threads, here are "
                     f"{torch.get_num_threads()}; set OMP_NUM_THREADS={threads} to resume it"
                 )
-            return Checkpoint(tree.metadata["next_frame"], tree.arrays, tree.metadata["values"])
+            return Checkpoint(next_frame, tree.arrays, values)
         if damaged:
             raise RunFolderError(f"no checkpoint in {self.checkpoints} can be read; start anew")
         return None
@@ -188,11 +197,11 @@ class RunFolder:
             path = self.checkpoints / name
             try:
                 serial = json.loads((path / "metadata.json").read_text())["serial"]
+                found.append((path, int(serial)))
             except FileNotFoundError:
                 continue
-            except (OSError, ValueError, KeyError):
-                serial = -1  # unreadable: the first to be replaced
-            found.append((path, int(serial)))
+            except (OSError, ValueError, KeyError, TypeError):
+                found.append((path, -1))  # unreadable: the first to be replaced
         return sorted(found, key=lambda item: -item[1])
 
     def check_taxonomy(self, taxonomy: Taxonomy | None) -> None:
@@ -227,10 +236,12 @@ class RunFolder:
         cloud = read_cloud(self.map)
         if not self.semantics.is_dir():
             return cloud
-        features = read_array_tree(self.semantics).arrays["features"].astype(np.float32)
+        features = read_array_tree(self.semantics).arrays.get("features")
+        if features is None or features.dtype != np.float16 or features.ndim != 2:
+            raise FormatError(f"{self.semantics} is damaged: it has no features; run again")
         if len(features) != len(cloud):
             raise FormatError(f"{self.semantics} does not belong to {self.map}; run again")
-        return replace(cloud, features=torch.from_numpy(features))
+        return replace(cloud, features=torch.from_numpy(features.astype(np.float32)))
 
     def write_semantics(
         self, features: NDArray[np.float16], reader: dict[str, NDArray], taxonomy: Taxonomy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,9 @@ _LEAST_OPACITY = 0.5
 # Rendered pixels thinner than this show no surface.
 _LEAST_SILHOUETTE = 0.9
 
+# A mesh of a room with smaller voxels does not fit in memory.
+MIN_VOXEL_M = 0.001
+
 
 @dataclass(frozen=True)
 class MeshOptions:
@@ -34,7 +38,7 @@ class MeshOptions:
         every: of the run's poses, every n-th is drawn.
 
     Raises:
-        SettingsError: one of them is not positive.
+        SettingsError: one of them is not positive and finite, or the voxels are below 1 mm.
     """
 
     voxel_m: float
@@ -44,8 +48,10 @@ class MeshOptions:
     def __post_init__(self) -> None:
         for name in ("voxel_m", "max_depth_m", "every"):
             value = getattr(self, name)
-            if not value > 0:
+            if not 0 < value < math.inf:
                 raise SettingsError(f"--{name.replace('_', '-')} must be positive, got {value}")
+        if self.voxel_m < MIN_VOXEL_M:
+            raise SettingsError(f"--voxel-m must be at least {MIN_VOXEL_M} m, got {self.voxel_m}")
 
 
 def check_output(option: str, path: Path, suffixes: Sequence[str]) -> None:

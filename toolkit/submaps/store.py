@@ -76,7 +76,12 @@ class SubmapStore:
         else:
             self._versions[number]
             tree = read_array_tree(self._path(number))
-            submap = Submap.from_state(tree.arrays, tree.metadata)
+            try:
+                submap = Submap.from_state(tree.arrays, tree.metadata)
+            except (KeyError, TypeError, ValueError) as error:
+                raise FormatError(
+                    f"{self._path(number)} is damaged ({error!r}); run again"
+                ) from error
         self._hold(submap)
         return submap
 

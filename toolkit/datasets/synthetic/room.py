@@ -100,10 +100,11 @@ def make_room(
     """
     settings = settings or RoomSettings()
     path = Path(path)
+    camera = settings.camera  # raises before a folder is made if the images are too large
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
     scene = build_scene(layout, settings.seed, _texel_m(settings))
-    camera, poses = settings.camera, _poses(layout, settings)
+    poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     frames: Iterable[Frame] = _frames(scene, settings, poses)
     if progress is not None:

@@ -1,0 +1,40 @@
+"""Malformed input as a user sees it: a process with one line on stderr and status 2."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from folder_content import content_of
+
+COMMANDS = [
+    "run --dataset.kind folder --dataset.path data --out out --max-frames 0",
+    "run --dataset.kind folder --dataset.path data --out out --hold-out 1",
+    "run --dataset.kind folder --dataset.path data --out out --seed -1",
+    "run --dataset.kind folder --dataset.path data --out out --image-size 100000 100000",
+    "run --dataset.kind folder --dataset.path nothing --out out",
+    "run --dataset.kind folder --dataset.path data --out full",
+    "render run --image-size 100000 100000",
+    "query run unicorn",
+    "export nothing --to out.ply",
+    "no-such-job",
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_process_prints_one_line(place, command):
+    before = content_of(place)
+    done = subprocess.run(
+        [sys.executable, "-m", "toolkit.cli.main", *command.split()],
+        cwd=place,
+        env=os.environ | {"PYTHONPATH": os.getcwd(), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("semsplat: error: ")
+    assert content_of(place) == before
