@@ -25,7 +25,7 @@ from toolkit.keyframe import Keyframe, Observed
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss_torch
 from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
 from toolkit.rendering.surface import SurfaceView, surface_depth
-from toolkit.rendering.texture import at_centres
+from toolkit.rendering.texture import resample_at_centres
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -79,7 +79,7 @@ def test_the_mapping_loss_and_its_derivative() -> None:
 
 def test_where_the_colours_of_a_view_belong() -> None:
     view = SurfaceView(SimpleNamespace(images=image(8)), image(), CAMERA, np.eye(4))
-    assert at_centres(image(3), view).shape == (3, 36, 48)
+    assert resample_at_centres(image(3), view).shape == (3, 36, 48)
     assert view_level(view, 0.9).intensity.device == META
 
 

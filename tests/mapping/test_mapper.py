@@ -20,7 +20,7 @@ from toolkit.mapping.keyframes import KeyframePolicy
 from toolkit.mapping.mapper import Mapper, MapperOptions
 from toolkit.mapping.surfaces import Surfaces
 from toolkit.rendering import surface
-from toolkit.rendering.texture import at_centres
+from toolkit.rendering.texture import resample_at_centres
 from toolkit.settings.mapping import MappingSettings
 
 UNTOUCHED = MapperOptions(iterations=0, first_iterations=0, final_iterations=0)
@@ -46,7 +46,7 @@ def test_colours_fit_where_the_gaussians_are(room):
         view, seen = mapper.view(mapper.keyframes[0]), mapper.keyframes[0].target_rgb()
         errors[centred] = [
             float((view.images[:3] - image).abs().mean())
-            for image in (at_centres(seen, view), seen)
+            for image in (resample_at_centres(seen, view), seen)
         ]
     assert errors[True][0] < 0.8 * errors[True][1]
     assert errors[False][1] < 0.8 * errors[False][0]

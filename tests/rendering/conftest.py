@@ -1,4 +1,4 @@
-"""Every compiled instruction set that this machine runs, one test each."""
+"""Fixtures: one test per compiled instruction set that this CPU supports."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from toolkit.rendering.native import NativeBackend
 
 @pytest.fixture(params=available_instruction_sets())
 def native(request: pytest.FixtureRequest) -> NativeBackend:
-    """The native backend, once for each instruction set; skipped where none was built."""
+    """The native backend with each instruction set; skipped if none was built."""
     return native_backend(request.param)

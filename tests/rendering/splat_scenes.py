@@ -1,4 +1,4 @@
-"""Scenes, an independent oracle and comparisons for the renderer's tests.
+"""Scenes, an independent implementation and comparisons for the tests of the renderers.
 
 The discontinuity band. An alpha under 1/255 is dropped, so where an alpha lies within
 rounding of that cut two correct renderers may disagree on one Gaussian at that pixel: by
@@ -33,7 +33,7 @@ GROUPS = ("means", "log_radii", "opacity_logits", "colours", "features", "T_came
 
 @dataclass(frozen=True)
 class Scene:
-    """Gaussians (their features are the channels drawn) before a camera."""
+    """Gaussians and a camera; their features are the rendered channels."""
 
     cloud: GaussianCloud
     camera: Camera
@@ -49,7 +49,7 @@ class Scene:
         )
 
     def loss_weights(self, seed: int = 0) -> Tensor:
-        """A random dL/d(images), zero where the rendering is not continuous."""
+        """A random dL/d(images), zero at discontinuities of the rendering."""
         shape = (5 + self.cloud.features.shape[1], self.camera.height, self.camera.width)
         weights = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
         return weights * ~torch.from_numpy(discontinuous_pixels(self))
@@ -60,7 +60,7 @@ class Scene:
 
 
 def native_backend(instruction_set: str) -> NativeBackend:
-    """The backend on one variant of the kernels, whichever render() would choose."""
+    """The native backend with a given variant of the kernels."""
     backend = NativeBackend()
     module = load_variant(instruction_set)
     assert module is not None
@@ -69,7 +69,7 @@ def native_backend(instruction_set: str) -> NativeBackend:
 
 
 def skewed_camera(width: int, height: int) -> Camera:
-    """A camera whose axes, and whose image's halves, cannot be mistaken for each other."""
+    """A camera with different focal lengths and an off-centre principal point."""
     return Camera(0.9 * width + 7, 1.1 * width + 5, 0.45 * width, 0.6 * height, width, height)
 
 
@@ -81,7 +81,7 @@ def scene_at_pixels(
     opacity: float = 0.6,
     channels: int = 0,
 ) -> Scene:
-    """Gaussians centred at given pixels (x, y), seen from the map's origin."""
+    """Gaussians that project to the given pixels (x, y) from the map's origin."""
     count = len(pixels)
     xy = torch.tensor(pixels, dtype=torch.float32).reshape(count, 2)
     z = torch.as_tensor(depth_m, dtype=torch.float32).expand(count)
@@ -101,7 +101,7 @@ def scene_at_pixels(
 def random_scene(
     seed: int, count: int = 60, channels: int = 3, size: tuple[int, int] = (45, 37)
 ) -> Scene:
-    """Gaussians of all sizes and opacities in and around the image, from a tilted camera.
+    """Gaussians of all sizes and opacities in and around the image of a tilted camera.
 
     Few enough to overlap without reaching the early termination.
     """
@@ -127,7 +127,7 @@ def _tensor(array: NDArray) -> Tensor:
 
 
 def exact(scene: Scene) -> Scene:
-    """The same float32 parameters in float64."""
+    """Convert float32 parameters to float64."""
     parts = {f.name: getattr(scene.cloud, f.name).double() for f in fields(GaussianCloud)}
     return scene.with_cloud(**parts)
 
@@ -137,7 +137,7 @@ def reference_images(scene: Scene, region: Tensor | None = None) -> Tensor:
 
 
 def raw_alphas(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Alphas [M, H, W], neither cut nor capped, and values [M, 5 + S], front to back."""
+    """Alphas [M, H, W] without thresholds, and values [M, 5 + S], front to back."""
     cloud, camera = scene.cloud, scene.camera
     points = se3.transform_points(scene.T_camera_map, cloud.means.double().numpy())
     z = points[:, 2]
@@ -162,20 +162,20 @@ def raw_alphas(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def discontinuous_pixels(scene: Scene) -> NDArray[np.bool_]:
-    """Pixels [H, W] where some alpha lies within rounding of the cut or of the cap."""
+    """Pixels [H, W] where an alpha is within rounding of MIN_ALPHA or MAX_ALPHA."""
     alphas, _ = raw_alphas(scene)
     near = (np.abs(alphas - MIN_ALPHA) < BAND) | (np.abs(alphas - MAX_ALPHA) < BAND)
     return np.asarray(near.any(axis=0))
 
 
 def largest_value(scene: Scene) -> float:
-    """The largest magnitude that a pixel of any channel can reach."""
+    """Upper bound of the magnitude of any pixel."""
     _, values = raw_alphas(scene)
     return float(np.abs(values).max(initial=1.0))
 
 
 def dense_images(scene: Scene) -> NDArray[np.float64]:
-    """Images [5 + S, H, W] straight from the equations: every Gaussian at every pixel."""
+    """Render images [5 + S, H, W] by the equations, with every Gaussian at every pixel."""
     alphas, values = raw_alphas(scene)
     passed = np.ones((scene.camera.height, scene.camera.width))
     images = np.zeros((values.shape[1], *passed.shape))
@@ -187,7 +187,7 @@ def dense_images(scene: Scene) -> NDArray[np.float64]:
 
 
 def dense_gradients(gradients: GaussianGradients, count: int) -> dict[str, Tensor]:
-    """Each group's gradient for the whole cloud, those of unseen Gaussians zero."""
+    """Expand the gradients to all Gaussians, zero for invisible ones."""
     out = {}
     for name in GROUPS[:-1]:
         compact = getattr(gradients, name)
@@ -207,7 +207,7 @@ def gradients_of(
 
 
 def assert_same_images(actual: Tensor, scene: Scene, expected: Tensor) -> None:
-    """Equal to single precision outside the discontinuity band, and bounded inside."""
+    """Assert equality in single precision outside the discontinuity band and a bound inside."""
     band = torch.from_numpy(discontinuous_pixels(scene))
     difference = (actual.double() - expected).abs()
     largest = largest_value(scene)
@@ -216,14 +216,14 @@ def assert_same_images(actual: Tensor, scene: Scene, expected: Tensor) -> None:
 
 
 def band_tolerance(scene: Scene) -> float:
-    """What one Gaussian at the cut may change: its own part, and what lies behind it."""
+    """Bound of the change by one Gaussian at MIN_ALPHA: its own contribution and what it occludes."""
     return 2.0 * MIN_ALPHA * largest_value(scene)
 
 
 def assert_same_gradients(
     actual: dict[str, Tensor], expected: dict[str, Tensor], tolerance: float = 2e-4
 ) -> None:
-    """Every group equal, relative to its largest entry."""
+    """Assert equality of every group, relative to its largest entry."""
     assert actual.keys() == expected.keys()
     for name, gradient in actual.items():
         scale = float(expected[name].abs().max()) if expected[name].numel() else 0.0
@@ -233,7 +233,7 @@ def assert_same_gradients(
 
 
 def assert_identical(actual: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
-    """Every group equal bit for bit."""
+    """Assert exact equality of every group."""
     assert actual.keys() == expected.keys()
     for name, gradient in actual.items():
         assert torch.equal(gradient, expected[name]), name

@@ -46,7 +46,7 @@ FLOAT32 = Tuning(precision="tf32x3")
 
 @pytest.fixture(autouse=True)
 def poisoned_memory() -> Iterator[None]:
-    """New memory holds NaN and largest integers: what a kernel forgets to write shows."""
+    """Fill new memory with NaN and maximum integers to detect elements that are not written."""
     torch.set_deterministic_debug_mode("warn")
     assert torch.empty(1).isnan()
     yield
@@ -55,7 +55,7 @@ def poisoned_memory() -> Iterator[None]:
 
 @dataclass
 class OnDevice:
-    """A view drawn on the GPU as the comparisons want it: on the CPU."""
+    """A view rendered on the GPU and copied to the CPU for comparison."""
 
     drawn: ForwardPass
 
@@ -70,7 +70,7 @@ class OnDevice:
 
 
 class Cuda:
-    """The backend behind a bridge from and to the CPU."""
+    """The backend with transfers from and to the CPU."""
 
     name = "cuda"
 
@@ -86,7 +86,7 @@ class Cuda:
 
 
 def assert_agrees(scene: Scene, tuning: Tuning = FLOAT32, tolerance: float = 2e-4) -> None:
-    """Same images, and same gradients of a random loss, as the reference in float64."""
+    """Assert that images and gradients of a random loss equal the float64 reference."""
     drawn = scene.forward(Cuda(tuning))
     assert_same_images(drawn.images, scene, reference_images(scene))
     weights = scene.loss_weights()
@@ -95,7 +95,7 @@ def assert_agrees(scene: Scene, tuning: Tuning = FLOAT32, tolerance: float = 2e-
 
 
 def same(a: Tensor, b: Tensor) -> bool:
-    """Equal bit for bit; on a GPU, where these are two kernels, but for rounding."""
+    """Assert exact equality, or on a GPU, where these are two kernels, equality up to rounding."""
     if DEVICE == "cpu":
         return torch.equal(a, b)
     return float((a - b).abs().max()) <= 1e-4 * max(1.0, float(b.abs().max()))
@@ -120,28 +120,28 @@ def test_any_image_size(size: tuple[int, int]) -> None:
     ],
 )
 @pytest.mark.parametrize("channels", [0, 5])
-def test_other_tunings(other: dict[str, int], channels: int) -> None:
+def test_tuning_parameters_do_not_change_results(other: dict[str, int], channels: int) -> None:
     scene = random_scene(3, count=30, channels=channels, size=(23, 18))
     assert_agrees(scene, replace(FLOAT32, **other))
 
 
-def test_channels_in_parts_when_memory_is_short() -> None:
-    """Blocks of channels, one after another, give the same bits as all of them at once."""
+def test_channels_are_split_when_memory_is_limited() -> None:
+    """Processing channels in blocks is bit-identical to processing all at once."""
     scene = random_scene(5, count=20, channels=37, size=(16, 12))
     narrow = replace(FLOAT32, channels_forward=16, channels_backward=16, scratch_bytes=5000)
     assert_agrees(scene, narrow)
 
 
-def test_parts_are_whole_blocks_of_channels() -> None:
-    """One channel more than a block would cost a block's work."""
+def test_splits_are_multiples_of_the_block_size() -> None:
+    """One channel beyond a block would cost as much as another block."""
     parts = [Tuning(scratch_bytes=4000 * most).channels_at_once(1000) for most in (0, 5, 35, 101)]
     assert parts == [1, 5, 32, 96]
     assert Tuning().channels_at_once(0) >= 1
 
 
 @pytest.mark.skipif(DEVICE == "cpu", reason="the interpreter does not round to tf32")
-def test_tf32_within_its_bound() -> None:
-    """Eleven bits: 2^-10 of each product's factors, and twice that after the chain rule."""
+def test_tf32_error_is_bounded() -> None:
+    """TF32 has 11 bits: an error of 2^-10 per factor, and twice that after the chain rule."""
     scene = random_scene(13, channels=40)
     weights = scene.loss_weights()
     expected = gradients_of(exact(scene), ReferenceBackend(), weights)
@@ -152,14 +152,14 @@ def test_tf32_within_its_bound() -> None:
 
 
 def test_more_splats_than_a_batch_in_one_tile() -> None:
-    """Faint ones, so that all of them count."""
+    """With low opacity, so that all of them contribute."""
     scene = random_scene(11, count=60, channels=2, size=(9, 7))
     faint = scene.with_cloud(opacity_logits=scene.cloud.opacity_logits.clamp(max=-3.0))
     assert_agrees(faint)
 
 
-def test_opaque_stack_stops_early_within_its_bound() -> None:
-    """A tile darker than 1e-4 is finished: nothing behind can add more."""
+def test_early_termination_error_is_bounded() -> None:
+    """Tiles with transmittance below 1e-4 are terminated, which bounds the error."""
     count = 40
     scene = scene_at_pixels(
         [(4 + 0.02 * k, 3 - 0.01 * k) for k in range(count)],
@@ -176,14 +176,14 @@ def test_opaque_stack_stops_early_within_its_bound() -> None:
     )
     weights = scene.loss_weights()
     actual = gradients_of(scene, Cuda(), weights)
-    # Behind the batches that were drawn the rows were cleared, not left as they were.
+    # The rows of pairs behind the last batch are set to zero.
     assert not actual["means"][32:].any() and not actual["features"][32:].any()
     exact_gradients = gradients_of(exact(scene), ReferenceBackend(), weights)
     assert_same_gradients(actual, exact_gradients, tolerance=10 * 2.3 * MIN_TRANSMITTANCE)
 
 
-def test_coincident_depths_keep_the_order_of_the_map() -> None:
-    """In front is whichever of equals comes first in the map, within a tile and across."""
+def test_gaussians_of_equal_depth_keep_their_order() -> None:
+    """Of Gaussians at equal depth, the first in the map is in front, within and across tiles."""
     pixels = (torch.rand(30, 2, generator=torch.Generator().manual_seed(4)) * 18).tolist()
     scene = scene_at_pixels(pixels, skewed_camera(18, 18), 1.5, sigma_px=2.5, channels=2)
     assert_agrees(scene)
@@ -201,7 +201,7 @@ def test_behind_and_at_the_camera() -> None:
 
 
 @pytest.mark.parametrize("group", ["means", "log_radii", "opacity_logits"])
-def test_nan_geometry_draws_nothing(group: str) -> None:
+def test_gaussians_with_nan_geometry_are_ignored(group: str) -> None:
     scene = random_scene(5, count=12, size=(12, 10))
     spoiled = getattr(scene.cloud, group).clone()
     spoiled[5] = torch.nan
@@ -237,8 +237,8 @@ def test_nothing_in_view(count: int) -> None:
     assert torch.equal(gradients.T_camera_map, torch.zeros(3, 4, dtype=torch.float64))
 
 
-def test_a_region_draws_its_tiles_alone() -> None:
-    """Regions are masks of 16x16 pixels, whatever the kernels' own tiles are."""
+def test_region_renders_only_its_tiles() -> None:
+    """Regions are masks of 16x16 pixels, independent of the kernels' tile size."""
     scene = random_scene(8, count=40, channels=2, size=(40, 20))
     region = torch.tensor([[True, False, True], [False, True, False]])
     weights = scene.loss_weights()
@@ -247,7 +247,7 @@ def test_a_region_draws_its_tiles_alone() -> None:
     assert_same_gradients(gradients_of(scene, Cuda(), weights, region), expected)
 
 
-def test_centres_come_last_and_change_nothing_else() -> None:
+def test_centres_are_the_last_channels_and_do_not_change_others() -> None:
     scene = random_scene(40, count=20, channels=3, size=(18, 14))
     arguments = (scene.cloud, scene.camera, scene.T_camera_map)
     plain = Cuda().forward(*arguments, scene.cloud.features, None)
@@ -257,7 +257,7 @@ def test_centres_come_last_and_change_nothing_else() -> None:
     assert torch.allclose(drawn.images[-3:], means, atol=1e-5)
 
 
-def test_detached_features_leave_geometry_alone() -> None:
+def test_detached_features_do_not_change_gradients_of_geometry() -> None:
     scene = random_scene(64, count=20, channels=4, size=(18, 14))
     weights = scene.loss_weights()
     drawn = scene.forward(Cuda())
@@ -270,7 +270,7 @@ def test_detached_features_leave_geometry_alone() -> None:
     assert drawn.backward(weights, colours=False).colours is None
 
 
-def test_the_same_bits_again() -> None:
+def test_results_are_reproducible() -> None:
     scene = random_scene(21, count=40, channels=3, size=(24, 18))
     weights = scene.loss_weights()
     once, again = (gradients_of(scene, Cuda(), weights) for _ in range(2))
@@ -279,11 +279,11 @@ def test_the_same_bits_again() -> None:
     assert bool((ids.diff() > 0).all())
 
 
-def test_wrong_image_gradients_are_named() -> None:
+def test_image_gradients_of_wrong_shape_raise() -> None:
     drawn = random_scene(0, count=3, channels=2, size=(9, 8)).forward(Cuda())
     with pytest.raises(ValueError, match=r"image gradients must have shape \[7, 8, 9\]"):
         drawn.backward(torch.zeros(6, 8, 9))
 
 
-def test_the_renderer_is_chosen_by_name() -> None:
+def test_backend_is_selected_by_name() -> None:
     assert backend("cuda").name == "cuda"

@@ -1,4 +1,4 @@
-"""gsplat behind our interface: its call, and against the reference where it and a GPU are."""
+"""gsplat backend: arguments of the call, and comparison with the reference on a GPU."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from toolkit.rendering.reference import ReferenceBackend, composite
 
 
 class Rasteriser:
-    """What gsplat takes and returns, drawn by the reference on the CPU."""
+    """Fake of gsplat.rasterization that renders with the reference on the CPU."""
 
     @staticmethod
     def rasterization(
@@ -35,7 +35,7 @@ class Rasteriser:
         assert rest["render_mode"] == "RGB+D" and len(means) > 0
         assert torch.equal(quats, torch.tensor([[1.0, 0, 0, 0]]).expand(len(means), 4))
         K, T = rest["Ks"][0], rest["viewmats"][0]
-        # Its pixel centres lie at halves.
+        # gsplat's pixel centres are at half-integers.
         cx, cy = (float(c) - 0.5 for c in K[:2, 2])
         camera = Camera(float(K[0, 0]), float(K[1, 1]), cx, cy, rest["width"], rest["height"])
         rgb, features = colors[:, :3], colors[:, 3:]
@@ -45,7 +45,7 @@ class Rasteriser:
         return drawn.permute(1, 2, 0)[None], images[4][None, ..., None], {}
 
 
-def test_the_call_means_what_the_reference_means() -> None:
+def test_arguments_are_converted_to_conventions_of_gsplat() -> None:
     scene = random_scene(3, count=20, channels=4, size=(21, 17))
     ours = GsplatBackend(Rasteriser(), device="cpu")
     images = scene.draw(ours)
@@ -55,7 +55,7 @@ def test_the_call_means_what_the_reference_means() -> None:
     assert_same_gradients(gradients_of(scene, ours, weights), expected, tolerance=1e-3)
 
 
-def test_regions_and_centres_are_added_to_it() -> None:
+def test_regions_and_centres_are_supported() -> None:
     scene = random_scene(8, count=40, channels=2, size=(40, 20))
     region = torch.tensor([[True, False, True], [False, True, False]])
     arguments = (scene.cloud, scene.camera, scene.T_camera_map, scene.cloud.features, region)
@@ -64,7 +64,7 @@ def test_regions_and_centres_are_added_to_it() -> None:
     assert torch.allclose(ours.images, truth.images, atol=1e-4)
 
 
-def test_an_empty_map_needs_no_kernel() -> None:
+def test_empty_map_does_not_call_gsplat() -> None:
     camera = skewed_camera(20, 17)
     empty = GaussianCloud.empty(3)
     drawn = GsplatBackend(Rasteriser(), device="cpu").forward(
@@ -75,8 +75,8 @@ def test_an_empty_map_needs_no_kernel() -> None:
 
 
 @pytest.mark.parametrize("device", ["cuda", "cpu"])
-def test_it_draws_what_the_reference_draws(device: str) -> None:
-    """Near the axis, where a projected covariance is as round as ours."""
+def test_gsplat_agrees_with_the_reference(device: str) -> None:
+    """Near the optical axis, where projected covariances are circular."""
     pytest.importorskip("gsplat", reason="gsplat is not installed")
     if not torch.cuda.is_available():
         pytest.skip("gsplat needs a GPU")

@@ -34,14 +34,14 @@ from toolkit.rendering.reference import ReferenceBackend
 def assert_agrees(
     native: NativeBackend, scene: Scene, seed: int = 0, tolerance: float = 2e-4
 ) -> None:
-    """Same images, and same gradients of a random loss, as the reference in float64."""
+    """Assert that images and gradients of a random loss equal the float64 reference."""
     assert_same_images(scene.draw(native), scene, reference_images(scene))
     weights = scene.loss_weights(seed)
     expected = gradients_of(exact(scene), ReferenceBackend(), weights)
     assert_same_gradients(gradients_of(scene, native, weights), expected, tolerance)
 
 
-# Derandomised: the shapes are what is searched, and rounding must not fail another day.
+# Derandomised, so that the test cannot fail randomly because of rounding.
 @settings(
     max_examples=12,
     deadline=None,
@@ -72,14 +72,14 @@ def test_any_image_size(native: NativeBackend, size: tuple[int, int]) -> None:
 
 
 def test_many_splats_in_one_tile(native: NativeBackend) -> None:
-    """More than the kernels take at once, faint so that all of them count."""
+    """More than one batch of the kernels, with low opacity so that all of them contribute."""
     scene = random_scene(11, count=700, channels=5, size=(20, 12))
     faint = scene.with_cloud(opacity_logits=scene.cloud.opacity_logits.clamp(max=-3.5))
     assert_agrees(native, faint)
 
 
 def test_behind_and_at_the_camera(native: NativeBackend) -> None:
-    """Only what lies beyond the near plane is drawn; the rest has no gradient."""
+    """Gaussians in front of the near plane are not rendered and have no gradient."""
     depths = [1.0, -1.0, 0.0, 0.005, 0.02, -0.02]
     scene = scene_at_pixels([(5, 4)] * 6, skewed_camera(12, 10), 1.0, channels=2)
     means = scene.cloud.means.clone()
@@ -100,7 +100,7 @@ def test_on_the_image_border(native: NativeBackend) -> None:
 
 
 def test_radius_below_a_pixel(native: NativeBackend) -> None:
-    """On a pixel's centre it is one pixel; between centres it is nothing."""
+    """It covers one pixel at a pixel's centre and none between centres."""
     on, between = (5.0, 4.0), (8.5, 6.5)
     scene = scene_at_pixels([on, between], skewed_camera(12, 10), sigma_px=0.05)
     silhouette = scene.draw(native)[4]
@@ -152,18 +152,18 @@ def test_opacity_zero_and_one(native: NativeBackend) -> None:
     assert not gradients["opacity_logits"][[0, 2]].any()
 
 
-def test_capped_alpha_has_no_slope(native: NativeBackend) -> None:
-    """Over several pixels alpha exceeds 0.999: there it no longer follows the Gaussian."""
+def test_clamped_alpha_has_zero_gradient(native: NativeBackend) -> None:
+    """Over several pixels alpha exceeds 0.999 and is clamped."""
     scene = scene_at_pixels(
         [(3.3, 2.4), (1.2, 3.1)], skewed_camera(8, 6), [1.0, 2.0], 60.0, 0.9999, channels=2
     )
     assert int((raw_alphas(scene)[0][0] > MAX_ALPHA).sum()) > 8
-    # Where alpha is 0.999, T - alpha T keeps T to 2^-24 / 0.001 = 6e-5 of itself, each time.
+    # At alpha 0.999, computing T - alpha T has a relative error of 2^-24 / 0.001 = 6e-5.
     assert_agrees(native, scene, tolerance=5e-4)
 
 
-def test_coincident_depths_keep_the_order_of_the_map(native: NativeBackend) -> None:
-    """In front is whichever of equals comes first in the map, within a tile and across."""
+def test_gaussians_of_equal_depth_keep_their_order(native: NativeBackend) -> None:
+    """Of Gaussians at equal depth, the first in the map is in front, within and across tiles."""
     rng = torch.Generator().manual_seed(4)
     pixels = (torch.rand(80, 2, generator=rng) * torch.tensor([40.0, 30.0])).tolist()
     scene = scene_at_pixels(pixels, skewed_camera(40, 30), 1.5, sigma_px=2.5, channels=2)
@@ -190,7 +190,7 @@ def test_nothing_in_view(native: NativeBackend) -> None:
 
 
 @pytest.mark.parametrize("group", ["means", "log_radii", "opacity_logits"])
-def test_nan_geometry_draws_nothing_and_spoils_nothing(native: NativeBackend, group: str) -> None:
+def test_gaussians_with_nan_geometry_are_ignored(native: NativeBackend, group: str) -> None:
     scene = random_scene(5)
     spoiled = getattr(scene.cloud, group).clone()
     spoiled[10] = torch.nan
@@ -207,8 +207,10 @@ def test_nan_geometry_draws_nothing_and_spoils_nothing(native: NativeBackend, gr
 
 
 @pytest.mark.parametrize("group", ["colours", "features"])
-def test_nan_value_stays_where_its_gaussian_reaches(native: NativeBackend, group: str) -> None:
-    """A NaN colour shows, since it was asked for, but only in blocks within its support."""
+def test_nan_value_affects_only_the_support_of_its_gaussian(
+    native: NativeBackend, group: str
+) -> None:
+    """A NaN colour is rendered, but only in blocks within the Gaussian's support."""
     scene = scene_at_pixels([(6, 6), (25, 20)], skewed_camera(34, 30), channels=2)
     spoiled = getattr(scene.cloud, group).clone()
     spoiled[0] = torch.nan
@@ -217,8 +219,8 @@ def test_nan_value_stays_where_its_gaussian_reaches(native: NativeBackend, group
     assert torch.equal(images[:, 15:, 15:], scene.draw(native)[:, 15:, 15:])
 
 
-def test_opaque_stack_stops_early_within_its_bound(native: NativeBackend) -> None:
-    """Blocks of pixels darker than 1e-4 are finished: nothing behind can add more."""
+def test_early_termination_error_is_bounded(native: NativeBackend) -> None:
+    """Blocks with transmittance below 1e-4 are terminated, which bounds the error."""
     count = 60
     scene = scene_at_pixels(
         [(8 + 0.05 * k, 7 - 0.03 * k) for k in range(count)],
@@ -229,19 +231,19 @@ def test_opaque_stack_stops_early_within_its_bound(native: NativeBackend) -> Non
         channels=3,
     )
     expected = reference_images(scene)
-    assert float(1.0 - expected[4].max()) < MIN_TRANSMITTANCE**2  # the stack does reach the cut
+    assert float(1.0 - expected[4].max()) < MIN_TRANSMITTANCE**2  # the stack reaches the threshold
     difference = (scene.draw(native).double() - expected).abs()
     assert 1e-6 < float(difference.max()) <= MIN_TRANSMITTANCE * largest_value(scene)
     weights = scene.loss_weights()
     actual = gradients_of(scene, native, weights)
     expected_gradients = gradients_of(exact(scene), ReferenceBackend(), weights)
-    # Each of the ten or so splats in front misses alpha / (1 - alpha) = 2.3 times what was
-    # cut behind it, at most 1e-4 of the largest value, and the pose adds them up.
+    # Each of about ten splats in front lacks alpha / (1 - alpha) = 2.3 times what was
+    # omitted behind it, at most 1e-4 of the largest value; the pose gradient is their sum.
     assert_same_gradients(actual, expected_gradients, tolerance=10 * 2.3 * MIN_TRANSMITTANCE)
 
 
 def test_discontinuity_band_is_bounded(native: NativeBackend) -> None:
-    """A Gaussian at the cut itself changes a pixel by no more than 1/255 of its value."""
+    """A Gaussian at MIN_ALPHA changes a pixel by at most 1/255 of its value."""
     scene = scene_at_pixels([(5.0, 4.0)], Camera(8, 8, 5, 4, 12, 10), opacity=0.5)
     for step in range(-3, 4):
         opacity = torch.full((1,), MIN_ALPHA * (1.0 + step * 1e-7), dtype=torch.float64)
@@ -250,7 +252,7 @@ def test_discontinuity_band_is_bounded(native: NativeBackend) -> None:
         assert float(difference.abs().max()) <= 1.001 * MIN_ALPHA
 
 
-def test_colours_may_be_skipped(native: NativeBackend) -> None:
+def test_colour_gradients_can_be_skipped(native: NativeBackend) -> None:
     scene = random_scene(2, channels=6)
     weights = scene.loss_weights()
     drawn = scene.forward(native)
@@ -261,7 +263,7 @@ def test_colours_may_be_skipped(native: NativeBackend) -> None:
         assert torch.equal(getattr(lean, name), getattr(everything, name)), name
 
 
-def test_ids_are_ascending_and_cover_what_is_seen(native: NativeBackend) -> None:
+def test_ids_are_ascending_and_contain_all_visible_gaussians(native: NativeBackend) -> None:
     scene = random_scene(9, count=50)
     ids = scene.forward(native).backward(scene.loss_weights()).ids
     assert bool((ids.diff() > 0).all())
@@ -270,8 +272,8 @@ def test_ids_are_ascending_and_cover_what_is_seen(native: NativeBackend) -> None
     assert set(seen.tolist()) <= set(ids.tolist())
 
 
-def test_gradients_reach_the_leaves_of_autograd() -> None:
-    """The whole way through render(), with the backend it chooses."""
+def test_gradients_are_propagated_by_autograd() -> None:
+    """Through render() with the default backend."""
     scene = random_scene(6, channels=4)
     weights = scene.loss_weights()
     results = []
@@ -293,7 +295,9 @@ def test_gradients_reach_the_leaves_of_autograd() -> None:
 
 
 @pytest.mark.parametrize("channels", [0, 1, 17])
-def test_centres_come_last_and_change_nothing_else(native: NativeBackend, channels: int) -> None:
+def test_centres_are_the_last_channels_and_do_not_change_others(
+    native: NativeBackend, channels: int
+) -> None:
     scene = random_scene(channels + 40, count=50, channels=channels)
     arguments = (scene.cloud, scene.camera, scene.T_camera_map)
     plain = native.forward(*arguments, scene.cloud.features, None)
@@ -308,8 +312,10 @@ def test_centres_come_last_and_change_nothing_else(native: NativeBackend, channe
 
 
 @pytest.mark.parametrize("channels", [1, 4, 26, 101])
-def test_detached_features_leave_geometry_alone(native: NativeBackend, channels: int) -> None:
-    """Geometry and pose as without the feature channels, features as with them."""
+def test_detached_features_do_not_change_gradients_of_geometry(
+    native: NativeBackend, channels: int
+) -> None:
+    """Gradients of geometry and pose are those without features, others those with features."""
     scene = random_scene(channels + 60, count=50, channels=channels)
     weights = scene.loss_weights()
     drawn = [scene.forward(native) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""The same bits again: whatever the threads, the order of calls or the region."""
+"""Reproducibility: results do not depend on threads, order of calls or region."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def restored_threads() -> Iterator[None]:
 
 
 def busy_scene(seed: int = 0) -> Scene:
-    """Enough Gaussians and tiles for several chunks of every parallel loop."""
+    """Enough Gaussians and tiles for several chunks per parallel loop."""
     return random_scene(seed, count=12_000, channels=5, size=(200, 130))
 
 
@@ -44,7 +44,9 @@ def random_region(camera: Camera, seed: int = 3) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("with_region", [False, True])
-def test_threads_do_not_matter(native: NativeBackend, with_region: bool) -> None:
+def test_results_do_not_depend_on_the_number_of_threads(
+    native: NativeBackend, with_region: bool
+) -> None:
     scene = busy_scene()
     region = random_region(scene.camera) if with_region else None
     weights = torch.randn(10, 130, 200, generator=torch.Generator().manual_seed(1))
@@ -57,8 +59,8 @@ def test_threads_do_not_matter(native: NativeBackend, with_region: bool) -> None
         assert_identical(gradients_of(scene, native, weights, region), gradients)
 
 
-def test_earlier_views_do_not_matter(native: NativeBackend) -> None:
-    """Buffers are handed from view to view; a larger one before must leave no trace."""
+def test_results_do_not_depend_on_earlier_views(native: NativeBackend) -> None:
+    """Buffers are reused; the content of a larger earlier view must not affect the result."""
     scene = random_scene(1, channels=4)
     weights = scene.loss_weights()
     fresh, gradients = scene.draw(native), gradients_of(scene, native, weights)
@@ -68,7 +70,7 @@ def test_earlier_views_do_not_matter(native: NativeBackend) -> None:
         assert_identical(gradients_of(scene, native, weights), gradients)
 
 
-def test_two_views_may_be_open_at_once(native: NativeBackend) -> None:
+def test_two_views_can_be_in_use_at_once(native: NativeBackend) -> None:
     first, second = random_scene(1), random_scene(2)
     weights = first.loss_weights()
     expected = gradients_of(first, native, weights)["means"]
@@ -79,7 +81,7 @@ def test_two_views_may_be_open_at_once(native: NativeBackend) -> None:
     assert torch.equal(gradients.means, expected[gradients.ids])
 
 
-def test_views_may_be_drawn_from_several_threads(native: NativeBackend) -> None:
+def test_rendering_from_several_threads(native: NativeBackend) -> None:
     scenes = [random_scene(k, channels=3) for k in range(4)] * 8
     weights = scenes[0].loss_weights()
     expected = [gradients_of(s, native, weights) for s in scenes[:4]]
@@ -95,7 +97,7 @@ def test_views_may_be_drawn_from_several_threads(native: NativeBackend) -> None:
 
 
 @pytest.mark.parametrize("channels", [0, 5])
-def test_region_draws_the_same_tiles(native: NativeBackend, channels: int) -> None:
+def test_tiles_of_a_region_are_identical(native: NativeBackend, channels: int) -> None:
     scene = random_scene(8, count=300, channels=channels, size=(75, 61))
     region = random_region(scene.camera)
     drawn = pixels_of(region, scene.camera)
@@ -106,7 +108,7 @@ def test_region_draws_the_same_tiles(native: NativeBackend, channels: int) -> No
 
 
 @pytest.mark.parametrize("channels", [0, 5])
-def test_region_has_the_gradients_of_its_own_loss(native: NativeBackend, channels: int) -> None:
+def test_gradients_of_a_region_are_those_of_its_loss(native: NativeBackend, channels: int) -> None:
     scene = random_scene(8, count=300, channels=channels, size=(75, 61))
     region = random_region(scene.camera)
     weights = scene.loss_weights() * pixels_of(region, scene.camera)
@@ -134,7 +136,7 @@ def test_region_agrees_with_the_reference(native: NativeBackend) -> None:
     assert_same_gradients(gradients_of(scene, native, weights, region), expected)
 
 
-def test_empty_region_draws_nothing(native: NativeBackend) -> None:
+def test_empty_region_renders_zero(native: NativeBackend) -> None:
     scene = random_scene(8)
     region = torch.zeros(tile_counts(scene.camera), dtype=torch.bool)
     assert not scene.draw(native, region).any()

@@ -1,4 +1,4 @@
-"""The reference renderer against the equations, and its gradients against differences."""
+"""Reference renderer: comparison with the equations and with finite differences."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from toolkit.rendering.reference import composite
     height=st.integers(1, 50),
     channels=st.integers(0, 4),
 )
-def test_tiles_change_nothing(seed: int, width: int, height: int, channels: int) -> None:
+def test_tiles_do_not_change_the_result(seed: int, width: int, height: int, channels: int) -> None:
     scene = random_scene(seed, count=25, channels=channels, size=(width, height))
     continuous = ~discontinuous_pixels(scene)
     difference = reference_images(scene).numpy() - dense_images(scene)
     np.testing.assert_allclose(difference * continuous, 0.0, atol=1e-12)
 
 
-def test_one_gaussian_by_hand() -> None:
+def test_one_gaussian_against_closed_form() -> None:
     camera = skewed_camera(9, 7)
     scene = scene_at_pixels([(4.0, 3.0)], camera, depth_m=2.0, sigma_px=1.5, opacity=0.8)
     images = reference_images(scene)
@@ -47,14 +47,14 @@ def test_one_gaussian_by_hand() -> None:
     assert images[:, 4, 6].tolist() == pytest.approx(expected, rel=1e-5)
 
 
-def test_nearer_gaussian_hides_the_farther() -> None:
+def test_nearer_gaussian_occludes_the_farther() -> None:
     scene = scene_at_pixels([(4, 3), (4, 3)], skewed_camera(9, 7), [3.0, 1.0], opacity=0.75)
     silhouette, depth = reference_images(scene)[[4, 3], 3, 4]
     assert float(silhouette) == pytest.approx(0.75 + 0.25 * 0.75, rel=1e-6)
     assert float(depth) == pytest.approx(0.75 * 1.0 + 0.25 * 0.75 * 3.0, rel=1e-6)
 
 
-def test_depth_is_of_the_surface_not_of_its_opacity() -> None:
+def test_depth_does_not_depend_on_opacity() -> None:
     scene = scene_at_pixels([(4, 3)], skewed_camera(9, 7), depth_m=2.0, opacity=0.5)
     output = RenderOutput(reference_images(scene))
     assert float(output.depth_sum_m[3, 4]) == pytest.approx(1.0, rel=1e-6)

@@ -1,4 +1,4 @@
-"""render() as its callers meet it: shapes, errors, the choice of a backend, memory."""
+"""render(): shapes, errors, selection of the backend, memory."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_shapes_of_the_output() -> None:
 
 
 @pytest.mark.parametrize("name", ["auto", "reference"])
-def test_only_what_is_asked_for_gets_a_gradient(name: str) -> None:
+def test_gradients_only_for_tensors_that_require_them(name: str) -> None:
     scene = random_scene(1)
     T = torch.from_numpy(scene.T_camera_map).requires_grad_()
     pose_only = render(scene.cloud, scene.camera, T, backend_name=name)
@@ -66,7 +66,7 @@ def test_no_gradient_without_leaves() -> None:
     assert not render(scene.cloud, scene.camera, scene.T_camera_map).images.requires_grad
 
 
-def test_other_dtypes_and_strides_are_taken() -> None:
+def test_other_dtypes_and_strides_are_accepted() -> None:
     scene = random_scene(2)
     expected = render(scene.cloud, scene.camera, scene.T_camera_map).images
     wide = scene.with_cloud(
@@ -89,7 +89,7 @@ def test_other_dtypes_and_strides_are_taken() -> None:
         ),
     ],
 )
-def test_wrong_shapes_are_named(change: dict, message: str) -> None:
+def test_arguments_of_wrong_shape_raise(change: dict, message: str) -> None:
     scene = random_scene(0)
     arguments = {"T_camera_map": scene.T_camera_map} | change
     with pytest.raises(ValueError, match=message):
@@ -97,17 +97,17 @@ def test_wrong_shapes_are_named(change: dict, message: str) -> None:
 
 
 @needs_kernels
-def test_wrong_image_gradients_are_named() -> None:
+def test_image_gradients_of_wrong_shape_raise() -> None:
     scene = random_scene(0, channels=2)
     drawn = scene.forward(backend("native"))
     with pytest.raises(ValueError, match=r"image gradients must have shape \[7, 37, 45\]"):
         drawn.backward(torch.zeros(6, 37, 45))
-    # Five channels leave the features out.
+    # Five channels without the features.
     with pytest.raises(ValueError, match=r"image gradients must have shape \[5, 37, 45\]"):
         drawn.backward(torch.zeros(5, 37, 44))
 
 
-def test_second_derivatives_are_refused_not_wrong() -> None:
+def test_second_derivatives_raise() -> None:
     scene = random_scene(1, count=10, size=(12, 9))
     cloud = scene.cloud.detached()
     cloud.means.requires_grad_()
@@ -117,12 +117,12 @@ def test_second_derivatives_are_refused_not_wrong() -> None:
         gradient.sum().backward()
 
 
-def test_unknown_and_absent_backends() -> None:
+def test_unknown_and_unavailable_backends_raise() -> None:
     with pytest.raises(SettingsError, match="unknown rendering backend 'gpu'"):
         backend("gpu")
 
 
-def test_backends_for_gpus_say_what_they_need(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_gpu_backends_name_the_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setitem(sys.modules, "triton", None)
     for name in [n for n in sys.modules if n.startswith("toolkit.rendering.cuda")]:
@@ -143,11 +143,11 @@ def test_compiled_kernels_need_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_kernels
-def test_native_is_the_choice_where_it_was_built() -> None:
+def test_native_is_the_default_if_built() -> None:
     assert backend("auto").name == "native"
 
 
-def test_reference_takes_over_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reference_is_the_default_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(native.ISA_VARIABLE, raising=False)
     monkeypatch.setattr(loading, "available_instruction_sets", list)
     assert native.kernels() is None
@@ -160,7 +160,7 @@ def test_reference_takes_over_without_kernels(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", ["auto", "reference"])
-def test_a_dropped_rendering_frees_its_memory_at_once(name: str) -> None:
+def test_deleting_a_rendering_frees_its_memory(name: str) -> None:
     scene = random_scene(1)
     cloud = scene.cloud.detached()
     cloud.means.requires_grad_()

@@ -1,4 +1,4 @@
-"""The depth of the surface: kernel against torch, and no bias on a slanted wall."""
+"""Surface depth: native kernel against torch, and no bias on slanted walls."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def images_of(scene: Scene) -> Tensor:
 
 
 @pytest.mark.parametrize("number", range(6))
-@pytest.mark.parametrize("count", [120, 400])  # with holes, and nearly without
+@pytest.mark.parametrize("count", [120, 400])  # with and almost without holes
 def test_kernel_agrees_with_torch(
     native: NativeBackend, monkeypatch: pytest.MonkeyPatch, number: int, count: int
 ) -> None:
@@ -52,10 +52,10 @@ def test_kernel_agrees_with_torch(
     actual = surface.surface_depth(images, scene.camera, scene.T_camera_map, 0.5).double()
     exact = fallback(images.double(), scene, 0.5)
     assert torch.equal(actual > 0, exact > 0)
-    # Some pixels are corrected by a plane, and some are left at the mean.
+    # Some pixels are corrected by a plane, others keep the mean depth.
     corrected = (exact - images[3] / images[4].clamp(min=1e-6)).abs() > 1e-4
     assert 5 <= int((corrected & (exact > 0)).sum()) < 0.5 * exact.numel()
-    # A pixel at the bound of what counts as an edge or a plane may go either way.
+    # The results may differ for pixels at the thresholds of edges and planes.
     error = (actual - exact).abs() / exact.clamp(min=0.1)
     assert int((error > 1e-4).sum()) <= 2
     assert float(error.max()) <= 0.1
@@ -73,10 +73,10 @@ def test_images_too_small_for_a_plane(
 
 
 @pytest.mark.parametrize("slope", [(0.8, 0.0), (0.0, -0.8), (0.6, 0.6)])
-def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None:
-    """Seeded from a view as mapping does; the mean depth is too near, the surface is not."""
+def test_depth_of_slanted_walls_is_unbiased(slope: tuple[float, float]) -> None:
+    """On a wall seeded from one view the mean depth is too small, the surface depth is not."""
     rays = CAMERA.rays()
-    # The plane z = 2 + slope . (x, y), met by each pixel's ray.
+    # Intersection of each pixel's ray with the plane z = 2 + slope . (x, y).
     depth = (2.0 / (1.0 - rays[..., 0] * slope[0] - rays[..., 1] * slope[1])).astype(np.float32)
     frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
     everywhere = np.ones_like(depth, dtype=bool)
@@ -92,8 +92,8 @@ def test_a_slanted_wall_is_drawn_where_it_is(slope: tuple[float, float]) -> None
 
 
 @pytest.mark.parametrize("radius", [0.6, 1.2])
-def test_steep_walls_are_drawn_where_they_are(radius: float) -> None:
-    """At 75 degrees the Gaussians that reach a pixel lie up to a tenth of its depth off its ray."""
+def test_depth_of_steep_walls_is_unbiased(radius: float) -> None:
+    """At 75 degrees the Gaussians of a pixel are up to a tenth of its depth off the ray."""
     normal = np.array([np.sin(np.deg2rad(75.0)), 0.0, np.cos(np.deg2rad(75.0))])
     depth = 0.5 / np.maximum(CAMERA.rays() @ normal, 1e-9)
     depth = np.where(depth < 6.0, depth, 0.0).astype(np.float32)
@@ -109,10 +109,10 @@ def test_steep_walls_are_drawn_where_they_are(radius: float) -> None:
 
 @pytest.mark.parametrize("centres", [[(0.1, -0.2)], [(-0.3, 0.0), (0.4, 0.1)]])
 @pytest.mark.parametrize("way", ["kernel", "torch"])
-def test_few_wide_gaussians_are_drawn_where_they_are(
+def test_depth_of_few_wide_gaussians(
     native: NativeBackend, monkeypatch: pytest.MonkeyPatch, way: str, centres: list
 ) -> None:
-    """Their mean centre hardly moves over the pixels: its rounding is no normal."""
+    """Their mean centre hardly changes between pixels; no normal is estimated from rounding."""
     monkeypatch.setattr(
         surface, "kernels_for", lambda tensor: native._module if way == "kernel" else None
     )
@@ -123,7 +123,7 @@ def test_few_wide_gaussians_are_drawn_where_they_are(
         torch.full((count,), 0.99),
         torch.full((count, 3), 0.5),
     )
-    # Another origin, so that the centres are not exact in the camera's frame.
+    # A different origin, so that the centres are rounded in the camera's frame.
     T_camera_map = se3.exp(np.array([1.3, -0.7, 0.9, 0.4, 0.3, -0.6]))
     cloud = replace(cloud, means=moved(cloud.means, se3.inverse(T_camera_map)))
     view = draw_surface(native, cloud, CAMERA, T_camera_map)
@@ -132,7 +132,7 @@ def test_few_wide_gaussians_are_drawn_where_they_are(
     assert float((view.depth_m[solid] - 2.0).abs().max()) < 1e-4
 
 
-def test_thin_pixels_have_no_surface() -> None:
+def test_pixels_with_small_silhouette_have_no_surface() -> None:
     scene = random_scene(0, count=30)
     view = draw_surface(backend(), scene.cloud, scene.camera, scene.T_camera_map, DrawOptions(0.5))
     thin = view.output.silhouette < 0.5

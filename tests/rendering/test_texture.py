@@ -1,4 +1,4 @@
-"""Colours belong to where the Gaussians' mean centres lie, not to the middle of the pixel."""
+"""Colours are located at the Gaussians' mean centres, not at the pixel centres."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from toolkit.geometry.camera import Camera
 from toolkit.native import available_instruction_sets, load_variant
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface, texture
 from toolkit.rendering.texture import (
-    at_centres,
     centre_offsets,
     centred_intensity,
-    moved_to_centres,
+    resample_at_centres,
+    shift_to_centres,
 )
 
 CAMERA = Camera(60.0, 58.0, 31.5, 23.5, 64, 48)
@@ -53,29 +53,29 @@ def inner(image: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("slope", [-0.8, 0.8])
-def test_what_is_drawn_is_the_colour_at_the_mean_centre(slope):
+def test_rendered_colour_is_that_of_the_mean_centre(slope):
     cloud, image = slanted_wall(slope)
     view = drawn(cloud)
     shown = view.images[:3] / view.images[4]
     nearer = float(inner(centre_offsets(view, 0.9)[0]).mean())
     assert abs(nearer) > 0.2 and np.sign(nearer) == -np.sign(slope)
     beside = inner(shown - image).abs().mean()
-    there = inner(shown - at_centres(image, view, 0.9)).abs().mean()
+    there = inner(shown - resample_at_centres(image, view, 0.9)).abs().mean()
     assert float(there) < 0.1 * float(beside)
 
 
-def test_intensities_are_moved_to_where_they_belong():
+def test_intensities_are_shifted_to_the_mean_centres():
     cloud, image = slanted_wall(0.8)
     view = drawn(cloud)
     true = torch.einsum("c,cyx->yx", LUMA, image)
     shown = torch.einsum("c,cyx->yx", LUMA, view.images[:3] / view.images[4])
-    moved = moved_to_centres(shown, view, 0.9)
+    moved = shift_to_centres(shown, view, 0.9)
     assert float(inner(moved - true).abs().mean()) < 0.1 * float(inner(shown - true).abs().mean())
 
 
 @pytest.fixture
 def wavy() -> tuple[SurfaceView, torch.Tensor]:
-    """A view with holes, edges and thin places, and an image of noise."""
+    """A view with holes, edges and translucent areas, and an image of noise."""
     cloud, _ = slanted_wall(0.5)
     generator = torch.Generator().manual_seed(0)
     cloud.means[:, 2] += 0.05 * torch.rand(len(cloud), generator=generator)
@@ -85,26 +85,26 @@ def wavy() -> tuple[SurfaceView, torch.Tensor]:
 
 
 @pytest.mark.parametrize("instructions", available_instruction_sets())
-def test_kernels_compute_what_torch_does(wavy, monkeypatch, instructions):
+def test_native_kernels_agree_with_torch(wavy, monkeypatch, instructions):
     view, image = wavy
     monkeypatch.setattr(texture, "kernels_for", lambda _: None)
-    sampled = at_centres(image, view, 0.8)
+    sampled = resample_at_centres(image, view, 0.8)
     luma = torch.einsum("c,cyx->yx", LUMA, view.images[:3])
     luma = torch.where(view.images[4] >= 0.8, luma, torch.zeros_like(luma))
-    moved = moved_to_centres(luma, view, 0.8)
+    moved = shift_to_centres(luma, view, 0.8)
     assert centred_intensity(view, 0.8) is None
     monkeypatch.setattr(texture, "kernels_for", lambda _: load_variant(instructions))
     assert float((sampled - image).abs().max()) > 0.1 and float((moved - luma).abs().max()) > 1e-3
-    assert torch.allclose(at_centres(image, view, 0.8), sampled, atol=1e-4)
+    assert torch.allclose(resample_at_centres(image, view, 0.8), sampled, atol=1e-4)
     assert torch.allclose(centred_intensity(view, 0.8), moved, atol=1e-5)
 
 
-def test_thin_places_stay_as_they_are(wavy):
+def test_translucent_pixels_are_not_shifted(wavy):
     view, image = wavy
     offsets = centre_offsets(view, 0.8)
     thin = view.images[4] < 0.8
     assert bool(thin.any()) and bool((offsets[:, thin] == 0).all())
-    assert torch.equal(at_centres(image, view, 2.0), image)
+    assert torch.equal(resample_at_centres(image, view, 2.0), image)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 5), (2, 2)])
@@ -114,6 +114,6 @@ def test_images_of_a_few_pixels(size):
     cloud, _ = slanted_wall(0.3)
     view = draw_surface(backend("native"), cloud, camera, np.eye(4), DrawOptions(0.5))
     image = torch.rand(3, height, width)
-    assert at_centres(image, view).shape == image.shape
+    assert resample_at_centres(image, view).shape == image.shape
     assert centred_intensity(view, 0.5).shape == (height, width)
     assert texture._sampled(image, centre_offsets(view, 0.5)).shape == image.shape

@@ -1,4 +1,4 @@
-"""Poses to look from, without a trajectory."""
+"""Viewpoints for rendering without a trajectory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from toolkit.rendering.viewpoints import Viewpoint, overview
 CAMERA = Camera(fx=80.0, fy=80.0, cx=49.5, cy=39.5, width=100, height=80)
 
 
-def test_yaw_turns_right_and_pitch_turns_up():
+def test_positive_yaw_is_right_and_positive_pitch_is_up():
     right = Viewpoint((1.0, 2.0, 3.0), yaw_rad=math.radians(90.0)).T_map_camera
     np.testing.assert_allclose(right[:3, 2], [1.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(right[:3, 3], [1.0, 2.0, 3.0])
@@ -24,14 +24,14 @@ def test_yaw_turns_right_and_pitch_turns_up():
     np.testing.assert_allclose(up[:3, 2], [0.0, -1.0, 0.0], atol=1e-12)
 
 
-def test_pitch_comes_after_yaw_so_that_the_horizon_stays_level():
+def test_pitch_is_applied_after_yaw_so_that_the_horizon_is_level():
     T = Viewpoint((0.0, 0.0, 0.0), yaw_rad=1.0, pitch_rad=0.7).T_map_camera
-    # The camera's right stays level: it has no part along the map's vertical.
+    # The camera's x axis has no component along the map's vertical axis.
     assert T[1, 0] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("size_m", [0.1, 3.0, 500.0])
-def test_an_overview_shows_all_of_a_map_from_near_by(size_m):
+def test_overview_shows_the_whole_map_at_minimum_distance(size_m):
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (2000, 3)) * size_m + 7.0
     cloud = GaussianCloud.from_values(
         means=torch.tensor(points, dtype=torch.float32),
@@ -46,6 +46,6 @@ def test_an_overview_shows_all_of_a_map_from_near_by(size_m):
     assert np.ptp(pixels[inside], axis=0).max() > 60.0
 
 
-def test_an_empty_map_has_no_overview():
+def test_overview_of_an_empty_map_raises():
     with pytest.raises(ValueError, match="empty"):
         overview(GaussianCloud.empty(), CAMERA)

@@ -14,7 +14,7 @@ from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
 from toolkit.native.constants import MAX_DEPTH_STEP
 from toolkit.rendering.surface import SurfaceView
-from toolkit.rendering.texture import centred_intensity, moved_to_centres
+from toolkit.rendering.texture import centred_intensity, shift_to_centres
 
 
 def intensity_of(rgb: NDArray[np.float32]) -> Tensor:
@@ -77,7 +77,7 @@ def view_level(view: SurfaceView, min_silhouette: float, centred: bool = True) -
     if intensity is None:
         intensity = backend_for(view.images).intensity(view.images, min_silhouette)
         if centred:
-            intensity = moved_to_centres(intensity, view, min_silhouette)
+            intensity = shift_to_centres(intensity, view, min_silhouette)
     return FrameLevel(view.camera, intensity, view.depth_m)
 
 

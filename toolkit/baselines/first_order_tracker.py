@@ -46,7 +46,7 @@ from toolkit.tracking.result import Health, TrackingResult
 # a plane, and every frame would count as lost.
 _ROUNDS = 8
 _MAX_DISTANCE = 0.05
-_LEAST_SILHOUETTE = 0.9
+_MIN_SILHOUETTE = 0.9
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, ResidualScal
 def _view_of(images: Tensor, camera: Camera) -> FrameLevel:
     """Intensity as composited, which the loss compares, and depth; 0 where it is too thin."""
     output = RenderOutput(images)
-    solid = output.silhouette >= _LEAST_SILHOUETTE
+    solid = output.silhouette >= _MIN_SILHOUETTE
     nothing = torch.zeros_like(output.silhouette)
     return FrameLevel(
         camera,

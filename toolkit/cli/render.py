@@ -45,7 +45,7 @@ from toolkit.semantics.palette import Palette
 _log = logging.getLogger(__name__)
 
 # Rendered pixels thinner than this show no surface.
-_LEAST_SILHOUETTE = 0.5
+_MIN_SILHOUETTE = 0.5
 _SEMANTIC = {"labels", "levels"}
 _LEGEND_ROWS = 8
 # Views drawn beforehand to find the depths that the colours must cover.
@@ -268,7 +268,7 @@ def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
         subject.gaussians,
         camera,
         se3.inverse(shot.T_map_camera),
-        DrawOptions(_LEAST_SILHOUETTE, features=subject.labels),
+        DrawOptions(_MIN_SILHOUETTE, features=subject.labels),
     )
     seen = drawn.output
     nodes = None

@@ -42,7 +42,7 @@ from toolkit.tracking.dense import DenseTracker
 _log = logging.getLogger(__name__)
 
 # Rendered pixels thinner than this have no surface to compare.
-_LEAST_SILHOUETTE = 0.5
+_MIN_SILHOUETTE = 0.5
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _view_conventions(options: MeasureOptions) -> Metrics:
         "views_unseen_refined_convention": "the same views, each pose refined on the final map",
         "depth_convention": (
             "where the ray meets the surface through the weighted mean of centres; "
-            f"pixels with silhouette at least {_LEAST_SILHOUETTE}"
+            f"pixels with silhouette at least {_MIN_SILHOUETTE}"
         ),
         "exposure_convention": "renders are brought to each view's exposure as tracking found it",
     }
@@ -254,7 +254,7 @@ def _quality(
 ) -> ViewQuality:
     camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
     gaussians = scene.seen_from(camera, view.T_map_camera)
-    drawing = DrawOptions(_LEAST_SILHOUETTE, features=scores.wanted)
+    drawing = DrawOptions(_MIN_SILHOUETTE, features=scores.wanted)
     renderer = backend(options.backend_name)
     drawn = draw_surface(renderer, gaussians, camera, T_camera_map, drawing)
     scores.add(view.frame, drawn)

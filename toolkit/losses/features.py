@@ -1,4 +1,4 @@
-"""The papers' feature term: pictures drawn are described like those seen (G, end of III.C)."""
+"""Feature loss between rendered and observed images (G, end of III.C)."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from toolkit.features.encoder import Encoder
 
 @dataclass(frozen=True)
 class FeatureLoss:
-    """weight * ||F(drawn) - F(observed)||^2 of an encoder F."""
+    """weight * ||F(rendered) - F(observed)||^2 for an encoder F."""
 
     encoder: Encoder
     weight: float
 
     def gradient(self, drawn: Tensor, observed: Tensor) -> tuple[float, Tensor]:
-        """The loss, and its derivative [3, H, W] by the drawn picture times the number of pixels.
+        """Return the loss and its derivative [3, H, W] times the number of pixels.
 
-        So it stands beside `rgbd_loss`, a mean over pixels whose derivative is of the sum.
+        The derivative is with respect to the rendered image. The factor matches `rgbd_loss`,
+        which returns a mean over pixels and the derivative of the sum.
 
         Args:
             drawn, observed: [3, H, W] float32, RGB.

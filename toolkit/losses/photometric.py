@@ -1,4 +1,4 @@
-"""Image losses with their derivatives, H-24 and G-3/G-4 in one."""
+"""Colour and depth losses with their derivatives (H-24, G-3, G-4)."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ from toolkit.rendering.surface import SurfaceView
 class RgbdLossWeights:
     """Weights of the mapping loss.
 
-    The papers' L1 is made quadratic near zero (Charbonnier): its constant slope would keep
-    Adam shaking Gaussians that already fit.
+    The papers' L1 is replaced by the Charbonnier loss, which is quadratic near zero: with the
+    constant gradient of L1, Adam keeps moving Gaussians that already fit.
 
     Attributes:
-        colour: of the colour term, (1 - structure) * L1 + structure * (1 - SSIM) (G-4).
-        depth: of the L1 depth term inside the silhouette mask.
-        silhouette: of 1 - silhouette where depth was measured; without it black surfaces
-            turn transparent, since the background is black.
-        structure: share of SSIM in the colour term.
-        colour_scale: errors well below it count quadratically, intensities in [0, 1].
-        depth_scale_m: the same for depth at 1 m, metres; grows with the squared depth.
-        min_silhouette: depth counts only where the map is at least this opaque.
+        colour: weight of the colour term, (1 - structure) * L1 + structure * (1 - SSIM) (G-4).
+        depth: weight of the L1 depth term inside the silhouette mask.
+        silhouette: weight of 1 - silhouette where depth was measured. Without it, black surfaces
+            become transparent, because the background is black.
+        structure: weight of SSIM within the colour term, in [0, 1].
+        colour_scale: Charbonnier scale of colour errors, intensity in [0, 1].
+        depth_scale_m: Charbonnier scale of depth errors at 1 m, metres; proportional to the
+            squared depth.
+        min_silhouette: minimum silhouette of pixels in the depth term.
     """
 
     colour: float = 0.5
@@ -55,18 +56,18 @@ def rgbd_loss(
     weights: RgbdLossWeights,
     out: Tensor | None = None,
 ) -> tuple[float, Tensor]:
-    """Mapping loss of a drawn view and its derivative by the rendered images.
+    """Compute the mapping loss of a rendered view and its derivative by the rendered images.
 
-    The surface's depth is compared; its difference from the mean depth is held constant, so
-    that the derivative goes to the mean depth.
+    The depth term compares the surface depth. Its difference from the mean depth is treated as a
+    constant, so that the derivative is propagated to the mean depth.
 
     Args:
         rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
-        out: [5, H, W] where to write the gradient, or None for a new tensor.
+        out: [5, H, W] output tensor of the gradient, or None to allocate one.
 
     Returns:
         The mean over pixels, and the gradient [5, H, W] of the **sum** over pixels, so that
-        a Gaussian's gradient does not depend on the image's size.
+        the gradient of a Gaussian does not depend on the image size.
     """
     images = view.images
     module = kernels_for(images)
@@ -86,8 +87,8 @@ def rgbd_loss(
 def _rgbd_loss_torch(
     view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights
 ) -> tuple[float, Tensor]:
-    """The same by autograd, where no kernels were compiled."""
-    # On a GPU the convolutions' fastest gradients differ from run to run, or are rounded.
+    """Compute the loss and its gradient with autograd: the fallback without native kernels."""
+    # By default, convolution gradients on a GPU are not deterministic and use TF32.
     steady = torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False)
     with torch.enable_grad(), steady:
         leaf = view.images.detach().clone().requires_grad_()
@@ -99,7 +100,7 @@ def _rgbd_loss_torch(
 def rgbd_loss_torch(
     images: Tensor, surface_m: Tensor, observed: tuple[Tensor, Tensor], weights: RgbdLossWeights
 ) -> Tensor:
-    """The mean loss as a differentiable number: the reference of the native kernel.
+    """Compute the mean loss as a differentiable scalar: reference of the native kernel.
 
     Args:
         images: [5, H, W]. surface_m: [H, W]. observed: colour [3, H, W] and depth [H, W].
@@ -125,7 +126,7 @@ def _charbonnier(error: Tensor, scale: Tensor) -> Tensor:
 
 
 def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
-    """Mean SSIM of [C, H, W] images: Gaussian window, zero padding."""
+    """Compute the mean SSIM of images [C, H, W] with a Gaussian window and zero padding."""
     offsets = torch.arange(SSIM_WINDOW, dtype=x.dtype, device=x.device) - SSIM_WINDOW // 2
     window = torch.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2)
     window = window / window.sum()
@@ -138,7 +139,7 @@ def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
             column, window.view(1, 1, 1, -1), padding=(0, SSIM_WINDOW // 2)
         )[:, 0]
 
-    # All at once: two convolutions instead of ten.
+    # Concatenated, so that two convolutions suffice instead of ten.
     means = blur(torch.cat([x, y, x * x, y * y, x * y])).chunk(5)
     mean_x, mean_y = means[:2]
     variance_x = means[2] - mean_x**2

@@ -1,4 +1,4 @@
-"""The semantic loss and its derivative: intra-level, then inter-level (H-9 to H-13)."""
+"""Semantic loss with its derivative: intra-level and inter-level terms (H-9 to H-13)."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class SemanticLossWeights:
     """Weights of the semantic loss.
 
     Attributes:
-        weight: of the whole beside colour and depth (H-24: 0.2; G-3: 0.5).
-        every: of the steps of a mapping call, every so many take semantics in; votes at the end
-            do the rest.
-        intra: of the code's own questions (H-9: w1).
-        inter: of the network's flat classes, once it counts (H-9: w2).
-        inter_from: first step within a mapping call at which it does (H: eta), but never
-            later than a quarter of the call, or short calls would not reach it.
-        inter_pixels: pixels that the network sees a step; 0 takes them all.
-        structure: share of SSIM in the loss of the colour code (G-3, G-4: 0.2); other codes
-            have none.
-        min_silhouette: thinner pixels do not count.
-        moves_geometry: whether semantics may move Gaussians, as in the papers, or only
-            changes their features.
+        weight: weight of the semantic loss relative to colour and depth (H-24: 0.2; G-3: 0.5).
+        every: interval of mapping iterations that include the semantic loss; label voting at
+            the end of a call refines the result.
+        intra: weight of the intra-level term (H-9: w1).
+        inter: weight of the inter-level term, the network's loss over flat classes (H-9: w2).
+        inter_from: first iteration of a mapping call with the inter-level term (H: eta), at
+            most a quarter of the call, so that short calls include it.
+        inter_pixels: number of pixels sampled for the network per iteration; 0 uses all.
+        structure: weight of SSIM in the loss of the colour code, in [0, 1] (G-3, G-4: 0.2);
+            ignored by other codes.
+        min_silhouette: minimum silhouette of pixels in the loss.
+        moves_geometry: whether the semantic loss is propagated to geometry and opacity, as in
+            the papers, or only to the features.
     """
 
     weight: float = 0.2
@@ -47,12 +47,13 @@ class SemanticLossWeights:
 
 @dataclass(frozen=True)
 class SemanticGradient:
-    """Derivative of the loss summed over pixels.
+    """Semantic loss and the derivative of its sum over pixels.
 
     Attributes:
-        value: the mean loss over pixels.
-        features: [S, H, W] by the composited features.
-        silhouette: [H, W] by the silhouette, or None where geometry does not feel semantics.
+        value: mean loss over pixels.
+        features: [S, H, W] derivative with respect to the composited features.
+        silhouette: [H, W] derivative with respect to the silhouette, or None if the loss is not
+            propagated to geometry.
     """
 
     value: float
@@ -61,11 +62,13 @@ class SemanticGradient:
 
 
 class SemanticLoss:
-    """The loss of one code, with the network that reads it where there is one.
+    """Semantic loss of one code and, optionally, the network that decodes it.
 
     Args:
-        network: decoder whose loss is the inter-level term, or None for none.
-        seed: of the choice of pixels that the network sees; each of its steps has its own.
+        code: semantic code of the feature channels.
+        weights: weights of the terms.
+        network: decoder whose loss is the inter-level term, or None to omit the term.
+        seed: random seed of the pixel sampling, combined with the network's step count.
     """
 
     def __init__(
@@ -86,13 +89,14 @@ class SemanticLoss:
         progress: tuple[int, int],
         out: Tensor | None = None,
     ) -> SemanticGradient:
-        """Loss of a rendered view.
+        """Compute the loss of a rendered view.
 
         Args:
-            features: [S, H, W] composited sums. silhouette: [H, W].
-            labels: [H, W] int32 class ids, 0 void, which never counts.
-            progress: the step within the mapping call, from 0, and the call's steps.
-            out: [S, H, W] where to write the gradient, or None for a new tensor.
+            features: [S, H, W] composited features. silhouette: [H, W].
+            labels: [H, W] int32 class ids; pixels with 0 (void) are ignored.
+            progress: index of the iteration within the mapping call, from 0, and the number of
+                iterations.
+            out: [S, H, W] output tensor of the gradient, or None to allocate one.
         """
         weights = self.weights
         gradient = torch.empty_like(features) if out is None else out
@@ -129,7 +133,7 @@ class SemanticLoss:
     def _add_inter(
         self, features: Tensor, silhouette: Tensor, labels: Tensor, onto: SemanticGradient
     ) -> float:
-        """Adds the network's term on a sample of pixels, spread evenly over the image."""
+        """Add the inter-level term on a stratified sample of pixels."""
         weights, network = self.weights, self.network
         assert network is not None
         counted = (labels > 0) & (silhouette >= weights.min_silhouette)
@@ -147,7 +151,7 @@ class SemanticLoss:
         values = features.view(len(features), -1).index_select(1, pixels) / thick
         value, by_values = network.learn(values, labels.view(-1)[pixels].long())
         scale = weights.weight * weights.inter
-        # The sample stands for all pixels that count.
+        # Scale the sample to all valid pixels.
         by_values = by_values * (scale * every / len(pixels))
         onto.features.view(len(features), -1)[:, pixels] += by_values / thick
         if onto.silhouette is not None:
@@ -163,7 +167,7 @@ def _scaled(heads: Heads, scale: float) -> Heads:
 def semantic_loss_torch(
     code: SemanticCode, images: tuple[Tensor, Tensor, Tensor], weights: SemanticLossWeights
 ) -> SemanticGradient:
-    """Compute the intra-level term by autograd: the native kernel's reference, and any code's way.
+    """Compute the intra-level term by autograd for any code; reference of the native kernel.
 
     Args:
         images: features [S, H, W], silhouette [H, W] and labels [H, W].
@@ -193,6 +197,6 @@ def semantic_loss_torch(
 
 
 def _class_colours(code: SemanticCode, labels: Tensor) -> Tensor:
-    """Colours [3, H, W] of class ids [H, W] in a colour code; void is black."""
+    """Return the colours [3, H, W] of class ids [H, W] in a colour code; void is black."""
     codewords = code.codewords.to(labels.device)
     return codewords.index_select(0, labels.reshape(-1).long()).T.reshape(3, *labels.shape)

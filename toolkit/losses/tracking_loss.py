@@ -1,4 +1,4 @@
-"""The papers' tracking loss with its derivative, H-22 and G-2 in one."""
+"""The papers' tracking loss with its derivative (H-22, G-2)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class TrackingLossWeights:
     """Weights of the tracking loss.
 
     Attributes:
-        colour, depth: of the two L1 terms.
-        semantic: of the code's loss against the frame's labels; 0 leaves semantics out.
-        summed: sums over pixels and channels (H), else means over both (G). A pixel has three
-            colour channels and one depth, so this changes their balance as well.
-        min_silhouette: pixels count only where the map is more opaque.
+        colour, depth: weights of the two L1 terms.
+        semantic: weight of the code's loss for the frame's labels; 0 disables it.
+        summed: whether the terms are sums (H) or means (G) over pixels and channels. A pixel has
+            three colour channels and one depth, so this also changes their relative weight.
+        min_silhouette: the loss includes pixels with a larger silhouette only.
     """
 
     colour: float
@@ -38,14 +38,14 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class TrackingLoss:
-    """The loss of one rendering.
+    """Tracking loss of one rendered view.
 
     Attributes:
-        value: as the preset defines it; 0 where no pixel counts.
-        per_pixel: the value a pixel, by which poses are compared: a sum would prefer the pose
-            that shows least of the map. Infinite where no pixel counts.
-        gradient: [5 + S, H, W] derivative of `value` by the rendered images.
-        pixels: pixels that count.
+        value: loss as defined by the weights; 0 without valid pixels.
+        per_pixel: loss per valid pixel, used to compare poses, because a sum would favour poses
+            that show little of the map. Infinite without valid pixels.
+        gradient: [5 + S, H, W] derivative of `value` with respect to the rendered images.
+        pixels: number of valid pixels.
     """
 
     value: float
@@ -57,10 +57,10 @@ class TrackingLoss:
 def tracking_loss(
     images: Tensor, rgb: Tensor, depth_m: Tensor, weights: TrackingLossWeights
 ) -> TrackingLoss:
-    """Loss of a rendering against a frame, where the map is opaque and depth was measured.
+    """Compute the loss of a rendered view where the map is opaque and depth was measured.
 
     Args:
-        images: [5 + S, H, W] as a backend draws them.
+        images: [5 + S, H, W] as rendered by a backend.
         rgb: [3, H, W] observed colour. depth_m: [H, W] observed depth, 0 where missing.
     """
     silhouette, depth_sum = images[SILHOUETTE], images[DEPTH_SUM]

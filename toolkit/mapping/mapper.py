@@ -33,7 +33,7 @@ from toolkit.mapping.surfaces import Surfaces
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.rendering.output import COLOUR
-from toolkit.rendering.texture import at_centres
+from toolkit.rendering.texture import resample_at_centres
 
 
 @dataclass(frozen=True)
@@ -335,7 +335,7 @@ class Mapper:
                 self._backend, self.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed("map loss"):
-            rgb = at_centres(rgb, view) if centred else rgb
+            rgb = resample_at_centres(rgb, view) if centred else rgb
             images = view.drawn.images
             by_images = images.new_empty(len(images) - 3, *images.shape[1:])
             loss, _ = rgbd_loss(view, rgb, depth_m, self.options.loss, by_images[:BASE_CHANNELS])

@@ -19,7 +19,7 @@ from toolkit.semantics.decoding import Decoding, decode
 from toolkit.semantics.palette import Palette
 
 # Pixels thinner than this are read as void.
-_LEAST_SILHOUETTE = 0.5
+_MIN_SILHOUETTE = 0.5
 
 
 class SemanticMapping:
@@ -128,7 +128,7 @@ class SemanticMapping:
             among: class ids to choose from; all classes that the map observed by default.
         """
         silhouette = view.output.silhouette.reshape(-1)
-        seen = silhouette >= _LEAST_SILHOUETTE
+        seen = silhouette >= _MIN_SILHOUETTE
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
         values = view.features.reshape(self.channels, -1) / safe
         assert self._loss is not None
@@ -137,7 +137,7 @@ class SemanticMapping:
     def probabilities(self, view: SurfaceView) -> tuple[NDArray[np.int64], Tensor]:
         """Classes told of, ascending [K], and the probability of each at each pixel [K, H * W]."""
         assert self._loss is not None
-        safe = view.output.silhouette.reshape(-1).clamp(min=_LEAST_SILHOUETTE)
+        safe = view.output.silhouette.reshape(-1).clamp(min=_MIN_SILHOUETTE)
         logits = self._loss.code.logits(view.features.reshape(self.channels, -1) / safe)
         told = self._told.nonzero().squeeze(1)
         return told.numpy() + 1, logits.index_select(0, told.to(logits.device)).softmax(0)
@@ -150,7 +150,7 @@ class SemanticMapping:
         """
         assert self._loss is not None, "a map without semantics has no classes to paint"
         silhouette = output.silhouette.reshape(-1)
-        seen = silhouette >= _LEAST_SILHOUETTE
+        seen = silhouette >= _MIN_SILHOUETTE
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
         values = output.images[FEATURES].reshape(self.channels, -1) / safe
         code = self._loss.code

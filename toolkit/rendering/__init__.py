@@ -1,4 +1,4 @@
-"""Splat rendering: one call, several backends."""
+"""Gaussian splat rendering with interchangeable backends."""
 
 from toolkit.native.constants import TILE
 from toolkit.rendering.backend import GaussianGradients, pixels_of_region, tile_counts

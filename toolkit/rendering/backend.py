@@ -1,4 +1,4 @@
-"""What every rendering backend offers: a forward pass and, later, its backward pass."""
+"""Interface of the rendering backends: a forward pass and its backward pass."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from toolkit.native.constants import TILE
 
 @dataclass(frozen=True)
 class GaussianGradients:
-    """Gradients of the V Gaussians that a view shows, and of the view's pose.
+    """Gradients of the V visible Gaussians of a view and of the view's pose.
 
     Attributes:
-        ids: [V] int64, ascending indices into the cloud; all others have gradient zero.
+        ids: [V] int64, ascending indices into the cloud; the gradients of all others are zero.
         means: [V, 3]. log_radii: [V]. opacity_logits: [V].
-        colours: [V, 3], or None where nobody asked.
+        colours: [V, 3], or None if not requested.
         features: [V, S].
-        T_camera_map: [3, 4] float64, derivative by each matrix entry.
+        T_camera_map: [3, 4] float64, derivative with respect to each matrix entry.
     """
 
     ids: Tensor
@@ -36,25 +36,27 @@ class GaussianGradients:
 
 
 class ForwardPass(Protocol):
-    """One drawn view."""
+    """One rendered view."""
 
     images: Tensor  # [5 + S, H, W], or [5 + S + 3, H, W] with centres; detached
 
     def backward(
         self, image_gradients: Tensor, colours: bool = True, detached: bool = False
     ) -> GaussianGradients:
-        """Gradients of a scalar whose derivative by the images [5 + S, H, W] is given.
+        """Compute the gradients of a scalar loss; may be called once.
 
-        May be called once. `colours=False` skips the colour gradients (pose-only tracking);
-        gradients for the first five images alone leave the features out. `detached`: what the
-        feature channels ask for goes to the features alone, so that geometry, opacity and pose
-        hear of colour and depth only. Centres have no gradient.
+        Args:
+            image_gradients: [5 + S, H, W] derivative of the loss with respect to the images, or
+                [5, H, W] without the features. Centres have no gradient.
+            colours: False skips the colour gradients (pose-only tracking).
+            detached: the gradients of the feature channels are propagated to the features only;
+                geometry, opacity and pose receive the gradients of colour and depth only.
         """
         ...
 
 
 class Backend(Protocol):
-    """Draws views."""
+    """Rendering backend."""
 
     name: str
 
@@ -67,18 +69,18 @@ class Backend(Protocol):
         region: Tensor | None,
         centres: bool = False,
     ) -> ForwardPass:
-        """Draw the Gaussians as seen from the camera; see `toolkit.rendering.render`.
+        """Render the Gaussians; see `toolkit.rendering.render`.
 
-        `centres` composites the Gaussians' means as three more channels, the last ones.
+        `centres` appends three channels with the composited means of the Gaussians.
         """
         ...
 
 
 def tile_counts(camera: Camera) -> tuple[int, int]:
-    """(rows, columns) of tiles that cover the camera's image."""
+    """Return the number of tiles (rows, columns) that cover the camera's image."""
     return -(-camera.height // TILE), -(-camera.width // TILE)
 
 
 def pixels_of_region(region: Tensor, height: int, width: int) -> Tensor:
-    """Mask [H, W] of the pixels of tiles [rows, columns]."""
+    """Return the pixel mask [H, W] of a tile mask [rows, columns]."""
     return region.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:height, :width]

@@ -1,7 +1,8 @@
-"""gsplat behind the interface of all backends, where it is installed and a GPU is there.
+"""Rendering backend that calls gsplat; needs a CUDA device.
 
-gsplat projects each Gaussian's covariance, so off the image's axis ours, which stay round,
-look slightly different there. Its pixel centres lie at halves, ours at integers.
+gsplat projects the covariance of each Gaussian, while our projections are always circular, so
+results differ slightly away from the optical axis. gsplat's pixel centres are at half-integers,
+ours at integers.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import BASE_CHANNELS, NEAR_M
 from toolkit.rendering.backend import ForwardPass, pixels_of_region
-from toolkit.rendering.elsewhere import DrawnElsewhere
-from toolkit.rendering.reference import drawn_by_autograd
+from toolkit.rendering.device_transfer import TransferredForwardPass
+from toolkit.rendering.reference import forward_by_autograd
 
 _FAR_M = 1e10
 
 
 def load_gsplat() -> Any:
-    """The package.
+    """Import gsplat.
 
     Raises:
-        DependencyError: it is not installed, or there is no CUDA device to run it on.
+        DependencyError: gsplat is not installed, or there is no CUDA device.
     """
     try:
         module = importlib.import_module("gsplat")
@@ -38,15 +39,18 @@ def load_gsplat() -> Any:
             "the gsplat backend needs gsplat: pip install gsplat, or use --backend cuda"
         ) from error
     if not torch.cuda.is_available():
-        raise DependencyError("gsplat needs a CUDA device, and none is there; use --backend native")
+        raise DependencyError(
+            "gsplat needs a CUDA device, but none is available; use --backend native"
+        )
     return module
 
 
 class GsplatBackend:
-    """gsplat's rasterization, gradients by autograd, on the GPU that holds the Gaussians.
+    """gsplat's rasterization on the GPU that stores the Gaussians, with autograd gradients.
 
     Args:
-        device: draws Gaussians that lie on the CPU.
+        package: the gsplat module; imported by default.
+        device: device that renders Gaussians stored on the CPU.
     """
 
     name = "gsplat"
@@ -64,7 +68,7 @@ class GsplatBackend:
         region: Tensor | None,
         centres: bool = False,
     ) -> ForwardPass:
-        """See Backend.forward. A region hides the other tiles, but saves no work."""
+        """See Backend.forward. The region is applied as a mask after rendering."""
         home = gaussians.means.device
         device = home if home.type == "cuda" else self._device
 
@@ -75,13 +79,13 @@ class GsplatBackend:
             return images * pixels_of_region(region.to(images.device), *images.shape[1:])
 
         features = None if features is None else features.to(device)
-        drawn = drawn_by_autograd(draw, gaussians.to(device), T_camera_map, features, centres)
-        return drawn if device == home else DrawnElsewhere(drawn, home)
+        drawn = forward_by_autograd(draw, gaussians.to(device), T_camera_map, features, centres)
+        return drawn if device == home else TransferredForwardPass(drawn, home)
 
     def _images(
         self, cloud: GaussianCloud, camera: Camera, T_camera_map: Tensor, extra: Tensor
     ) -> Tensor:
-        """Images [5 + S, H, W] of colours and further channels [N, S]."""
+        """Render images [5 + S, H, W] of colours and additional channels [N, S]."""
         count, device = len(cloud), cloud.means.device
         if count == 0:
             return cloud.means.new_zeros(
@@ -103,8 +107,8 @@ class GsplatBackend:
             height=camera.height,
             near_plane=NEAR_M,
             far_plane=_FAR_M,
-            eps2d=0.0,  # its default widens every Gaussian by 0.3 square pixels
+            eps2d=0.0,  # the default adds 0.3 square pixels to every projected covariance
             render_mode="RGB+D",
         )
-        planes = drawn[0].permute(2, 0, 1)  # colours, further channels, summed depth
+        planes = drawn[0].permute(2, 0, 1)  # colours, additional channels, depth sum
         return torch.cat([planes[:3], planes[-1:], alphas[0].permute(2, 0, 1), planes[3:-1]])

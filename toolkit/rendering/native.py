@@ -1,4 +1,4 @@
-"""The native rendering backend: calls of the C++ rasterisation kernels."""
+"""Native rendering backend: calls the C++ rasterisation kernels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _contiguous(tensor: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
 
 
 class NativeForwardPass:
-    """A view drawn by the native kernels, with what its backward pass needs."""
+    """A view rendered by the native kernels, with the state for its backward pass."""
 
     def __init__(
         self, module: ModuleType, idle: list[Any], arrays: list[Tensor], region: Tensor | None
@@ -34,7 +34,7 @@ class NativeForwardPass:
         self.images = torch.empty(0)
 
     def __del__(self) -> None:
-        # Its buffers serve the next view: fresh pages would cost as much as the drawing.
+        # Reuse the buffers for the next view: allocating new pages costs as much as rendering.
         self._idle.append(self._state)
 
     @property
@@ -43,7 +43,7 @@ class NativeForwardPass:
 
     def draw(self, camera: Camera, T_camera_map: NDArray[np.float64], centres: bool) -> None:
         """Fill `images`."""
-        # Tiles outside a region are never written, so they must start at zero.
+        # Tiles outside a region are not written and must be initialised with zero.
         create = torch.empty if self._region is None else torch.zeros
         channels = self._channels + (3 if centres else 0)
         self.images = create(channels, camera.height, camera.width)
@@ -103,13 +103,13 @@ class NativeForwardPass:
 
 
 class NativeBackend:
-    """C++ kernels on the CPU: tiles of 16x16 pixels, one 4x4 block a vector."""
+    """C++ kernels on the CPU: tiles of 16x16 pixels, processed in 4x4 blocks per SIMD vector."""
 
     name = "native"
 
     def __init__(self) -> None:
         self._module = require_kernels()
-        self._idle: list[Any] = []  # states of views that are done with
+        self._idle: list[Any] = []  # states of released views, for reuse
 
     def forward(
         self,

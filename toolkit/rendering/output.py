@@ -1,4 +1,4 @@
-"""The output of every rendering backend: one tensor of images, with named channels."""
+"""Output of all rendering backends: one image tensor with named channels."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from toolkit.native.constants import BASE_CHANNELS, DEPTH_SUM, SILHOUETTE
 COLOUR = slice(0, DEPTH_SUM)
 FEATURES = slice(BASE_CHANNELS, None)
 
-# Pixels emptier than this have no depth worth the name.
-_LEAST_SILHOUETTE = 1e-4
+# The depth of pixels with a smaller silhouette is meaningless and set to 0.
+_MIN_SILHOUETTE = 1e-4
 
 
 @dataclass(frozen=True)
 class RenderOutput:
-    """One rendering, differentiable where its inputs were.
+    """A rendered view, differentiable if its inputs are.
 
     Attributes:
-        images: [5 + S, H, W] float32: red, green, blue, depth sum, silhouette, features,
-            each the sum over Gaussians of weight times value (H-19, H-20, G-1).
+        images: [5 + S, H, W] float32: red, green, blue, depth sum, silhouette, features. Each
+            is the sum over Gaussians of weight times value (H-19, H-20, G-1).
     """
 
     images: Tensor
@@ -36,7 +36,7 @@ class RenderOutput:
 
     @property
     def depth_sum_m(self) -> Tensor:
-        """Weighted sum of depths [H, W] in metres: not a surface where it is translucent."""
+        """Weighted sum of depths [H, W] in metres, not normalised by the silhouette."""
         return self.images[DEPTH_SUM]
 
     @property
@@ -46,8 +46,8 @@ class RenderOutput:
 
     @property
     def depth_m(self) -> Tensor:
-        """Depth of the surface [H, W] in metres: the depth sum over the silhouette, 0 if empty."""
-        drawn = self.silhouette > _LEAST_SILHOUETTE
+        """Normalised depth [H, W] in metres (depth sum / silhouette), 0 where empty."""
+        drawn = self.silhouette > _MIN_SILHOUETTE
         safe = torch.where(drawn, self.silhouette, torch.ones_like(self.silhouette))
         return torch.where(drawn, self.depth_sum_m / safe, torch.zeros_like(safe))
 

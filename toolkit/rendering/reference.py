@@ -1,6 +1,6 @@
-"""The renderer in plain torch: obvious, differentiable by autograd, any float type.
+"""Reference renderer in plain torch: simple, differentiable by autograd, any float dtype.
 
-Every other backend is tested against it, and it takes over where nothing was compiled.
+All other backends are tested against it. It is also the fallback without compiled kernels.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ def composite(
     features: Tensor | None = None,
     region: Tensor | None = None,
 ) -> Tensor:
-    """Images [5 + S, H, W] of the Gaussians (H-19, H-20, G-1), differentiable in all of them.
+    """Render images [5 + S, H, W] of the Gaussians (H-19, H-20, G-1), differentiable in all inputs.
 
     Args:
-        T_camera_map: [3, 4] or [4, 4] tensor of the clouds' type, may require gradients.
+        T_camera_map: [3, 4] or [4, 4] tensor of the cloud's dtype, may require gradients.
         features: [N, S] or None.
-        region: [rows, columns] bool, tiles to draw; the rest stays zero.
+        region: [rows, columns] bool, tiles to render; other tiles are zero.
     """
     finite = torch.isfinite(gaussians.means).all(dim=1, keepdim=True)
     means = torch.where(finite, gaussians.means, torch.zeros_like(gaussians.means))
     points = means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
     visible = ((points[:, 2] > NEAR_M) & finite[:, 0]).nonzero().squeeze(1)
-    # Front to back; equal depths keep the order of the map.
+    # Front to back; Gaussians of equal depth keep their order in the map.
     order = visible[torch.sort(points[visible, 2].detach(), stable=True).indices]
     x, y, z = points[order].unbind(1)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
@@ -76,7 +76,7 @@ def composite(
 def _weights(
     grid: tuple[Tensor, ...], u: Tensor, v: Tensor, sigma: Tensor, opacity: Tensor
 ) -> Tensor:
-    """Compositing weights [n, y, x]: alpha times what all nearer Gaussians let through."""
+    """Return the compositing weights [n, y, x]: alpha times accumulated transmittance."""
     squared = (grid[1] - u[:, None, None]) ** 2 + (grid[0] - v[:, None, None]) ** 2
     alpha = opacity[:, None, None] * torch.exp(-0.5 * squared / sigma[:, None, None] ** 2)
     alpha = torch.where(alpha >= MIN_ALPHA, alpha.clamp(max=MAX_ALPHA), torch.zeros_like(alpha))
@@ -85,10 +85,10 @@ def _weights(
     return alpha * passed
 
 
-def leaves_of(
+def as_leaves(
     gaussians: GaussianCloud, features: Tensor, T_camera_map: NDArray[np.float64]
 ) -> tuple[GaussianCloud, Tensor, Tensor]:
-    """Cloud, features and pose [3, 4] as leaves of a graph of their own, on one device."""
+    """Return cloud, features and pose [3, 4] as leaves of a new graph, on one device."""
     leaves = (
         t.detach().requires_grad_()
         for t in (
@@ -104,7 +104,7 @@ def leaves_of(
 
 
 class ReferenceForwardPass:
-    """A view drawn by autograd."""
+    """A view whose backward pass uses autograd."""
 
     def __init__(
         self, cloud: GaussianCloud, T_camera_map: Tensor, features: Tensor, images: Tensor
@@ -120,8 +120,8 @@ class ReferenceForwardPass:
         cloud = self._cloud
         inputs = [cloud.means, cloud.log_radii, cloud.opacity_logits, cloud.colours]
         inputs += [self._features, self._T]
-        with torch.enable_grad():  # autograd itself calls this with recording switched off
-            images = self._images[: len(image_gradients)]  # five: the features are left out
+        with torch.enable_grad():  # autograd calls backward with gradient recording disabled
+            images = self._images[: len(image_gradients)]  # only 5 channels without features
             base = images[:BASE_CHANNELS]
         full = self._gradients(base if detached else images, inputs, image_gradients)
         if detached:
@@ -138,7 +138,7 @@ class ReferenceForwardPass:
 
     @staticmethod
     def _gradients(images: Tensor, inputs: list[Tensor], by_images: Tensor) -> list[Tensor]:
-        if not images.requires_grad:  # nothing was drawn
+        if not images.requires_grad:  # no Gaussian is visible
             return [torch.zeros_like(x) for x in inputs]
         found = torch.autograd.grad(
             images, inputs, by_images[: len(images)], retain_graph=True, allow_unused=True
@@ -146,30 +146,30 @@ class ReferenceForwardPass:
         return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
 
 
-def drawn_by_autograd(
+def forward_by_autograd(
     draw: Callable[[GaussianCloud, Tensor, Tensor], Tensor],
     gaussians: GaussianCloud,
     T_camera_map: NDArray[np.float64],
     features: Tensor | None,
     centres: bool,
 ) -> ReferenceForwardPass:
-    """A view whose gradients autograd finds.
+    """Render a view with a differentiable function; the backward pass uses autograd.
 
     Args:
-        draw: images [5 + S, H, W] of a cloud, T_camera_map [3, 4] and channels [N, S].
-        gaussians, T_camera_map, features, centres: as of `Backend.forward`.
+        draw: renders images [5 + S, H, W] of a cloud, T_camera_map [3, 4] and channels [N, S].
+        gaussians, T_camera_map, features, centres: see `Backend.forward`.
     """
     if features is None:
         features = gaussians.means.new_zeros(len(gaussians), 0)
     with torch.enable_grad():
-        cloud, features, T = leaves_of(gaussians, features, T_camera_map)
+        cloud, features, T = as_leaves(gaussians, features, T_camera_map)
         extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
         images = draw(cloud, T, extra)
     return ReferenceForwardPass(cloud, T, features, images)
 
 
 class ReferenceBackend:
-    """Plain torch behind the interface of the compiled backends."""
+    """Rendering backend in plain torch."""
 
     name = "reference"
 
@@ -187,4 +187,4 @@ class ReferenceBackend:
         def draw(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
             return composite(cloud, camera, T, extra, region)
 
-        return drawn_by_autograd(draw, gaussians, T_camera_map, features, centres)
+        return forward_by_autograd(draw, gaussians, T_camera_map, features, centres)

@@ -1,4 +1,4 @@
-"""`render`: one call, one output type, every backend."""
+"""`render`: differentiable rendering with any backend."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ BACKENDS = ("auto", "native", "reference", "cuda", "gsplat")
 
 @functools.cache
 def backend(name: str = "auto") -> Backend:
-    """The backend of a name.
+    """Return the backend with the given name.
 
-    "auto" draws where the Gaussians are: on a GPU with the cuda backend, on the CPU with the
-    native one where it was built, else in plain torch.
+    "auto" renders on the device of the Gaussians: with the cuda backend on a GPU; on the CPU with
+    the native backend if it was built, otherwise with plain torch.
 
     Raises:
-        SettingsError: unknown name.
-        DependencyError: the backend cannot run here.
+        SettingsError: the name is unknown.
+        DependencyError: the backend is not available on this machine.
     """
     if name == "auto":
         on_cpu = backend("native" if kernels() is not None else "reference")
-        return _ByDevice(on_cpu) if torch.cuda.is_available() else on_cpu
+        return _DeviceDispatch(on_cpu) if torch.cuda.is_available() else on_cpu
     if name == "native":
         return NativeBackend()
     if name == "reference":
@@ -62,13 +62,13 @@ def _cuda_backend() -> Backend:
         ) from error
     if not (torch.cuda.is_available() or interpreted()):
         raise DependencyError(
-            "the cuda backend needs a CUDA device, and none is there; use --backend native"
+            "the cuda backend needs a CUDA device, but none is available; use --backend native"
         )
     return CudaBackend()
 
 
-class _ByDevice:
-    """Each map is drawn where it lies."""
+class _DeviceDispatch:
+    """Renders each map on the device that stores it."""
 
     name = "auto"
 
@@ -90,32 +90,34 @@ class _ByDevice:
 
 
 def map_device(name: str, backend_name: str) -> str:
-    """Where a map is kept and optimised, "cpu" or "cuda".
+    """Return the device on which a map is stored and optimised, "cpu" or "cuda".
 
     Args:
-        name: "cpu", "cuda", or "auto": a GPU where there is one and the backend draws there.
-        backend_name: that draws it.
+        name: "cpu", "cuda", or "auto" (the GPU if there is one and the backend supports it).
+        backend_name: rendering backend of the map.
 
     Raises:
-        SettingsError: the backend cannot draw there.
-        DependencyError: there is no GPU, or no backend for it.
+        SettingsError: the backend does not support the device.
+        DependencyError: there is no CUDA device, or no backend for it.
     """
     on_cpu = backend_name in ("native", "reference")
     if name == "cpu" or (name == "auto" and (on_cpu or not torch.cuda.is_available())):
         return "cpu"
     if on_cpu:
         raise SettingsError(
-            f"--device cuda and --backend {backend_name}, which draws on the CPU; "
-            "use --backend auto"
+            f"--device cuda cannot be used with --backend {backend_name}, which renders on the "
+            "CPU; use --backend auto"
         )
     if not torch.cuda.is_available():
-        raise DependencyError("--device cuda, and no CUDA device is there; use --device auto")
+        raise DependencyError(
+            "--device cuda needs a CUDA device, but none is available; use --device auto"
+        )
     try:
         backend("cuda" if backend_name == "auto" else backend_name)
     except DependencyError as error:
         if name == "cuda":
             raise
-        _log.warning("the GPU stays idle: %s", error)
+        _log.warning("The GPU is not used: %s", error)
         return "cpu"
     return "cuda"
 
@@ -129,23 +131,23 @@ def render(
     region: Tensor | None = None,
     backend_name: str = "auto",
 ) -> RenderOutput:
-    """Draw Gaussians as a camera sees them (H-19, H-20, G-1).
+    """Render Gaussians from a camera pose (H-19, H-20, G-1).
 
-    Differentiable in every Gaussian parameter, the features and the pose.
+    Differentiable with respect to all Gaussian parameters, the features and the pose.
 
     Args:
         gaussians: N Gaussians in the map's frame.
         camera: intrinsics and image size H, W.
         T_camera_map: [4, 4], map to camera; a tensor may require gradients.
-        features: [N, S] channels to composite beside the colour, or None for none.
-        region: [ceil(H / 16), ceil(W / 16)] bool; only these tiles are drawn, others stay 0.
+        features: [N, S] additional channels to composite, or None.
+        region: [ceil(H / 16), ceil(W / 16)] bool, tiles to render; other tiles are 0.
         backend_name: "auto", "native", "reference", "cuda" or "gsplat".
 
     Returns:
         Colour, depth, silhouette and features, [H, W, ...].
 
     Raises:
-        ValueError: a shape is wrong.
+        ValueError: an argument has the wrong shape.
     """
     _check(gaussians, camera, T_camera_map, features, region)
     chosen = backend(backend_name)
@@ -185,10 +187,10 @@ def _check(
 
 
 class _Render(torch.autograd.Function):
-    """Hands a backend's two passes to autograd, compact gradients made dense."""
+    """Autograd function of a backend; expands the gradients of visible Gaussians to all."""
 
     @staticmethod
-    def forward(  # noqa: PLR0913 - autograd wants every tensor as an argument of its own
+    def forward(  # noqa: PLR0913 - autograd needs every tensor as a separate argument
         ctx: Any,
         chosen: Backend,
         camera: Camera,
@@ -205,7 +207,8 @@ class _Render(torch.autograd.Function):
         ctx.drawn = chosen.forward(cloud, camera, pose, features, region)
         ctx.pose_type = T_camera_map
         ctx.parameters = (means, log_radii, opacity_logits, colours, features)
-        # Detached: the returned tensor knows ctx, and a cycle would outlive every view.
+        # Detached, because the returned tensor references ctx: a reference cycle would keep the
+        # view in memory.
         return ctx.drawn.images.detach()
 
     @staticmethod

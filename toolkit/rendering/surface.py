@@ -1,10 +1,10 @@
-"""The surface that a map shows: depth without the bias of compositing.
+"""Surface depth of a rendered view, without the bias of compositing.
 
-Front-to-back compositing weighs the nearer of two overlapping Gaussians more. On a slanted
-surface the weighted mean depth therefore belongs to a point up to half a pixel off the ray:
-about 3 mm at 2 m on images of 320x240, always towards the camera, and different from every
-side. The weighted mean of the centres themselves lies on the surface, so a pixel's depth is
-where its ray meets the plane through that mean.
+Front-to-back compositing gives the nearer of two overlapping Gaussians more weight. On a slanted
+surface, the weighted mean depth is therefore that of a point up to half a pixel off the ray: a
+bias of about 3 mm at 2 m for images of 320x240, always towards the camera and dependent on the
+viewpoint. The weighted mean of the Gaussians' centres lies on the surface, so the depth of a
+pixel is computed as the intersection of its ray with the plane through that mean.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from toolkit.rendering.output import RenderOutput
 
 @dataclass(frozen=True)
 class DrawOptions:
-    """What to draw beside colour, depth and silhouette.
+    """Rendering options of a surface view.
 
     Attributes:
-        min_silhouette: pixels thinner than this have no surface.
-        features: draw the Gaussians' feature channels too.
+        min_silhouette: minimum silhouette (0-1) of pixels with a surface.
+        features: whether to render the Gaussians' feature channels.
     """
 
     min_silhouette: float = 0.5
@@ -45,13 +45,12 @@ class DrawOptions:
 
 @dataclass(frozen=True)
 class SurfaceView:
-    """A drawn view and the depth of its surface.
+    """A rendered view and its surface depth.
 
     Attributes:
-        drawn: the forward pass with the centres drawn; the rest of its channels is as `render`
-            draws them.
-        depth_m: [H, W] where each ray meets the surface, 0 where nothing solid was drawn.
-        camera, T_camera_map: what it was drawn for.
+        drawn: the forward pass, whose last three channels are the centres.
+        depth_m: [H, W] depth of the surface along each ray, 0 where the silhouette is too small.
+        camera, T_camera_map: intrinsics and pose of the view.
     """
 
     drawn: ForwardPass
@@ -71,7 +70,7 @@ class SurfaceView:
 
     @property
     def output(self) -> RenderOutput:
-        """The same as `render` returns it."""
+        """The view as returned by `render`."""
         return RenderOutput(self.images)
 
 
@@ -82,7 +81,7 @@ def draw_surface(
     T_camera_map: NDArray[np.float64],
     options: DrawOptions | None = None,
 ) -> SurfaceView:
-    """Draw Gaussians together with their centres, and find the surface.
+    """Render Gaussians with their centres and compute the surface depth.
 
     Args:
         T_camera_map: [4, 4], map to camera.
@@ -97,7 +96,7 @@ def draw_surface(
 def surface_depth(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], min_silhouette: float
 ) -> Tensor:
-    """Surface depth [H, W] of images [..., H, W] whose last channels are the centres."""
+    """Compute the surface depth [H, W] of images [..., H, W] whose last channels are the centres."""
     module = kernels_for(images)
     if module is None:
         return _surface_depth_torch(images, camera, T_camera_map, min_silhouette)
@@ -115,18 +114,19 @@ def surface_depth(
 def kernel_geometry(
     camera: Camera, T_camera_map: NDArray[np.float64]
 ) -> tuple[tuple[float, ...], tuple[int, int], list[float]]:
-    """Intrinsics, size and pose as the native kernels take them."""
+    """Return intrinsics, image size and pose as arguments for the native kernels."""
     pose = np.asarray(T_camera_map[:3]).reshape(-1).tolist()
     return (camera.fx, camera.fy, camera.cx, camera.cy), camera.size, pose
 
 
 def same_surface(before_m: Tensor, depth_m: Tensor, after_m: Tensor) -> Tensor:
-    """Whether neighbours on both sides of pixels lie near them, or on one plane with them.
+    """Check whether pixels and their neighbours on both sides belong to one surface.
 
-    However steep: inverse depth is linear on a plane's image.
+    They do if their depths are similar, or if they lie on a plane of any slope: inverse depth is
+    linear in the image coordinates of a plane.
 
     Args:
-        before_m, depth_m, after_m: depths in metres, of one shape.
+        before_m, depth_m, after_m: depths in metres, of the same shape.
     """
     bend = (depth_m / before_m + depth_m / after_m - 2.0).abs()
     return ((after_m - before_m).abs() <= MAX_DEPTH_STEP * depth_m) | (bend <= 0.5 * MAX_DEPTH_STEP)
@@ -135,7 +135,7 @@ def same_surface(before_m: Tensor, depth_m: Tensor, after_m: Tensor) -> Tensor:
 def _surface_depth_torch(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], min_silhouette: float
 ) -> Tensor:
-    """The kernel's equations: the reference, and what runs without a compiler."""
+    """Compute surface depth in torch: reference and fallback of the native kernel."""
     T = torch.as_tensor(T_camera_map).to(images)
     solid = images[SILHOUETTE] >= min_silhouette
     mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
@@ -152,11 +152,11 @@ def _surface_depth_torch(
     smooth &= same_surface(left[..., 2], centre[..., 2], right[..., 2])
     smooth &= same_surface(above[..., 2], centre[..., 2], below[..., 2])
     normal = torch.linalg.cross(right - left, below - above)
-    # Neighbours lie two pixels apart in both directions.
+    # The neighbours are two pixels apart in both directions.
     footprint = 4.0 * centre[..., 2] ** 2 / (camera.fx * camera.fy)
     smooth &= normal.norm(dim=-1) >= MIN_NORMAL * footprint
-    # The rays are made where the images are: as an image from the host, they would take longer
-    # to arrive on a GPU than the map takes to be drawn.
+    # Compute the rays on the device of the images: copying them to a GPU would take longer than
+    # rendering the map.
     y, x = (torch.arange(1, n - 1, device=images.device).to(images) for n in depth.shape)
     ray_x, ray_y = (x - camera.cx) / camera.fx, ((y - camera.cy) / camera.fy)[:, None]
     along = normal[..., 0] * ray_x + normal[..., 1] * ray_y + normal[..., 2]

@@ -1,12 +1,12 @@
-"""Where the colour of a drawn pixel belongs.
+"""Correction of the position of rendered colours.
 
-Front-to-back compositing weighs the nearer of two overlapping Gaussians more. What is seen in
-a pixel of a slanted surface is therefore the colour of a place up to half a pixel beside its
-ray: always on the nearer side, so somewhere else as soon as the camera has moved. A map whose
-colours are fitted pixel by pixel carries that place of its latest views, and a camera tracked
-against it lags behind its motion. So colours are fitted at the projection of the mean centre,
-and a view's intensities are moved there before a frame is held against them. A room's path
-came out four times as exact (0.23 to 0.06 cm).
+Front-to-back compositing gives the nearer of two overlapping Gaussians more weight. On a slanted
+surface, the colour of a pixel is therefore that of a surface point up to half a pixel off its
+ray, always on the nearer side, so the offset changes with the camera pose. If colours are fitted
+at the pixels, the map stores the offset of its latest views, and tracking against it lags behind
+the camera's motion. Colours are therefore fitted at the projection of the mean centre, and
+rendered intensities are shifted there before a frame is compared with them. On a synthetic room
+this reduced the trajectory error from 0.23 to 0.06 cm.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from toolkit.rendering.surface import SurfaceView, kernel_geometry
 
 
 def centre_offsets(view: SurfaceView, min_silhouette: float) -> Tensor:
-    """From each pixel to the projection of its Gaussians' mean centre, [2, H, W] in pixels.
+    """Return the offsets [2, H, W] (pixels) from each pixel to the projection of its mean centre.
 
-    Zero where the view is thinner than asked, and beside edges.
+    Offsets are zero where the silhouette is below `min_silhouette` and at depth edges.
     """
     camera, images = view.camera, view.drawn.images
     T = torch.as_tensor(view.T_camera_map).to(images)
@@ -38,8 +38,8 @@ def centre_offsets(view: SurfaceView, min_silhouette: float) -> Tensor:
     return torch.where(near, torch.stack([across, down]), torch.zeros_like(images[:2]))
 
 
-def at_centres(rgb: Tensor, view: SurfaceView, min_silhouette: float = 0.5) -> Tensor:
-    """An observed image [3, H, W] sampled where each pixel of a view has its colour from."""
+def resample_at_centres(rgb: Tensor, view: SurfaceView, min_silhouette: float = 0.5) -> Tensor:
+    """Resample an observed image [3, H, W] at the projections of the view's mean centres."""
     images = view.drawn.images
     module = kernels_for(images)
     if module is None:
@@ -58,9 +58,10 @@ def at_centres(rgb: Tensor, view: SurfaceView, min_silhouette: float = 0.5) -> T
 
 
 def centred_intensity(view: SurfaceView, min_silhouette: float) -> Tensor | None:
-    """Intensity [H, W] of a view moved to where it belongs, by the native kernel if it is there.
+    """Compute the intensity [H, W] of a view, shifted to the mean centres, with the native kernel.
 
-    Intensity is 0 where the view is thinner than asked; pixels beside such ones stay.
+    The intensity is 0 where the silhouette is below `min_silhouette`; pixels next to those are
+    not shifted. Returns None if the kernels are not available for the images' device.
     """
     images = view.drawn.images
     module = kernels_for(images)
@@ -77,8 +78,8 @@ def centred_intensity(view: SurfaceView, min_silhouette: float) -> Tensor | None
     return intensity
 
 
-def moved_to_centres(intensity: Tensor, view: SurfaceView, min_silhouette: float) -> Tensor:
-    """Intensity [H, W] of a view moved to where it belongs: the kernel's equations in torch."""
+def shift_to_centres(intensity: Tensor, view: SurfaceView, min_silhouette: float) -> Tensor:
+    """Shift the intensity [H, W] of a view to the mean centres: the native kernel in torch."""
     if min(intensity.shape) < 3:
         return intensity
     solid = view.drawn.images[SILHOUETTE] >= min_silhouette
@@ -94,7 +95,7 @@ def moved_to_centres(intensity: Tensor, view: SurfaceView, min_silhouette: float
 
 
 def _sampled(rgb: Tensor, offsets: Tensor) -> Tensor:
-    """Bilinear samples [3, H, W] of an image beside each pixel; its border goes on outside."""
+    """Sample an image [3, H, W] bilinearly at offsets from the pixels; the border is replicated."""
     height, width = rgb.shape[1:]
     y, x = (torch.arange(n, device=rgb.device).to(rgb) for n in (height, width))
     u = (x + offsets[0]).clamp(0, width - 1)

@@ -1,4 +1,4 @@
-"""Camera poses to look at a map from, where no trajectory gives them."""
+"""Camera poses for rendering a map without a trajectory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
-# Share of the Gaussians that an overview must show; strays far off do not count.
+# Percentage of the Gaussians that an overview must show; the rest may be outliers.
 _SHOWN_PERCENT = 99.5
 _OVERVIEW_YAW_RAD = math.radians(30.0)
 _OVERVIEW_PITCH_RAD = math.radians(-35.0)
@@ -20,12 +20,12 @@ _OVERVIEW_PITCH_RAD = math.radians(-35.0)
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A place and a direction of view in a frame with x right, y down, z forward.
+    """Position and viewing direction in a frame with x right, y down, z forward.
 
     Attributes:
         position_m: (x, y, z).
-        yaw_rad: turn to the right.
-        pitch_rad: then up.
+        yaw_rad: rotation to the right.
+        pitch_rad: rotation upwards, applied after yaw.
     """
 
     position_m: tuple[float, float, float]
@@ -42,9 +42,9 @@ class Viewpoint:
 
 
 def overview(gaussians: GaussianCloud, camera: Camera) -> NDArray[np.float64]:
-    """T_map_camera [4, 4] from above and aside, as near as the whole map still fits.
+    """Return T_map_camera [4, 4] of an oblique view from above that shows the whole map.
 
-    "Above" is towards -y, as in every map that begins with a camera held upright.
+    "Above" is -y, which holds for maps whose first camera pose is upright.
 
     Raises:
         ValueError: the map is empty.
@@ -55,7 +55,7 @@ def overview(gaussians: GaussianCloud, camera: Camera) -> NDArray[np.float64]:
     centre = np.median(means, axis=0)
     R = Viewpoint((0.0, 0.0, 0.0), _OVERVIEW_YAW_RAD, _OVERVIEW_PITCH_RAD).T_map_camera[:3, :3]
     x, y, z = ((means - centre) @ R).T
-    # A point at (x, y, z) from the centre fits once the camera has stepped back so far.
+    # Distance of the camera from the centre at which a point with offset (x, y, z) is in view.
     needed_m = np.maximum(
         np.abs(x) * 2.0 * camera.fx / camera.width - z,
         np.abs(y) * 2.0 * camera.fy / camera.height - z,

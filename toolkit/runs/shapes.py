@@ -22,7 +22,7 @@ from toolkit.runs.finished import FinishedRun
 # Gaussians thinner than this are haze, not surface.
 _LEAST_OPACITY = 0.5
 # Rendered pixels thinner than this show no surface.
-_LEAST_SILHOUETTE = 0.9
+_MIN_SILHOUETTE = 0.9
 
 # A mesh of a room with smaller voxels does not fit in memory.
 MIN_VOXEL_M = 0.001
@@ -132,7 +132,7 @@ def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[D
             gaussians,
             camera,
             se3.inverse(frame.T_map_camera),
-            DrawOptions(_LEAST_SILHOUETTE),
+            DrawOptions(_MIN_SILHOUETTE),
         )
         rgb = np.clip(drawn.output.colour.numpy(), 0.0, 1.0)
         yield DepthView(camera, frame.T_map_camera, rgb, drawn.depth_m.numpy())

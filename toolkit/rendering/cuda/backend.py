@@ -18,7 +18,7 @@ from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering.backend import ForwardPass, GaussianGradients
 from toolkit.rendering.cuda import compositing, differentiation, reduction
 from toolkit.rendering.cuda.binning import Binning, bin_gaussians
-from toolkit.rendering.elsewhere import DrawnElsewhere
+from toolkit.rendering.device_transfer import TransferredForwardPass
 
 _SUMS = int(differentiation.SUMS.value)
 _REDUCED = 64  # Gaussians a program that adds up rows
@@ -308,4 +308,4 @@ class CudaBackend:
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
             drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
             drawn.draw(centres)
-        return drawn if device == home else DrawnElsewhere(drawn, home)
+        return drawn if device == home else TransferredForwardPass(drawn, home)
