@@ -1,4 +1,4 @@
-"""Every compiled instruction set, and two images that differ as renderings do."""
+"""Fixtures: compiled instruction sets, and a pair of similar images."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from toolkit.native import available_instruction_sets, load_variant
 
 @pytest.fixture(params=[*available_instruction_sets(), "torch"])
 def kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Each way to compute the losses: every compiled variant, then plain torch."""
+    """Each implementation of the losses: every compiled variant, then plain torch."""
     module: ModuleType | None = None if request.param == "torch" else load_variant(request.param)
     monkeypatch.setattr(photometric, "kernels_for", lambda tensor: module)
     return str(request.param)

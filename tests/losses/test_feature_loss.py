@@ -1,4 +1,4 @@
-"""The papers' feature term."""
+"""Feature loss of the papers."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from toolkit.losses.features import FeatureLoss
 
 
 def picture(seed: int) -> torch.Tensor:
-    """Blotches of colour, so that a pixel's neighbours are like it."""
+    """Smooth random images, in which neighbouring pixels are similar."""
     small = torch.rand(1, 3, 12, 16, generator=torch.Generator().manual_seed(seed))
     return torch.nn.functional.interpolate(small, (60, 80), mode="bilinear")[0]
 
 
-def test_it_is_zero_for_the_picture_itself():
+def test_loss_is_zero_for_identical_images():
     loss, by_picture = FeatureLoss(BuiltinEncoder(), 0.5).gradient(picture(0), picture(0))
     assert loss == 0.0
     assert torch.count_nonzero(by_picture) == 0
 
 
-def test_its_weight_scales_it():
+def test_loss_is_proportional_to_the_weight():
     one, by_one = FeatureLoss(BuiltinEncoder(), 1.0).gradient(picture(0), picture(1))
     half, by_half = FeatureLoss(BuiltinEncoder(), 0.5).gradient(picture(0), picture(1))
     assert one > 0.01
@@ -29,11 +29,13 @@ def test_its_weight_scales_it():
     assert torch.allclose(by_half, 0.5 * by_one)
 
 
-def test_the_derivative_is_that_of_the_loss():
+def test_derivative_agrees_with_finite_differences():
     term, drawn, observed = FeatureLoss(BuiltinEncoder(), 1.0), picture(0), picture(1)
     _, by_picture = term.gradient(drawn, observed)
     step = 1e-3 * by_picture / by_picture.norm()
     ahead, _ = term.gradient(drawn + step, observed)
     behind, _ = term.gradient(drawn - step, observed)
-    slope = float(by_picture.norm()) / drawn[0].numel()  # told times the number of pixels
+    slope = (
+        float(by_picture.norm()) / drawn[0].numel()
+    )  # the derivative is multiplied by the number of pixels
     assert (ahead - behind) / 2e-3 == pytest.approx(slope, rel=0.05)

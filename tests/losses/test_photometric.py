@@ -15,13 +15,13 @@ from toolkit.geometry.camera import Camera
 from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss, ssim_torch
 from toolkit.rendering import SurfaceView
 
-PLACE = Camera(40.0, 41.0, 20.0, 17.0, 45, 37), np.eye(4)  # of a view; losses ask for neither
+PLACE = Camera(40.0, 41.0, 20.0, 17.0, 45, 37), np.eye(4)  # of a view; the losses use neither
 SIZES = [(37, 45), (16, 16), (11, 64), (5, 3), (1, 1)]
 SSIM_ONLY = replace(RgbdLossWeights(), colour=1.0, depth=0.0, silhouette=0.0, structure=1.0)
 
 
 def drawn(height: int, width: int, channels: int = 0, seed: int = 0) -> Tensor:
-    """Images [5 + S, H, W] of a map that is partly thin."""
+    """Images [5 + S, H, W] of a partly translucent map."""
     images = torch.rand(5 + channels, height, width, generator=torch.Generator().manual_seed(seed))
     silhouette = 0.3 + 0.7 * images[4]
     depth = 1.0 + images[3]
@@ -30,7 +30,7 @@ def drawn(height: int, width: int, channels: int = 0, seed: int = 0) -> Tensor:
 
 
 def seen(images: Tensor) -> SurfaceView:
-    """A drawn view; its surface lies up to a per cent off the mean depth, and has holes."""
+    """A rendered view with holes, whose surface depth differs from the mean depth by up to 1 %."""
     mean = images[3] / images[4].clamp(min=0.1)
     generator = torch.Generator().manual_seed(5)
     surface = mean * (1 + 0.01 * torch.rand(mean.shape, generator=generator))
@@ -39,7 +39,7 @@ def seen(images: Tensor) -> SurfaceView:
 
 
 def observed(height: int, width: int, seed: int = 1) -> tuple[Tensor, Tensor]:
-    """Colour and depth near the rendering's, with holes in the depth."""
+    """Colour and depth similar to the rendered ones, with holes in the depth."""
     images = drawn(height, width)
     generator = torch.Generator().manual_seed(seed)
     rgb = (images[:3] + 0.1 * torch.randn(3, height, width, generator=generator)).clamp(0, 1)
@@ -49,7 +49,7 @@ def observed(height: int, width: int, seed: int = 1) -> tuple[Tensor, Tensor]:
 
 
 def restated(view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossWeights) -> Tensor:
-    """The loss from its documentation, pixel by pixel in float64."""
+    """The loss as documented, computed per pixel in float64."""
     images, surface = view.images, view.depth_m
 
     def soft(error: Tensor, scale: Tensor | float) -> Tensor:
@@ -70,13 +70,13 @@ def restated(view: SurfaceView, rgb: Tensor, depth_m: Tensor, weights: RgbdLossW
 
 
 def assert_close(actual: Tensor, expected: Tensor, tolerance: float = 1e-4) -> None:
-    """Equal relative to the largest entry."""
+    """Assert equality relative to the largest entry."""
     scale = float(expected.abs().max()) + 1e-12
     assert float((actual.double() - expected.double()).abs().max()) <= tolerance * scale
 
 
 class TestSsim:
-    """The structural term by itself."""
+    """SSIM alone."""
 
     @pytest.mark.parametrize("size", SIZES)
     def test_value_and_gradient_are_those_of_convolutions(self, kernels, size):
@@ -89,7 +89,7 @@ class TestSsim:
         assert_close(actual / depth.numel(), gradient, 1e-3)
 
     def test_the_reference_is_torchmetrics(self):
-        """Inside the border: there torchmetrics pads by reflection."""
+        """Excludes the border, where torchmetrics pads by reflection."""
         images, (rgb, _) = drawn(40, 52), observed(40, 52)
         expected = structural_similarity_index_measure(
             images[None, :3], rgb[None], data_range=1.0, return_full_image=True
@@ -114,7 +114,7 @@ class TestSsim:
 
 
 def ssim_map(x: Tensor, y: Tensor) -> Tensor:
-    """SSIM [C, H, W] of every pixel, by explicit windows over zero padding."""
+    """SSIM [C, H, W] of every pixel, by explicit windows with zero padding."""
     offsets = torch.arange(11, dtype=x.dtype) - 5
     line = torch.exp(-0.5 * (offsets / 1.5) ** 2)
     window = torch.outer(line, line) / line.sum() ** 2
@@ -147,7 +147,7 @@ class TestRgbdLoss:
 
     @pytest.mark.parametrize("channel", range(5))
     def test_gradient_by_finite_differences(self, kernels, channel):
-        """The value itself falls as the gradient says, in a direction of many pixels."""
+        """The gradient agrees with a finite difference in a random direction."""
         images, (rgb, depth) = drawn(20, 24), observed(20, 24)
         _, gradient = rgbd_loss(seen(images), rgb, depth, RgbdLossWeights())
         direction = torch.zeros_like(images)
@@ -157,7 +157,7 @@ class TestRgbdLoss:
         surface, mean = seen(images).depth_m, images[3] / images[4]
 
         def value(moved: Tensor) -> float:
-            # The surface goes with the mean depth.
+            # The surface depth changes with the mean depth.
             shifted = torch.where(surface > 0, surface + moved[3] / moved[4] - mean, surface)
             view = SurfaceView(SimpleNamespace(images=moved), shifted, *PLACE)
             return rgbd_loss(view, rgb, depth, RgbdLossWeights())[0]
@@ -210,9 +210,9 @@ class TestRgbdLoss:
             assert torch.equal(before, after)
 
 
-def test_the_number_of_threads_does_not_change_a_bit(kernels):
+def test_result_does_not_depend_on_the_number_of_threads(kernels):
     if kernels == "torch":
-        return  # promised by the kernels alone
+        return  # guaranteed by the native kernels only
     images, (rgb, depth) = drawn(120, 160), observed(120, 160)
     before = torch.get_num_threads()
     try:

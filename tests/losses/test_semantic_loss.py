@@ -1,4 +1,4 @@
-"""The semantic loss: kernel against autograd, void, schedule, and the network's term."""
+"""Semantic loss: kernel against autograd, void, schedule and inter-level term."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_large_logits_stay_finite(name):
     assert np.isfinite(result.value) and torch.isfinite(result.features).all()
 
 
-def test_void_and_thin_pixels_do_not_count():
+def test_void_and_translucent_pixels_are_ignored():
     code = one_hot_code(TREE)
     features, silhouette, labels = scene(code.channels, (20, 20))
     result = SemanticLoss(code, SemanticLossWeights())(features, silhouette, labels, (0, 1))
@@ -65,7 +65,7 @@ def test_void_and_thin_pixels_do_not_count():
     assert result.silhouette is None
 
 
-def test_an_image_without_labels_costs_nothing():
+def test_loss_of_an_image_without_labels_is_zero():
     code = one_hot_code(TREE)
     features, silhouette, labels = scene(code.channels, (6, 7))
     network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator())
@@ -84,14 +84,14 @@ def trained(code, weights, steps):
     return any((before[n] != after[n]).any() for n in before), result
 
 
-def test_inter_level_waits_for_its_step():
+def test_inter_level_term_starts_at_its_iteration():
     code = one_hot_code(TREE)
     weights = SemanticLossWeights(inter_from=15)
     assert not trained(code, weights, [0, 14])[0]
     assert trained(code, weights, [15])[0]
 
 
-def test_inter_level_starts_by_a_quarter_of_a_short_call():
+def test_inter_level_term_starts_at_a_quarter_of_short_calls():
     code = one_hot_code(TREE)
     network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator())
     loss = SemanticLoss(code, SemanticLossWeights(inter_from=15), network)
@@ -101,8 +101,8 @@ def test_inter_level_starts_by_a_quarter_of_a_short_call():
     assert loss(*images, (3, 12)).value > alone
 
 
-def test_sampled_inter_term_stands_for_all_pixels():
-    """Its gradient, averaged over many samples, is that of all pixels."""
+def test_sampled_inter_level_term_is_unbiased():
+    """The gradient averaged over many samples is that of all pixels."""
     code = one_hot_code(TREE)
     images = scene(code.channels, (24, 24))
 
@@ -122,7 +122,7 @@ def test_sampled_inter_term_stands_for_all_pixels():
     assert (sampled - every).abs().mean() < 0.15 * scale
 
 
-def test_the_network_learns_to_read_the_code():
+def test_network_learns_to_decode():
     code = binary_code(TREE)
     network = NetworkDecoder(code.channels, len(TREE), generator=torch.Generator().manual_seed(0))
     labels = torch.arange(1, 10).repeat(20)
@@ -134,7 +134,7 @@ def test_the_network_learns_to_read_the_code():
     assert (network.logits(values).argmax(0) + 1 == labels).all()
 
 
-def test_the_network_s_gradient_is_that_of_its_loss():
+def test_gradient_of_the_network_agrees_with_finite_differences():
     code = one_hot_code(TREE)
     labels = torch.tensor([1, 5, 9])
     values = torch.randn(code.channels, 3, generator=torch.Generator().manual_seed(1))
@@ -152,7 +152,7 @@ def test_the_network_s_gradient_is_that_of_its_loss():
     assert float(gradient[2, 1]) == pytest.approx(numeric, rel=2e-2, abs=1e-3)
 
 
-def test_a_restored_network_goes_on_identically():
+def test_restored_network_continues_identically():
     code = one_hot_code(TREE)
     labels = torch.tensor([1, 5, 9, 2])
     values = torch.randn(code.channels, 4, generator=torch.Generator().manual_seed(1))
@@ -173,7 +173,7 @@ def colour_scene() -> tuple[ColourCode, tuple[torch.Tensor, torch.Tensor, torch.
     return code, ((0.5 * noise + 0.25) * silhouette, silhouette, labels)
 
 
-def test_semantic_colour_has_the_ssim_mix():
+def test_loss_of_the_semantic_colour_includes_ssim():
     """G-4 for the semantic colour: 0.8 * L1 + 0.2 * (1 - SSIM)."""
     code, (features, _, _) = colour_scene()
     silhouette, labels = torch.ones(18, 24), torch.full((18, 24), 2, dtype=torch.int32)
@@ -187,8 +187,8 @@ def test_semantic_colour_has_the_ssim_mix():
     assert perfect.value == pytest.approx(0.0, abs=1e-6)
 
 
-def test_ssim_of_the_semantic_colour_has_the_gradient_of_its_loss():
-    """At pixels that count, and at none of the others."""
+def test_gradient_of_ssim_agrees_with_finite_differences():
+    """At valid pixels; it is zero at all others."""
     code, images = colour_scene()
     features, silhouette, labels = (image.double() for image in images)
     labels = labels.to(torch.int32)
@@ -212,7 +212,7 @@ def test_ssim_of_the_semantic_colour_has_the_gradient_of_its_loss():
         assert float(found.silhouette[row, column]) == pytest.approx(slope, rel=1e-3, abs=1e-5)
 
 
-def test_ssim_leaves_other_codes_as_they_are():
+def test_ssim_does_not_affect_other_codes():
     code = one_hot_code(TREE)
     images = scene(code.channels, (12, 12))
     plain = SemanticLoss(code, SemanticLossWeights())(*images, (0, 1))

@@ -216,7 +216,7 @@ def assert_same_images(actual: Tensor, scene: Scene, expected: Tensor) -> None:
 
 
 def band_tolerance(scene: Scene) -> float:
-    """Bound of the change by one Gaussian at MIN_ALPHA: its own contribution and what it occludes."""
+    """Bound of the change by one Gaussian at MIN_ALPHA, including what it occludes."""
     return 2.0 * MIN_ALPHA * largest_value(scene)
 
 

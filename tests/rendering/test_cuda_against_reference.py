@@ -247,7 +247,7 @@ def test_region_renders_only_its_tiles() -> None:
     assert_same_gradients(gradients_of(scene, Cuda(), weights, region), expected)
 
 
-def test_centres_are_the_last_channels_and_do_not_change_others() -> None:
+def test_centres_are_last_and_do_not_change_others() -> None:
     scene = random_scene(40, count=20, channels=3, size=(18, 14))
     arguments = (scene.cloud, scene.camera, scene.T_camera_map)
     plain = Cuda().forward(*arguments, scene.cloud.features, None)
@@ -257,7 +257,7 @@ def test_centres_are_the_last_channels_and_do_not_change_others() -> None:
     assert torch.allclose(drawn.images[-3:], means, atol=1e-5)
 
 
-def test_detached_features_do_not_change_gradients_of_geometry() -> None:
+def test_detached_features_do_not_affect_geometry() -> None:
     scene = random_scene(64, count=20, channels=4, size=(18, 14))
     weights = scene.loss_weights()
     drawn = scene.forward(Cuda())

@@ -207,9 +207,7 @@ def test_gaussians_with_nan_geometry_are_ignored(native: NativeBackend, group: s
 
 
 @pytest.mark.parametrize("group", ["colours", "features"])
-def test_nan_value_affects_only_the_support_of_its_gaussian(
-    native: NativeBackend, group: str
-) -> None:
+def test_nan_value_affects_only_its_support(native: NativeBackend, group: str) -> None:
     """A NaN colour is rendered, but only in blocks within the Gaussian's support."""
     scene = scene_at_pixels([(6, 6), (25, 20)], skewed_camera(34, 30), channels=2)
     spoiled = getattr(scene.cloud, group).clone()
@@ -295,9 +293,7 @@ def test_gradients_are_propagated_by_autograd() -> None:
 
 
 @pytest.mark.parametrize("channels", [0, 1, 17])
-def test_centres_are_the_last_channels_and_do_not_change_others(
-    native: NativeBackend, channels: int
-) -> None:
+def test_centres_are_last_and_do_not_change_others(native: NativeBackend, channels: int) -> None:
     scene = random_scene(channels + 40, count=50, channels=channels)
     arguments = (scene.cloud, scene.camera, scene.T_camera_map)
     plain = native.forward(*arguments, scene.cloud.features, None)
@@ -312,9 +308,7 @@ def test_centres_are_the_last_channels_and_do_not_change_others(
 
 
 @pytest.mark.parametrize("channels", [1, 4, 26, 101])
-def test_detached_features_do_not_change_gradients_of_geometry(
-    native: NativeBackend, channels: int
-) -> None:
+def test_detached_features_do_not_affect_geometry(native: NativeBackend, channels: int) -> None:
     """Gradients of geometry and pose are those without features, others those with features."""
     scene = random_scene(channels + 60, count=50, channels=channels)
     weights = scene.loss_weights()

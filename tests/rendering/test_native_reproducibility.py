@@ -44,9 +44,7 @@ def random_region(camera: Camera, seed: int = 3) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("with_region", [False, True])
-def test_results_do_not_depend_on_the_number_of_threads(
-    native: NativeBackend, with_region: bool
-) -> None:
+def test_threads_do_not_change_results(native: NativeBackend, with_region: bool) -> None:
     scene = busy_scene()
     region = random_region(scene.camera) if with_region else None
     weights = torch.randn(10, 130, 200, generator=torch.Generator().manual_seed(1))

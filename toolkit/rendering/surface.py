@@ -96,7 +96,7 @@ def draw_surface(
 def surface_depth(
     images: Tensor, camera: Camera, T_camera_map: NDArray[np.float64], min_silhouette: float
 ) -> Tensor:
-    """Compute the surface depth [H, W] of images [..., H, W] whose last channels are the centres."""
+    """Compute the surface depth [H, W] of images [..., H, W] that end with the centres."""
     module = kernels_for(images)
     if module is None:
         return _surface_depth_torch(images, camera, T_camera_map, min_silhouette)
