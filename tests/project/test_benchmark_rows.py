@@ -1,0 +1,64 @@
+"""Every row of the benchmarks asks for settings that exist: renamed options must not break them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import tyro
+
+from benchmarks import loops, recordings, ring, semantics, sequences
+from toolkit.cli import run as run_program
+from toolkit.options import validated
+from toolkit.runs.settings import RunSettings
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    **{
+        f"ring {table}: {name}": row.settings
+        for table, (_, rows) in ring.TABLES.items()
+        for name, row in rows.items()
+    },
+    **{f"loops: {name}": {"loops": values} for name, values in loops.ROWS.items()},
+}
+COMMANDS = [
+    *sequences.ROWS.values(),
+    *(row for table in semantics.PARTS.values() for row in table.rows.values()),
+]
+
+
+def commands_with_every_option() -> list[list[str]]:
+    """Few command lines that hold every option of the rows, since parsing one takes a while."""
+    options = {tuple(words.split()) for row in COMMANDS for words in " ".join(row).split(" --")[1:]}
+    commands: list[dict[str, list[str]]] = []
+    for flag, *values in sorted(options):
+        fitting = next((command for command in commands if flag not in command), None)
+        if fitting is None:
+            fitting = {}
+            commands.append(fitting)
+        fitting[flag] = values
+    return [[w for f, v in command.items() for w in (f"--{f}", *v)] for command in commands]
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_settings_of_a_row_are_valid(name: str) -> None:
+    assert isinstance(validated(RunSettings, SETTINGS[name]), RunSettings)
+
+
+@pytest.mark.parametrize("options", commands_with_every_option(), ids=lambda words: words[0])
+def test_options_of_rows_are_those_of_run(options: list[str]) -> None:
+    words = ["--dataset.path", "data", *options, "--out", "out"]
+    assert run_program._parse(words).out.name == "out"
+
+
+def test_sequences_of_rows_are_known() -> None:
+    known = {*recordings.RECORDINGS, *recordings.ROOMS}
+    assert {row[0] for row in COMMANDS} <= known
+    assert {row.room for _, rows in ring.TABLES.values() for row in rows.values()} <= known
+
+
+@pytest.mark.parametrize("name", recordings.ROOMS)
+def test_options_of_rooms_are_those_of_make_room(name: str) -> None:
+    from toolkit.cli.make_room import MakeRoomOptions
+
+    options = tyro.cli(MakeRoomOptions, args=["--out", "room", *recordings.ROOMS[name]])
+    assert options.out.name == "room"
