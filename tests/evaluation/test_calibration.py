@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.evaluation.calibration import Calibration, calibration_metrics, reliability_chart
+from toolkit.evaluation.calibration import Calibration, calibration_metrics
 
 
 def collected(confidence: np.ndarray, right: np.ndarray) -> Calibration:
@@ -92,7 +90,6 @@ def test_without_pixels_there_is_nothing():
     result = Calibration()
     result.add(np.zeros(3, int), np.ones(3, int), np.ones(3))
     assert set(calibration_metrics(result).values()) == {None}
-    assert reliability_chart(result.table) == ""
     assert all(row["accuracy"] is None for row in result.table.rows())
 
 
@@ -117,17 +114,3 @@ def test_the_table_is_data():
         "confidence": pytest.approx(0.96),
         "accuracy": 0.5,
     }
-
-
-def test_the_chart_has_the_diagonal_and_the_curve():
-    generator = np.random.default_rng(2)
-    confidence = generator.uniform(size=5000)
-    svg = reliability_chart(collected(confidence, generator.uniform(size=5000) < confidence).table)
-    lines = dict(re.findall(r'<polyline class="(\w+)" points="([^"]+)"', svg))
-    assert set(lines) == {"truth", "estimate", "share"}
-    curve = np.array([point.split(",") for point in lines["estimate"].split()], float)
-    (x0, y0), (x1, y1) = (np.array(p.split(","), float) for p in lines["truth"].split())
-    # A calibrated map lies on the diagonal.
-    np.testing.assert_allclose(
-        curve[:, 1], y0 + (curve[:, 0] - x0) / (x1 - x0) * (y1 - y0), atol=25
-    )

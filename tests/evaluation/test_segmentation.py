@@ -17,7 +17,7 @@ from toolkit.evaluation.segmentation import (
     segmentation_metrics,
     visible_classes,
 )
-from toolkit.evaluation.storage import gaussian_bytes, storage_metrics
+from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.semantics.taxonomy import Taxonomy
 
 TREE = Taxonomy(
@@ -155,20 +155,6 @@ def test_predicted_levels_may_disagree_and_back_off():
     assert metrics["miou_level_2_percent"] == pytest.approx(100.0 * (0 + 1) / 2)
 
 
-def test_single_groups_can_be_asked_for():
-    truth = np.array([[1, 2, 3, 8]])
-    result = evaluated([(truth, np.array([[1, 1, 1, 8]]))])
-    assert result.iou_by_name(0) == {"large": 1.0, "wall": 1.0}
-    assert result.iou_by_name() == pytest.approx(
-        {
-            "large > soft > bed": 1 / 3,
-            "large > soft > sofa": 0.0,
-            "large > hard > table": 0.0,
-            "wall": 1.0,
-        }
-    )
-
-
 def test_what_does_not_exist_is_none():
     metrics = segmentation_metrics(Segmentation(TREE), "_unseen")
     assert metrics["miou_unseen_percent"] is None
@@ -206,5 +192,3 @@ def test_images_of_another_tree_or_size_are_refused(truth, predicted, message):
 def test_storage_counts_floats_of_four_bytes():
     assert gaussian_bytes(0) == 32
     assert gaussian_bytes(26) == 32 + 104
-    metrics = storage_metrics(1_000_000, 26)
-    assert (metrics["map_mb"], metrics["map_semantic_mb"]) == (136.0, 104.0)

@@ -73,28 +73,6 @@ def test_error_names_the_missing_file(tmp_path):
         trajectories.read_tum(tmp_path / "nowhere.txt")
 
 
-def test_replica_matrices_are_row_major(tmp_path):
-    poses = random_trajectory(1).T_world_camera
-    np.savetxt(tmp_path / "traj.txt", poses.reshape(-1, 16))
-    read = trajectories.read_replica_traj(tmp_path / "traj.txt", fps=10)
-    np.testing.assert_allclose(read.T_world_camera, poses, atol=1e-12)
-    np.testing.assert_allclose(np.diff(read.timestamps_s), 0.1)
-
-
-def test_open3d_log(tmp_path):
-    poses = random_trajectory(2, 3).T_world_camera
-    lines = [
-        f"{i} {i} {i + 1}\n" + "\n".join(" ".join(map(repr, map(float, row))) for row in pose)
-        for i, pose in enumerate(poses)
-    ]
-    (tmp_path / "t.log").write_text("\n".join(lines))
-    read = trajectories.read_open3d_log(tmp_path / "t.log")
-    np.testing.assert_allclose(read.T_world_camera, poses, atol=1e-12)
-    (tmp_path / "t.log").write_text("\n".join(lines)[:-40])
-    with pytest.raises(FormatError, match=r"t\.log is not an Open3D log"):
-        trajectories.read_open3d_log(tmp_path / "t.log")
-
-
 def test_matrix_entries_may_be_infinite_but_rows_must_have_equal_length(tmp_path):
     (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 3 + "0 0 0 1\n")
     assert np.isinf(trajectories.read_matrix(tmp_path / "pose.txt")[0, 0])

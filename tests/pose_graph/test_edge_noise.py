@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from walks import composed
 
 from toolkit.geometry import se3
-from toolkit.pose_graph.graph import composed
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise, path_between
 
 NOISE = OdometryNoise(

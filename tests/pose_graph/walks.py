@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,3 +98,18 @@ def _true_poses() -> list[Array]:
     there = [standing(1.0 + s * APART_M, -0.5, 0.1) for s in steps]
     back = [standing(1.0 + (1 - s) * APART_M, 0.5, np.pi) for s in steps]
     return [*round_room(0.0), *there, *round_room(APART_M), *back, *round_room(0.0)]
+
+
+def composed(edges: Sequence[PoseEdge]) -> PoseEdge:
+    """One odometry edge for several that follow each other; their covariances add up.
+
+    T_a_b exp(x) T_b_c exp(y) = T_a_b T_b_c exp(adjoint(T_c_b) x) exp(y), to first order.
+    """
+    T, covariance, end = edges[0].T_first_second, edges[0].covariance, edges[0].second
+    for edge in edges[1:]:
+        assert edge.first == end
+        A = se3.adjoint(se3.inverse(edge.T_first_second))
+        T = se3.orthonormalise(T @ edge.T_first_second)
+        covariance = A @ covariance @ A.T + edge.covariance
+        end = edge.second
+    return PoseEdge(edges[0].first, end, T, information_of(covariance))

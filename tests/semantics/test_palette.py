@@ -6,11 +6,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from toolkit.io.pictures import LegendEntry, legend_below, with_legend
 from toolkit.semantics import palette as palette_module
-from toolkit.semantics.palette import Palette, oklab
+from toolkit.semantics.palette import _CONES_FROM_RGB, _LAB_FROM_CONES, Palette
 from toolkit.semantics.taxonomy import Taxonomy
+
+
+def oklab(rgb: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Lightness, a and b [N, 3] of sRGB colours [N, 3] in 0..255; distance is contrast.
+
+    About 0.02 is just visible. Source: B. Ottosson, "A perceptual color space for
+    image processing" (2020).
+    """
+    values = np.asarray(rgb) / 255.0
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return np.cbrt(linear @ _CONES_FROM_RGB.T) @ _LAB_FROM_CONES.T
 
 
 def even_tree(*widths: int) -> Taxonomy:

@@ -34,12 +34,8 @@ _REQUIRED = {
 
 # Import name: distribution, what it is for.
 _OPTIONAL = {
-    "transformers": ("transformers", "DINOv2, segmenters, depth models"),
+    "transformers": ("transformers", "DINOv2 and segmentation models"),
     "openai": ("openai", "building a taxonomy with a language model"),
-    "viser": ("viser", "the viewer in a browser"),
-    "rerun": ("rerun-sdk", "recordings for Rerun"),
-    "rosbags": ("rosbags", "ROS bags and MCAP files"),
-    "ray": ("ray", "several machines"),
 }
 
 # Shared library that Open3D loads: Debian package.

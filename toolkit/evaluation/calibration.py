@@ -7,19 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.evaluation.charts import Axes, Series, line_chart
 from toolkit.evaluation.metrics import Metrics
 from toolkit.semantics.taxonomy import VOID
 
 _BINS = 15  # as in Guo et al., "On calibration of modern neural networks" (2017)
-
-CALIBRATION_CONVENTIONS: Metrics = {
-    "ece_convention": (
-        f"expected calibration error over {_BINS} bins of equal width of the confidence in "
-        "the predicted class; pixels whose truth or prediction is void are left out"
-    ),
-    "calibration_coverage_convention": "share of the pixels with truth that have a prediction",
-}
 
 
 @dataclass(frozen=True)
@@ -146,24 +137,3 @@ def calibration_metrics(result: Calibration, suffix: str = "") -> Metrics:
         f"{name}{suffix}_percent": None if value is None else float(100.0 * value)
         for name, value in figures.items()
     }
-
-
-def reliability_chart(table: ReliabilityTable) -> str:
-    """An SVG element: accuracy over confidence beside the diagonal, empty without pixels.
-
-    A curve below the diagonal promises more than it keeps. A third line says how many of the
-    pixels have such a confidence.
-    """
-    if table.ece is None:
-        return ""
-    held = table.pixels > 0
-    accuracy = np.stack([table.confidence, table.accuracy], axis=1)[held]
-    middles = (table.edges[:-1] + table.edges[1:]) / 2
-    share = np.stack([middles, table.pixels / table.pixels.sum()], axis=1)
-    ideal = np.array([[0.0, 0.0], [1.0, 1.0]])
-    series = [
-        Series(100.0 * share, "share of pixels", "share"),
-        Series(100.0 * ideal, "perfect", "truth"),
-        Series(100.0 * accuracy, f"the map, ECE {100.0 * table.ece:.1f} %", "estimate"),
-    ]
-    return line_chart(series, Axes("confidence, %", "right, %"))

@@ -200,13 +200,6 @@ class Segmentation:
         """
         return self._counts[-1 if level is None else level].copy()
 
-    def iou_by_name(self, level: int | None = None) -> dict[str, float]:
-        """IoU in [0, 1] of each class or group that appears, by its path, without void."""
-        level = self.taxonomy.depth - 1 if level is None else level
-        iou = class_iou(self._counts[level])[1:]
-        nodes = self.taxonomy.nodes_at(level)
-        return {str(n): float(v) for n, v in zip(nodes, iou, strict=True) if np.isfinite(v)}
-
     def _all_levels(self, ids: NDArray[np.integer]) -> Sequence[NDArray[np.integer]]:
         """Node indices [H, W] at each level, of class ids or of what is that already."""
         taxonomy = self.taxonomy

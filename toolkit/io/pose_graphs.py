@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.geometry import se3
-from toolkit.io.atomic import write_bytes
 from toolkit.io.trajectories import text_lines
 
 PathLike = str | os.PathLike[str]
@@ -100,38 +99,6 @@ def read_pose_graph(path: PathLike) -> PoseGraphArrays:
         information=np.array(informations),
         fixed=np.array(fixed, dtype=np.int64),
     )
-
-
-def write_g2o(path: PathLike, graph: PoseGraphArrays) -> None:
-    """Write a g2o file; the output is byte-for-byte reproducible.
-
-    Numbers are written with full precision; rotations are converted to quaternions, which
-    changes the last one or two digits.
-
-    Raises:
-        RunFolderError: the file cannot be written.
-    """
-    lines = [
-        _line("VERTEX_SE3:QUAT", [int(node)], _seven(T))
-        for node, T in zip(graph.nodes, graph.T_world_node, strict=True)
-    ]
-    lines += [_line("FIX", [int(node)], []) for node in graph.fixed]
-    for ends, T, information in zip(
-        graph.edges, graph.T_first_second, graph.information, strict=True
-    ):
-        values = [*_seven(T), *information[_TRIANGLE]]
-        lines.append(_line("EDGE_SE3:QUAT", ends.tolist(), values))
-    write_bytes(path, "".join(lines).encode("ascii"))
-
-
-def _line(tag: str, nodes: list[int], values: list[float]) -> str:
-    # Adding zero turns -0.0 into 0.0; repr is the shortest text that round-trips.
-    words = [tag, *map(str, nodes), *(repr(float(v) + 0.0) for v in values)]
-    return " ".join(words) + "\n"
-
-
-def _seven(T: Array) -> list[float]:
-    return [*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3])]
 
 
 def _numbers(

@@ -106,19 +106,6 @@ def read_matrix_lines(path: PathLike) -> NDArray[np.float64]:
     return np.array(rows, dtype=np.float64).reshape(-1, 4, 4)
 
 
-def read_replica_traj(path: PathLike, fps: float = 30.0) -> Trajectory:
-    """Read Replica's `traj.txt`: one camera-to-world matrix per line.
-
-    The format has no timestamps; frame i gets i / fps seconds.
-
-    Raises:
-        DatasetError: the file cannot be read.
-        FormatError: a line does not consist of 16 numbers, or a pose is not a rigid motion.
-    """
-    poses = read_matrix_lines(path)
-    return _checked(path, np.arange(len(poses)) / fps, poses)
-
-
 def read_matrix(path: PathLike) -> NDArray[np.float64]:
     """Read a text file that contains a 4x4 or 3x3 matrix; infinite entries are allowed.
 
@@ -133,26 +120,6 @@ def read_matrix(path: PathLike) -> NDArray[np.float64]:
             f"{path} must contain a 4x4 or 3x3 matrix, one row per line; export it again"
         )
     return np.array(rows)
-
-
-def read_open3d_log(path: PathLike, fps: float = 30.0) -> Trajectory:
-    """Read Open3D's `.log`: for each frame a line of three integers and a 4x4 matrix.
-
-    The format has no timestamps; frame i gets i / fps seconds.
-
-    Raises:
-        DatasetError: the file cannot be read.
-        FormatError: the lines do not form such groups of five.
-    """
-    rows = [values for _, values in number_lines(path)]
-    groups = [rows[i : i + 5] for i in range(0, len(rows), 5)]
-    if any([len(row) for row in group] != [3, 4, 4, 4, 4] for group in groups):
-        raise FormatError(
-            f"{path} is not an Open3D log: expected groups of one line with 3 integers and "
-            f"4 lines with 4 numbers; save the trajectory again"
-        )
-    poses = np.array([group[1:] for group in groups]).reshape(-1, 4, 4)
-    return _checked(path, np.arange(len(poses)) / fps, poses)
 
 
 def text_lines(path: PathLike) -> Iterator[tuple[int, str]]:

@@ -30,16 +30,3 @@ def graph_of(arrays: PoseGraphArrays) -> PoseGraph:
         poses = poses_along(edges, int(arrays.edges.min()), np.eye(4))
     fixed = int(arrays.fixed[0]) if len(arrays.fixed) else None
     return PoseGraph(poses, edges, fixed)
-
-
-def arrays_of(graph: PoseGraph) -> PoseGraphArrays:
-    """What a file of the graph holds; the kinds of edges are not part of it."""
-    state = graph.state()
-    return PoseGraphArrays(
-        nodes=state["nodes"],
-        T_world_node=state["T_world_node"],
-        edges=state["edge_nodes"],
-        T_first_second=state["T_first_second"],
-        information=state["information"],
-        fixed=np.array([graph.anchor], dtype=np.int64),
-    )

@@ -7,7 +7,7 @@ world, which for the keyframes of a submap is the submap's frame.
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -108,27 +108,6 @@ def covariance_in_frame(covariance_a: Array, T_a_b: Array) -> Array:
     return A @ covariance_a @ A.T
 
 
-def composed(edges: Sequence[PoseEdge]) -> PoseEdge:
-    """One odometry edge for several that follow each other; their covariances add up.
-
-    T_a_b exp(x) T_b_c exp(y) = T_a_b T_b_c exp(adjoint(T_c_b) x) exp(y), to first order.
-
-    Raises:
-        ValueError: there is no edge, or one does not start where the one before it ends.
-    """
-    if not edges:
-        raise ValueError("nothing to compose: no edges")
-    T, covariance, end = edges[0].T_first_second, edges[0].covariance, edges[0].second
-    for edge in edges[1:]:
-        if edge.first != end:
-            raise ValueError(f"odometry breaks off: {edge} does not follow node {end}")
-        A = se3.adjoint(se3.inverse(edge.T_first_second))
-        T = se3.orthonormalise(T @ edge.T_first_second)
-        covariance = A @ covariance @ A.T + edge.covariance
-        end = edge.second
-    return PoseEdge(edges[0].first, end, T, information_of(covariance))
-
-
 def information_of(covariance: Array) -> Array:
     """Information [6, 6] of a covariance, symmetric to the bit."""
     return _symmetric_inverse(covariance)
@@ -212,34 +191,6 @@ class PoseGraph:
         """The same edges at other poses."""
         return PoseGraph(T_world_node, self.edges, self.fixed)
 
-    def state(self) -> dict[str, NDArray]:
-        """The graph as arrays, from which `from_state` makes the same graph, bit for bit."""
-        return {
-            "nodes": np.array(self.nodes, dtype=np.int64),
-            "T_world_node": _stacked(list(self.T_world_node.values()), (4, 4)),
-            "fixed": np.array(self.anchor, dtype=np.int64),
-            "edge_nodes": _stacked([[e.first, e.second] for e in self.edges], (2,)).astype(int),
-            "T_first_second": _stacked([e.T_first_second for e in self.edges], (4, 4)),
-            "information": _stacked([e.information for e in self.edges], (6, 6)),
-            "is_loop": np.array([e.kind == "loop" for e in self.edges], dtype=bool),
-            "robust": np.array([e.robust for e in self.edges], dtype=bool),
-        }
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, NDArray]) -> PoseGraph:
-        """The graph that `state` came from."""
-        columns = ("edge_nodes", "T_first_second", "information", "is_loop", "robust")
-        edges = tuple(
-            PoseEdge(
-                int(i), int(j), T, information, "loop" if is_loop else "odometry", bool(robust)
-            )
-            for (i, j), T, information, is_loop, robust in zip(
-                *(state[name] for name in columns), strict=True
-            )
-        )
-        poses = {int(n): T for n, T in zip(state["nodes"], state["T_world_node"], strict=True)}
-        return cls(poses, edges, int(state["fixed"]))
-
 
 def poses_along(edges: Iterable[PoseEdge], start: int, T_world_start: Array) -> dict[int, Array]:
     """A pose for every node that edges connect with `start`, by the fewest edges.
@@ -300,7 +251,3 @@ def _reachable(start: int, edges: Iterable[PoseEdge]) -> set[int]:
                 found.add(other)
                 waiting.append(other)
     return found
-
-
-def _stacked(rows: list, shape: tuple[int, ...]) -> NDArray:
-    return np.array(rows, dtype=np.float64).reshape(-1, *shape)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
@@ -99,14 +98,6 @@ def check_alignment(
         T_target_camera = T_target_source @ keyframe.T_map_camera
         total += compare(drawer.draw(target, camera, T_target_camera), seen)
     return total
-
-
-def check_keyframe(
-    submap: Submap, keyframe: Keyframe, T_submap_camera: Array, drawer: ViewDrawer
-) -> AlignmentCheck:
-    """What a keyframe observed, laid over a submap from a pose T_submap_camera [4, 4]."""
-    observed = drawer.observed(keyframe)
-    return compare(drawer.draw(submap, observed.camera, T_submap_camera), observed)
 
 
 def compare(target: View, source: View, T_view_frame: Array | None = None) -> AlignmentCheck:

@@ -21,6 +21,7 @@ from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_me
 from toolkit.evaluation.report import ReportContent, ReportView, write_report
 from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import GaussianScene, RoundedScene
@@ -44,7 +45,6 @@ from toolkit.semantics.taxonomy import Taxonomy
 _log = logging.getLogger(__name__)
 
 _SHOWN_VIEWS = 6
-_FLOAT_BYTES = 4
 _LEGEND_ROWS = 8
 
 
@@ -166,8 +166,6 @@ def _costs(
     result: SlamResult, scene: GaussianScene, dataset: Dataset, watch: StageRecorder
 ) -> RunCosts:
     count = len(scene)
-    # Centre, radius, opacity, colour.
-    floats = count * (8 + result.semantics.channels)
     return RunCosts(
         frames=len(dataset),
         frames_lost=len(result.lost_frames),
@@ -178,7 +176,7 @@ def _costs(
         mapping_ms=watch.total_ms("placing", "mapping"),
         refinement_ms=watch.total_ms("refinement"),
         peak_memory_mb=peak_memory_mb(),
-        map_mb=floats * _FLOAT_BYTES / 1e6,
+        map_mb=count * gaussian_bytes(result.semantics.channels) / 1e6,
     )
 
 

@@ -39,12 +39,6 @@ class OrientedBox:
     size_m: Array
     upright: bool
 
-    @property
-    def corners_m(self) -> Array:
-        """Its corners [8, 3]."""
-        signs = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-        return self.centre_m + (signs * self.size_m) @ self.axes.T
-
 
 @dataclass(frozen=True)
 class Ground:

@@ -119,17 +119,6 @@ class Palette:
         return strip(panels)
 
 
-def oklab(rgb: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Lightness, a and b [N, 3] of sRGB colours [N, 3] in 0..255; distance is contrast.
-
-    About 0.02 is just visible. Source: B. Ottosson, "A perceptual color space for
-    image processing" (2020).
-    """
-    values = np.asarray(rgb) / 255.0
-    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return np.cbrt(linear @ _CONES_FROM_RGB.T) @ _LAB_FROM_CONES.T
-
-
 def _srgb(lab: NDArray[np.float64]) -> tuple[Colours, NDArray[np.bool_]]:
     """sRGB [N, 3] of Oklab colours, and which of them a screen can show."""
     cones = (lab @ np.linalg.inv(_LAB_FROM_CONES).T) ** 3
