@@ -1,7 +1,7 @@
-"""Pairs of submaps with a known motion between them, for `registration.py`.
+"""Pairs of submaps with a known relative pose, for `registration.py`.
 
-A pool of submaps is mapped once from a recording, each in a frame of its own that lies
-anywhere; no frame is in two of them. Pairs are drawn from it by their overlap.
+A pool of submaps is mapped once from a recording, each in an arbitrary coordinate frame; no frame
+of the recording is in both submaps of a pair. Pairs are drawn from the pool by their overlap.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Piece:
-    """A submap and where its frame truly lies."""
+    """A submap and the true pose of its coordinate frame."""
 
     submap: Submap
     T_world_submap: Array
@@ -79,7 +79,7 @@ class Pair:
 
 
 def room(frames: int, size: tuple[int, int], seed: int, noise: bool) -> Recording:
-    """A synthetic room with its true labels, with or without a sensor's noise."""
+    """A synthetic room with its true labels, with or without sensor noise."""
     made, truth = tiny_room(frames, *size, seed, SensorModel() if noise else None)
     settings = RunSettings()
     tree = choose_taxonomy("auto", {number: name for name, number in CLASS_IDS.items()})
@@ -113,7 +113,7 @@ def piece(
     describer: ViewDescriber,
     generator: np.random.Generator,
 ) -> Piece:
-    """Some frames mapped at their given poses, in a frame that lies anywhere."""
+    """Some frames mapped at their true poses, in an arbitrary coordinate frame."""
     settings = RunSettings()
     mapper = build_mapper(settings.mapping, generator, semantics=recording.semantics)
     T_submap_world = anywhere(generator) @ se3.inverse(recording.T_world_camera[numbers[0]])
@@ -124,13 +124,13 @@ def piece(
             Keyframe.from_frame(frame, T_submap_world @ recording.T_world_camera[i])
         )
     pictures = torch.stack([keyframe.rgb for keyframe in mapper.keyframes]) / 255.0
-    words = describer.describe(pictures).numpy()
-    submap = Submap(0, np.eye(4), mapper.gaussians, mapper.keyframes, descriptors=words)
+    descriptors = describer.describe(pictures).numpy()
+    submap = Submap(0, np.eye(4), mapper.gaussians, mapper.keyframes, descriptors=descriptors)
     return Piece(submap, se3.inverse(T_submap_world), frozenset(numbers))
 
 
 def anywhere(generator: np.random.Generator) -> Array:
-    """A motion by any rotation and several metres."""
+    """A random rotation and a translation of up to several metres."""
     quaternion = generator.normal(size=4)
     axis = quaternion[1:] / np.linalg.norm(quaternion[1:])
     half = np.arctan2(np.linalg.norm(quaternion[1:]), quaternion[0])
