@@ -44,11 +44,11 @@ def build(*words: object) -> int:
     return main(["build-taxonomy", *map(str, words)])
 
 
-def test_the_launcher_writes_a_tree_of_a_list_and_shows_it(names_file, tmp_path):
+def test_the_program_writes_a_tree_of_a_list_and_shows_it(names_file, tmp_path):
     out = tmp_path / "flat.yaml"
     words = ["--classes", names_file, "--out", out, "--picture", tmp_path / "flat.png", "--review"]
     done = subprocess.run(
-        [sys.executable, "apps/build_taxonomy.py", *map(str, words)],
+        [sys.executable, "-m", "toolkit.cli.main", "build-taxonomy", *map(str, words)],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         capture_output=True,

@@ -7,7 +7,7 @@ from toolkit.cli import doctor
 
 
 def test_the_launcher_prints_a_line_for_each_part_of_the_machine(run_python):
-    result = run_python("apps/doctor.py")
+    result = run_python("-m", "toolkit.cli.main", "doctor")
     assert result.stderr == ""
     for subject in ("instruction set", "native kernels", "threads", "gpu", "open3d", "gtsam"):
         assert f"\n{subject} " in result.stdout
