@@ -38,8 +38,8 @@ def test_a_minority_that_agrees_outvotes_those_that_do_not(seed):
     mm, deg = error(found.T_target_source, T)
     assert mm < 2.0
     assert deg < 0.2
-    assert found.agree[:4].all()
-    assert not found.agree[4:].any()
+    assert found.inliers[:4].all()
+    assert not found.inliers[4:].any()
 
 
 @few

@@ -23,8 +23,8 @@ from toolkit.keyframe import Keyframe
 Array = NDArray[np.float64]
 
 _NEAREST_M = 0.05
-# Dense alignment may correct features by this share of the image's width, but at least by so
-# many pixels of the coarser camera; where it goes farther, one of the two is wrong.
+# Maximum correction of the initial pose by dense alignment, as a fraction of the image's width, but
+# at least this number of the coarser camera's pixels. After a larger one, one of the two is wrong.
 _MOST_CORRECTION, _MOST_CORRECTION_PIXELS = 0.02, 3.0
 
 
@@ -61,16 +61,16 @@ class MatchingOptions:
 
 @dataclass(frozen=True)
 class Offset:
-    """Where one keyframe's camera stands in another's.
+    """Relative pose of two keyframes.
 
     Attributes:
         T_first_second: [4, 4] float64.
-        matches: features that agree with it before dense alignment.
-        visible: share of the second image's measured pixels that the first explains.
+        matches: number of inlier matches before dense alignment.
+        visible: fraction of the second image's measured pixels that the first explains.
         residual: robust scales of intensity and of depth at 1 m (m).
         information: [6, 6] inverse covariance of x in T_first_second exp(x), translation
             first.
-        iterations: steps of the dense alignment.
+        iterations: of the dense alignment.
     """
 
     T_first_second: Array
@@ -87,16 +87,16 @@ def measure_offset(
     options: MatchingOptions | None = None,
     generator: np.random.Generator | None = None,
 ) -> Offset | None:
-    """Offset of two keyframes from their observed images alone.
+    """Measure the relative pose of two keyframes from their observed images.
 
-    SIFT features with depth in both images fix the motion by RANSAC; dense alignment of colour
-    and depth then refines it, with the first image in the map's place.
+    RANSAC on SIFT matches with depth in both images gives an initial pose. Dense alignment of
+    colour and depth then refines it, with the first image as the model.
 
     Args:
-        generator: draws the triples of matches; a fixed seed without one.
+        generator: samples the triples of matches; by default one with a fixed seed.
 
     Returns:
-        The offset, or None where the images do not fix one.
+        The offset, or None if the images do not determine one.
     """
     options = options or MatchingOptions()
     generator = generator or np.random.default_rng(0)
@@ -224,7 +224,7 @@ def _distinct_matches(
 
 
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
-    """Observed points [n, 3] in the camera's frame at pixels [n, 2]; depth 0 where missing."""
+    """Observed points [n, 3] in camera coordinates at pixels [n, 2]; z is 0 where missing."""
     x = np.clip(np.rint(pixels[:, 0]).astype(int), 0, keyframe.camera.width - 1)
     y = np.clip(np.rint(pixels[:, 1]).astype(int), 0, keyframe.camera.height - 1)
     depth = keyframe.depth_m.numpy()[y, x].astype(np.float64)
@@ -280,7 +280,7 @@ class Matched:
 
 
 def rigid_fits(first: Array, second: Array) -> Array:
-    """Motions [H, 4, 4] that take points second [H, m, 3] nearest to first [H, m, 3]."""
+    """Least-squares motions [H, 4, 4] from points second [H, m, 3] to points first [H, m, 3]."""
     centre_a, centre_b = first.mean(axis=1), second.mean(axis=1)
     a, b = first - centre_a[:, None], second - centre_b[:, None]
     U, _, Vt = np.linalg.svd(np.swapaxes(a, 1, 2) @ b)

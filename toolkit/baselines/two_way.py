@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.registration.fine import FineRegistration
-from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
+from toolkit.registration.motion_average import AverageOptions, MotionAverage, average_motion
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import views_of_overlap
 from toolkit.submaps.submap import Submap
@@ -57,9 +57,9 @@ class TwoWayRegistration:
         unplaced += [r.T_target_source @ T for r, T in zip(back, other_poses, strict=True)]
         if not placed:
             return failed("two-way", "no view could be placed in the other submap", start)
-        agreement = average_motion(np.array(placed), np.array(unplaced), self._average)
+        average = average_motion(np.array(placed), np.array(unplaced), self._average)
         renders = self.drawer.renders - before
-        return self._result(agreement, [*there, *back], renders)
+        return self._result(average, [*there, *back], renders)
 
     def _placed(
         self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
@@ -76,13 +76,13 @@ class TwoWayRegistration:
         return results, poses
 
     def _result(
-        self, agreement: Agreement, parts: list[RegistrationResult], renders: int
+        self, average: MotionAverage, parts: list[RegistrationResult], renders: int
     ) -> RegistrationResult:
         """Judged by the views as each was placed: nothing is drawn again."""
-        enough = bool(agreement.agree.sum() * 2 >= len(parts))
+        enough = bool(average.inliers.sum() * 2 >= len(parts))
         return RegistrationResult(
-            T_target_source=agreement.T_target_source,
-            converged=agreement.converged and enough,
+            T_target_source=average.T_target_source,
+            converged=average.converged and enough,
             inliers=_median([part.inliers for part in parts]),
             residual=ResidualScales(
                 _median([part.residual.intensity for part in parts]),
@@ -90,8 +90,8 @@ class TwoWayRegistration:
             ),
             overlap=_median([part.overlap for part in parts]),
             class_agreement=_median([part.class_agreement for part in parts]),
-            information=agreement.information,
-            iterations=agreement.iterations + sum(part.iterations for part in parts),
+            information=average.information,
+            iterations=average.iterations + sum(part.iterations for part in parts),
             renders=renders,
             method="two-way",
             reason="" if enough else "the views disagree",

@@ -1,8 +1,7 @@
-"""Coarse registration: a motion from the pairs of keyframes that look most alike (G-5).
+"""Coarse registration: a motion from pairs of keyframes with similar descriptors (G-5).
 
-The paper takes alike views to stand at equal poses. They do not, so every pair brings its own
-measured offset Z: `T T_source = T_target Z`. A pair of look-alikes that measures a wrong
-offset, or none, is outvoted.
+The paper assumes that similar views have equal poses. In general they do not, so the relative pose
+Z of every pair is measured: `T T_source = T_target Z`. Robust averaging rejects wrong pairs.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.matching import MatchingOptions, Offset, measure_offset
-from toolkit.registration.motion_average import Agreement, AverageOptions, average_motion
+from toolkit.registration.motion_average import AverageOptions, MotionAverage, average_motion
 from toolkit.registration.pooled import pooled_motion
 from toolkit.registration.result import UNKNOWN, RegistrationResult, failed
 from toolkit.submaps.submap import Submap
@@ -44,7 +43,7 @@ class CoarseOptions:
 
 @dataclass(frozen=True)
 class KeyframePair:
-    """Two keyframes that look alike, by their places in their submaps."""
+    """Two keyframes with similar descriptors, by their positions in their submaps."""
 
     target: int
     source: int
@@ -53,19 +52,18 @@ class KeyframePair:
 
 @dataclass(frozen=True)
 class CoarseRegistration:
-    """A coarse result and the source's keyframes that agree with it, the surest first."""
+    """A coarse result, and the source keyframes of its inliers in order of descending weight."""
 
     result: RegistrationResult
     views: list[int]
 
 
 def descriptor_pairs(target: Submap, source: Submap, count: int) -> list[KeyframePair]:
-    """The pairs of keyframes with the nearest descriptors, in rounds, nearest first.
+    """The pairs of keyframes with the closest descriptors, in rounds, closest first.
 
-    In a round they are one-to-one: each is mutual among the keyframes that no nearer pair has
-    taken. Short submaps fill the count by further rounds over the pairs that are left, for
-    views that look most alike are not always those that can be matched. None without
-    descriptors.
+    The pairs of a round are one-to-one: no keyframe occurs twice. Short submaps fill the count by
+    further rounds over the remaining pairs, because the most similar views are not always those
+    that can be matched. Empty without descriptors.
     """
     a, b = target.descriptors, source.descriptors
     if 0 in (*a.shape, *b.shape):
@@ -96,16 +94,16 @@ def register_coarse(
     generator: np.random.Generator,
     start: Array | None = None,
 ) -> CoarseRegistration:
-    """T_target_source from alike keyframes, wherever it lies.
+    """Estimate T_target_source from similar keyframes, without an initial value.
 
     Args:
-        start: T_target_source [4, 4], one more place to begin.
+        start: T_target_source [4, 4], a further initial value.
     """
     pairs = descriptor_pairs(target, source, options.pairs)
     if not pairs:
         return CoarseRegistration(failed("coarse", "no keyframe has a descriptor", start), [])
     usable: list[tuple[KeyframePair, Offset]] = []
-    agreement, tried = None, 0
+    average, tried = None, 0
     for pair in pairs:
         tried += 1
         offset = _offset(pair, target, source, options, generator)
@@ -113,32 +111,32 @@ def register_coarse(
             continue
         usable.append((pair, offset))
         if len(usable) >= options.enough and options.offsets == "measured":
-            agreement = _agreement(target, source, usable, options, start)
-            if agreement.agree.sum() >= options.enough:
+            average = _average(target, source, usable, options, start)
+            if average.inliers.sum() >= options.enough:
                 break
-    if agreement is None or len(agreement.agree) < len(usable):
-        agreement = _agreement(target, source, usable, options, start) if usable else None
-    if agreement is None or agreement.agree.sum() < options.min_agreeing:
+    if average is None or len(average.inliers) < len(usable):
+        average = _average(target, source, usable, options, start) if usable else None
+    if average is None or average.inliers.sum() < options.min_agreeing:
         pooled = _pooled(target, source, pairs[:tried], options, generator)
         if pooled is not None:
             return pooled
-    if agreement is None:
+    if average is None:
         reason = f"none of {tried} alike pairs of keyframes fixes an offset"
         return CoarseRegistration(failed("coarse", reason, start), [])
-    ranked = np.argsort(-agreement.weights, kind="stable")
-    views = [usable[i][0].source for i in ranked if agreement.agree[i]]
+    ranked = np.argsort(-average.weights, kind="stable")
+    views = [usable[i][0].source for i in ranked if average.inliers[i]]
     offsets = [offset for _, offset in usable]
-    result = _result(agreement, offsets, tried, options)
+    result = _result(average, offsets, tried, options)
     return CoarseRegistration(result, list(dict.fromkeys(views)))
 
 
-def _agreement(
+def _average(
     target: Submap,
     source: Submap,
     usable: list[tuple[KeyframePair, Offset]],
     options: CoarseOptions,
     start: Array | None,
-) -> Agreement:
+) -> MotionAverage:
     T_target_camera = np.array(
         [target.keyframes[p.target].T_map_camera @ z.T_first_second for p, z in usable]
     )
@@ -153,7 +151,7 @@ def _pooled(
     options: CoarseOptions,
     generator: np.random.Generator,
 ) -> CoarseRegistration | None:
-    """A motion that the features of all pairs obey together, where no pair is sure by itself."""
+    """A motion estimated from the features of all pairs together; no pair suffices alone."""
     if options.offsets == "none":
         return None
     seen = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
@@ -162,9 +160,9 @@ def _pooled(
         return None
     T_source_camera = np.array([seen[place][1].T_map_camera for place in found.pairs])
     T_target_camera = found.T_target_source @ T_source_camera
-    agreement = average_motion(T_target_camera, T_source_camera, options.average)
+    average = average_motion(T_target_camera, T_source_camera, options.average)
     unknown = Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
-    result = _result(agreement, [unknown] * len(found.pairs), len(pairs), options)
+    result = _result(average, [unknown] * len(found.pairs), len(pairs), options)
     views = [pairs[place].source for place in found.pairs]
     return CoarseRegistration(result, list(dict.fromkeys(views)))
 
@@ -183,14 +181,14 @@ def _offset(
 
 
 def _result(
-    agreement: Agreement, offsets: list[Offset], tried: int, options: CoarseOptions
+    average: MotionAverage, offsets: list[Offset], tried: int, options: CoarseOptions
 ) -> RegistrationResult:
-    agreeing = int(agreement.agree.sum())
+    agreeing = int(average.inliers.sum())
     enough = agreeing >= options.min_agreeing
-    kept = [offset for offset, agrees in zip(offsets, agreement.agree, strict=True) if agrees]
+    kept = [offset for offset, agrees in zip(offsets, average.inliers, strict=True) if agrees]
     return RegistrationResult(
-        T_target_source=agreement.T_target_source,
-        converged=enough and agreement.converged,
+        T_target_source=average.T_target_source,
+        converged=enough and average.converged,
         inliers=agreeing / tried,
         residual=ResidualScales(
             _median([offset.residual.intensity for offset in kept]),
@@ -198,8 +196,8 @@ def _result(
         ),
         overlap=_median([offset.visible for offset in kept]),
         class_agreement=float("nan"),
-        information=agreement.information,
-        iterations=agreement.iterations,
+        information=average.information,
+        iterations=average.iterations,
         renders=0,
         method="coarse",
         reason="" if enough else f"only {agreeing} of {tried} alike pairs of keyframes agree",

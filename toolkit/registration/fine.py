@@ -107,16 +107,16 @@ class TargetView:
     model: list[ModelLevel]
 
 
-# An answer that moved by less than this share of the distance that asks for a new drawing, since
-# the last one, has come to rest: 1 mm at 1 m.
+# An estimate that moved by less than this fraction of `rerender_distance` since the last rendering
+# has converged: 1 mm at 1 m.
 _AT_REST = 0.1
 
-# Views that moved farther than this (median depths plus radians) are aligned from the coarsest
-# level again once they are drawn anew; others need the finest alone.
+# After a larger motion (median depths plus radians), views rendered again are aligned from the
+# coarsest level; after a smaller one at the finest level only.
 _FAR = 0.05
 
-# A class agrees with one that lies within this share of the image's width in a drawing that may
-# be far off, and within so many pixels in one that is near.
+# Classes may be displaced by this fraction of the image's width as long as the estimate may be far
+# off, and by this number of pixels afterwards.
 _FAR_WINDOW = 0.025
 _NEAR_WINDOW_PIXELS = 2
 
@@ -135,7 +135,7 @@ class FineRegistration:
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> RegistrationResult:
-        """See Registrar; without a start it begins at the identity."""
+        """See Registrar; the default start is the identity."""
         return self.refine(
             target, source, np.eye(4) if T_target_source is None else T_target_source
         )
@@ -147,10 +147,10 @@ class FineRegistration:
         start: Array,
         views: list[int] | None = None,
     ) -> RegistrationResult:
-        """T_target_source from a start near it.
+        """Refine T_target_source from a start close to the solution.
 
         Args:
-            views: places of the source's keyframes to look from; chosen by overlap without.
+            views: indices of the source keyframes to compare; chosen by overlap by default.
         """
         before = self.drawer.renders
         if views is None:
@@ -192,10 +192,10 @@ class FineRegistration:
             estimate = align(pairs, estimate, self.options.dense, finest_only=not far)
             moved = _farthest(sources, drawn_at, estimate.T_target_source)
             near = moved <= self.options.rerender_distance
-            # Steps may swing about an answer, by less than anyone asks of it, and never be small.
-            swings = moved <= _AT_REST * self.options.rerender_distance
-            at_rest = estimate.converged or (swings and estimate.pixels.sum() >= MIN_PIXELS)
-            # Far from the last drawing, an answer was never seen to be right.
+            # Steps may oscillate around the solution by less than the required accuracy.
+            oscillates = moved <= _AT_REST * self.options.rerender_distance
+            at_rest = estimate.converged or (oscillates and estimate.pixels.sum() >= MIN_PIXELS)
+            # Far from the last rendering, the estimate is not verified.
             estimate = replace(estimate, converged=bool(at_rest and near))
             if estimate.converged or round_ + 1 == self.options.renders:
                 break
@@ -254,7 +254,7 @@ class FineRegistration:
 
 
 def _farthest(sources: list[SourceView], T_before: Array, T_after: Array) -> float:
-    """The largest motion of a view, translation in median depths plus rotation in radians."""
+    """Largest motion of a view: translation in median depths plus rotation in radians."""
     motions = []
     for seen in sources:
         T = se3.inverse(T_before @ seen.T_source_camera) @ T_after @ seen.T_source_camera
@@ -266,9 +266,9 @@ def _farthest(sources: list[SourceView], T_before: Array, T_after: Array) -> flo
 def classes_clash(
     source: NDArray[np.int32] | None, target: NDArray[np.int32] | None, window: int
 ) -> NDArray[np.bool_] | None:
-    """Pixels [H, W] whose class the other view does not show within a window around them.
+    """Pixels [H, W] whose class does not occur in the other view within a window around them.
 
-    Void on either side clashes with nothing. None where a view has no classes.
+    Void matches everything. None if a view has no classes.
     """
     if source is None or target is None:
         return None

@@ -1,7 +1,7 @@
-"""One rigid motion from many hypotheses of it, some of them wrong.
+"""Robust average of many hypotheses of one rigid motion, some of them wrong.
 
-Residuals are those of G-5, `log((T_target_camera_i)^-1 T T_source_camera_i)`: measured in the
-cameras' own frames, where a wrong angle does not turn into metres at a far origin.
+The residuals are those of G-5, `log((T_target_camera_i)^-1 T T_source_camera_i)`. They are measured
+in the cameras' coordinates, where an error of the angle does not become metres at a far origin.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ class AverageOptions:
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """The motion that most hypotheses agree with.
+class MotionAverage:
+    """The robust mean of several hypotheses of one motion.
 
     Attributes:
         T_target_source: [4, 4].
         weights: [K] robust weight of each hypothesis, in [0, 1].
-        agree: [K] bool.
+        inliers: [K] bool, hypotheses within the tolerance.
         information: [6, 6] of x in T_target_source exp(x).
     """
 
     T_target_source: Array
     weights: Array
-    agree: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
     information: Array
     iterations: int
     converged: bool
@@ -60,16 +60,16 @@ def average_motion(
     T_source_camera: Array,
     options: AverageOptions | None = None,
     start: Array | None = None,
-) -> Agreement:
-    """The T with T T_source_camera_i nearest to T_target_camera_i, robustly (G-5).
+) -> MotionAverage:
+    """The T with T T_source_camera_i closest to T_target_camera_i, robustly (G-5).
 
-    Gauss-Newton with Geman and McClure's weights. It begins at the hypothesis that the others
-    cost least at, so that it works from anywhere and a majority of wrong ones that disagree
-    with each other does no harm.
+    Gauss-Newton with Geman-McClure weights. It starts at the hypothesis with the lowest cost, so
+    that no initial value is needed and a majority of wrong hypotheses that differ from each other
+    does not matter.
 
     Args:
         T_target_camera, T_source_camera: [K, 4, 4], K > 0.
-        start: [4, 4], one more place to begin.
+        start: [4, 4], a further initial value.
     """
     options = options or AverageOptions()
     hypotheses = [a @ se3.inverse(b) for a, b in zip(T_target_camera, T_source_camera, strict=True)]
@@ -95,8 +95,8 @@ def average_motion(
         T = se3.orthonormalise(T @ se3.exp(step))
         steps += 1
         converged = bool(np.linalg.norm(step) < _SMALL_STEP)
-    agree = np.linalg.norm(residuals, axis=1) < options.agree_within
-    return Agreement(T, weights, agree, np.asarray(H), steps, converged)
+    inliers = np.linalg.norm(residuals, axis=1) < options.agree_within
+    return MotionAverage(T, weights, inliers, np.asarray(H), steps, converged)
 
 
 def _units(options: AverageOptions) -> Array:

@@ -1,7 +1,7 @@
-"""One motion from the matched features of many pairs of keyframes together.
+"""One motion from the pooled feature matches of many pairs of keyframes.
 
-Two views that share little have too few matches to be believed by themselves. Several such
-pairs between the same submaps must all obey one motion, and together they can be.
+Two views with little overlap have too few matches for a reliable motion. Several such pairs between
+the same two submaps share one motion, and their pooled matches can be sufficient.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from toolkit.keyframe import Keyframe
 
 Array = NDArray[np.float64]
 
-# The more pairs, the smaller the share of right matches: more motions must be tried than for
-# two images, and more matches agree by chance.
+# With more pairs the inlier ratio is lower: more hypotheses are needed than for two images, and
+# more matches are inliers by chance.
 _MORE = 4
-# Matches of one pair that make it count as one that agrees, and how many of these it takes.
+# Minimum number of inliers of a pair that supports the motion, and minimum number of such pairs.
 _FEWEST_OF_A_PAIR, _FEWEST_PAIRS = 4, 2
 _ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class PooledMotion:
-    """The motion that most matches obey.
+    """The motion with most inliers.
 
     Attributes:
         T_target_source: [4, 4].
-        pairs: places, among the pairs given, of those with matches that obey it.
-        matches: how many do in all.
+        pairs: indices of the pairs that support it.
+        matches: number of inliers.
     """
 
     T_target_source: Array
@@ -48,8 +48,7 @@ def pooled_motion(
 ) -> PooledMotion | None:
     """T_target_source from the features of pairs (of the target, of the source), or None.
 
-    Nothing is believed that fewer than two pairs, or fewer than twice the matches that
-    `measure_offset` asks for, speak for.
+    The result needs at least two supporting pairs and twice the inliers of `measure_offset`.
     """
     found = [(place, match_features(*pair, options)) for place, pair in enumerate(pairs)]
     pool = [_Pooled(place, matched, *pairs[place]) for place, matched in found if matched]
@@ -77,7 +76,7 @@ def pooled_motion(
 
 
 class _Pooled:
-    """One pair's matches in the submaps' frames."""
+    """The matches of one pair in the coordinates of the submaps."""
 
     def __init__(self, place: int, matched: Matched, target: Keyframe, source: Keyframe) -> None:
         self.place, self._matched = place, matched
@@ -87,7 +86,7 @@ class _Pooled:
         self.in_source = se3.transform_points(source.T_map_camera, matched.second)
 
     def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
-        """Which matches [H, n] obey which motions T_target_source [H, 4, 4]."""
+        """Which matches are inliers [H, n] of which motions T_target_source [H, 4, 4]."""
         return self._matched.inliers(
             self._T_camera_target @ motions @ self._T_source_camera, options
         )

@@ -1,7 +1,7 @@
-"""What an alignment is worth, judged by looking: geometry and classes, seen from one side.
+"""Quality of a registration: agreement of geometry and classes in rendered views.
 
-Both views are of the same camera, so a source surface behind the target's is no occlusion
-but a contradiction: the source's camera looked through what the target says is solid.
+Both views are rendered from the same side. A source surface behind the target's is therefore no
+occlusion but a contradiction: the source's camera saw through a surface of the target.
 """
 
 from __future__ import annotations
@@ -82,11 +82,11 @@ def check_alignment(
     drawer: ViewDrawer,
     views: Sequence[int] | int = 5,
 ) -> AlignmentCheck:
-    """What two submaps look like from the source's keyframes, laid over each other.
+    """Compare renderings of two submaps from the poses of source keyframes.
 
     Args:
-        views: places of the source's keyframes to look from, or how many to choose: those
-            which a keyframe of the target sees most of.
+        views: indices of the source keyframes, or how many to choose: those with the largest
+            overlap with a target keyframe.
     """
     if isinstance(views, int):
         views = views_of_overlap(target, source, T_target_source, views)
@@ -101,10 +101,10 @@ def check_alignment(
 
 
 def compare(target: View, source: View, T_view_frame: Array | None = None) -> AlignmentCheck:
-    """Counts of one view of the source against one of the target.
+    """Compare one view of the source with one of the target; their cameras may differ.
 
     Args:
-        T_view_frame: [4, 4] pose of the source's camera in the target's view; the same without.
+        T_view_frame: [4, 4] pose of the source's camera in the target's view; identity by default.
     """
     depth = source.depth_m
     solid = depth > 0

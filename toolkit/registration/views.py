@@ -1,4 +1,4 @@
-"""Views that registration compares: drawn from a submap, or observed by a keyframe."""
+"""Views that registration compares: rendered from a submap, or observed by a keyframe."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.submaps.submap import Submap
 
-# A view that shares less than this is not looked from.
+# Views with a smaller overlap are not used.
 _LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class View:
-    """What a camera sees of a submap.
+    """A view of a submap.
 
     Attributes:
         level: intensity and depth; depth is 0 where there is no surface.
@@ -34,7 +34,7 @@ class View:
 
     @property
     def camera(self) -> Camera:
-        """The camera that sees it."""
+        """Intrinsics of the view."""
         return self.level.camera
 
     @property
@@ -44,10 +44,10 @@ class View:
 
 
 class ViewDrawer:
-    """Draws submaps, reads their classes, and counts what it drew.
+    """Renders submaps, decodes their classes, and counts the renderings.
 
     Args:
-        semantics: reads the features of the submaps; None leaves classes out.
+        semantics: decodes the features of the submaps; None leaves classes out.
         min_silhouette: thinner pixels have no surface.
         max_width: images are halved until they are no wider.
         centred: as `view_level` takes it.
@@ -79,14 +79,14 @@ class ViewDrawer:
         return self._backend.name
 
     def camera_of(self, keyframe: Keyframe) -> Camera:
-        """The keyframe's camera at the size that is drawn."""
+        """The keyframe's camera at the rendered size."""
         camera = keyframe.camera
         while camera.width > self._max_width:
             camera = camera.halved()
         return camera
 
     def draw(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
-        """A submap as a camera sees it."""
+        """Render a submap."""
         self.renders += 1
         options = DrawOptions(self._min_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
@@ -98,7 +98,7 @@ class ViewDrawer:
         return View(level, class_ids.reshape(camera.height, camera.width))
 
     def observed(self, keyframe: Keyframe) -> View:
-        """What a keyframe observed itself, at the size that is drawn."""
+        """The observed images of a keyframe, at the rendered size."""
         level = keyframe_level(keyframe)
         labels = None
         if self._semantics is not None and keyframe.labels is not None:
@@ -113,17 +113,17 @@ class ViewDrawer:
 def views_of_overlap(
     target: Submap, source: Submap, T_target_source: NDArray[np.float64], count: int
 ) -> list[int]:
-    """The source's keyframes whose surfaces some target keyframe saw most of, the best first.
+    """The source keyframes with the largest overlap with a target keyframe, in descending order.
 
-    From the same side, and with nothing in between: a wall between two rooms has two faces, and
-    views of one laid over the other are drawn through it, a wall's thickness away. Views that
-    share next to nothing are left out; nothing is left where all do.
+    Overlap counts points seen from the same side and without occlusion: the two faces of a wall
+    between rooms are close, but must not be aligned to each other. Views with little overlap are
+    left out; the list may be empty.
     """
     views = source.keyframes
     counts = np.array([len(k.points) for k in views])
     if not counts.any():
         return []
-    # All points of all views at once, in the target's frame, and from where each was seen.
+    # All points of all views in the target's coordinates, and the rays from their cameras.
     poses = np.array([T_target_source @ k.T_map_camera for k in views])
     parts = [k.points.astype(np.float64) for k in views]
     points = np.concatenate(
