@@ -36,15 +36,15 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.consensus import ConsensusOptions
-from toolkit.mapping.keyframes import KeyframePolicy
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.losses.semantic import SemanticLoss
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import ConsensusOptions, KeyframePolicy, MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.native import available_instruction_sets
 from toolkit.rendering import backend
 from toolkit.semantics.codes import SemanticCode, binary_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam import Slam
 from toolkit.tracking.dense import DenseTracker

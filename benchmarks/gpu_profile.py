@@ -14,11 +14,13 @@ from benchmarks.gpu_render import OurContest
 from benchmarks.gpu_report import Plan, row, table
 from benchmarks.gpu_scene import camera_of, pose_of, surface_cloud, walk
 from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.losses.semantic import SemanticLoss
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import backend
 from toolkit.semantics.codes import one_hot_code
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import DenseOptions
 

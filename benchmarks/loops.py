@@ -35,12 +35,8 @@ from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.colour_histogram import ColourHistogramEncoder
 from toolkit.features.dinov2 import Dinov2Encoder
 from toolkit.features.encoder import Encoder
-from toolkit.loops.candidates import (
-    CandidateFinder,
-    CandidateOptions,
-    DescribedKeyframe,
-    LoopCandidate,
-)
+from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
+from toolkit.loops.options import CandidateOptions
 from toolkit.options import validated
 from toolkit.result import SlamResult
 from toolkit.runs.settings import RunSettings

@@ -28,9 +28,9 @@ from toolkit.evaluation.loops import TrueViews, loop_metrics
 from toolkit.evaluation.run_loops import true_views
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.io.arrays import arrays_below
-from toolkit.loops.candidates import CandidateFinder, CandidateOptions, DescribedKeyframe
+from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
 from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
-from toolkit.loops.landmarks import Counted, LandmarkOptions
+from toolkit.loops.options import CandidateOptions, Counted, LandmarkOptions
 from toolkit.options import validated
 from toolkit.rendering import backend
 from toolkit.runs.building import build_run_labeller, build_slam

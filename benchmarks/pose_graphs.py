@@ -17,7 +17,8 @@ from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.pose_graph.files import graph_of
-from toolkit.pose_graph.solver import SolverOptions, solve
+from toolkit.pose_graph.options import SolverOptions
+from toolkit.pose_graph.solver import solve
 
 # After InitializePose3 and Levenberg-Marquardt, as GTSAM's readG2o reads the files.
 OPTIMA = {

@@ -23,15 +23,22 @@ from benchmarks.registration_pairs import Pair, draw_pairs, kitchen, pool, room
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
-from toolkit.baselines.clouds import CloudOptions, CloudRegistration
+from toolkit.baselines.clouds import CloudRegistration
 from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
 from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
-from toolkit.loops.verification import VerificationOptions, objection
-from toolkit.registration.coarse import CoarseOptions, CoarseRegistration
-from toolkit.registration.fine import FineOptions, FineRegistration, FirstOrderFineOptions
+from toolkit.loops.options import VerificationOptions
+from toolkit.loops.verification import objection
+from toolkit.registration.coarse import CoarseRegistration
+from toolkit.registration.fine import FineRegistration
+from toolkit.registration.options import (
+    CloudOptions,
+    CoarseOptions,
+    FineOptions,
+    FirstOrderFineOptions,
+)
 from toolkit.registration.result import Registrar, RegistrationResult
 from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.views import ViewDrawer

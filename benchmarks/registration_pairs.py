@@ -23,7 +23,8 @@ from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.factory import build_mapper, build_semantic_mapping
+from toolkit.mapping.factory import build_semantic_mapping
+from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
@@ -115,7 +116,7 @@ def piece(
 ) -> Piece:
     """Some frames mapped at their true poses, in an arbitrary coordinate frame."""
     settings = RunSettings()
-    mapper = build_mapper(settings.mapping, generator, semantics=recording.semantics)
+    mapper = Mapper(settings.mapping, generator, semantics=recording.semantics)
     T_submap_world = anywhere(generator) @ se3.inverse(recording.T_world_camera[numbers[0]])
     for i in numbers:
         frame = recording.frames[i]

@@ -16,7 +16,7 @@ from benchmarks.tables import Table, Target, target_table
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.factory import build_mapper, build_semantic_mapping
+from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
 from toolkit.options import validated
 from toolkit.rendering import backend
@@ -82,7 +82,7 @@ class MappedView:
         chosen = build_code(settings.semantics.code, taxonomy)
         semantics = build_semantic_mapping(settings.semantics, chosen, 0)
         generator = np.random.default_rng(0)
-        return build_mapper(settings.mapping, generator, "auto", None, semantics)
+        return Mapper(settings.mapping, generator, "auto", None, semantics)
 
     def step(self) -> dict[str, float]:
         """Seconds of the renderer's two passes by themselves and of a whole mapping step."""

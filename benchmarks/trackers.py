@@ -20,8 +20,8 @@ from benchmarks.tables import Metrics, table_of
 from toolkit.baselines.factory import build_tracker
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
-from toolkit.mapping.factory import build_mapper
-from toolkit.settings.mapping import MappingSettings
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.slam import Slam
 from toolkit.tracking.options import DenseOptions, TrackingOptions
 
@@ -118,8 +118,8 @@ def measure(job: list[str], seed: int) -> Metrics:
     dataset = open_dataset(recording.kind, recording.path, recording.image_size, sequence.until)
     missing = range(*sequence.without)
     indices = [i for i in range(0, len(dataset), sequence.every) if i not in missing]
-    mapping = MappingSettings(centred=settings.kind == "dense")
-    mapper = build_mapper(mapping, np.random.default_rng(seed), "auto")
+    mapping = MapperOptions(centred=settings.kind == "dense")
+    mapper = Mapper(mapping, np.random.default_rng(seed), "auto")
     slam = Slam(build_tracker(settings), mapper)
     renders = []
     for place, index in enumerate(tqdm(indices, file=sys.stderr, leave=False)):

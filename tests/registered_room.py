@@ -16,10 +16,12 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.losses.semantic import SemanticLoss
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.semantics.codes import flat_code
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.submap import Submap
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.gaussians.options import SeedingOptions
+from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper

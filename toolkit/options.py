@@ -189,7 +189,7 @@ def _first_error(kind: type, error: ValidationError, shown: Callable[[str], str]
     errors = error.errors()
     first = errors[0]
     key = ".".join(str(part) for part in first["loc"][1:])
-    if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+    if first["type"] == "unexpected_keyword_argument":
         text = f"unknown {shown(key)}" + suggestion(kind, key, shown)
     else:
         reason = first["msg"][0].lower() + first["msg"][1:]

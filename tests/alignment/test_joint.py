@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from registered_room import Scene, error, motion
 
-from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, model_level, pyramid
+from toolkit.alignment.options import JointOptions
 from toolkit.geometry import se3
 
 LEVELS = 3

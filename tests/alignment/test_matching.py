@@ -11,13 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, seen_by
 
-from toolkit.alignment.matching import (
-    Matched,
-    MatchingOptions,
-    match_features,
-    measure_offset,
-    rigid_fits,
-)
+from toolkit.alignment.matching import Matched, match_features, measure_offset, rigid_fits
+from toolkit.alignment.options import MatchingOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera

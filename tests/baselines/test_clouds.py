@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
-from toolkit.baselines.clouds import CloudOptions, CloudRegistration, scaled_information
+from toolkit.baselines.clouds import CloudRegistration, scaled_information
 from toolkit.geometry import se3
+from toolkit.registration.options import CloudOptions
 
 
 @pytest.mark.parametrize("search", ["ransac", "fast"])

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 import torch
 from registered_room import motion
 
-from toolkit.baselines.clouds import CloudOptions, CloudRegistration
+from toolkit.baselines.clouds import CloudRegistration
 from toolkit.baselines.factory import build_registrar, needs_describer
 from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.factory import build_describer
-from toolkit.registration.coarse import CoarseOptions
+from toolkit.features.options import FeatureOptions
+from toolkit.options import validated
 from toolkit.registration.factory import build_drawer
-from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.fine import FineRegistration
+from toolkit.registration.options import (
+    RegistrationOptions,
+)
 from toolkit.registration.result import RegistrationResult
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration
-from toolkit.settings.features import FeatureSettings
-from toolkit.settings.registration import (
-    CloudSettings,
-    CoarseSettings,
-    FineSettings,
-    RegistrationSettings,
-)
 
 KINDS = {
     "sgr": SemanticGuidedRegistration,
@@ -38,13 +33,13 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_can_be_built(kind):
-    settings = RegistrationSettings(kind=kind)
+    settings = RegistrationOptions(kind=kind)
     drawer = build_drawer(settings)
     assert isinstance(build_registrar(settings, 3, drawer), KINDS[kind])
 
 
 def test_two_way_takes_the_place_of_the_fine_stage():
-    settings = RegistrationSettings(kind="two-way")
+    settings = RegistrationOptions(kind="two-way")
     registrar = build_registrar(settings, 3, build_drawer(settings))
     assert isinstance(registrar, SemanticGuidedRegistration)
     assert isinstance(registrar.refiner, TwoWayRegistration)
@@ -63,9 +58,9 @@ def test_the_feature_term_describes_views_with_the_given_encoder(kind, room, mon
     plain = BuiltinEncoder.describe
     monkeypatch.setattr(BuiltinEncoder, "describe", describe)
     few = {"optimiser": "first-order", "views": 1, "first_order": {"iterations": 1}}
-    settings = RegistrationSettings.model_validate({"kind": kind, "fine": few})
+    settings = validated(RegistrationOptions, {"kind": kind, "fine": few})
     assert needs_describer(settings)
-    describer = build_describer(FeatureSettings())
+    describer = build_describer(FeatureOptions())
     registrar = build_registrar(settings, 3, build_drawer(settings), describer)
     registrar.register(room.target, room.source, room.T_target_source)
     assert True in described and False in described  # of the target, and of the frozen source
@@ -75,9 +70,9 @@ def test_the_feature_term_has_a_weight(room):
     def found(feature: float) -> RegistrationResult:
         few = {"iterations": 2, "feature": feature}
         values = {"optimiser": "first-order", "views": 1, "first_order": few}
-        settings = RegistrationSettings.model_validate({"kind": "fine", "fine": values})
+        settings = validated(RegistrationOptions, {"kind": "fine", "fine": values})
         assert needs_describer(settings) is (feature > 0)
-        describer = build_describer(FeatureSettings())
+        describer = build_describer(FeatureOptions())
         start = room.T_target_source @ motion(1, 0.02, 1.0)
         registrar = build_registrar(settings, 3, build_drawer(settings), describer)
         return registrar.register(room.target, room.source, start)
@@ -86,24 +81,11 @@ def test_the_feature_term_has_a_weight(room):
 
 
 def test_settings_arrive():
-    settings = RegistrationSettings.model_validate(
-        {"coarse": {"offsets": "none"}, "fine": {"dense": {"levels": 2}}}
+    settings = validated(
+        RegistrationOptions, {"coarse": {"offsets": "none"}, "fine": {"dense": {"levels": 2}}}
     )
     registrar = build_registrar(settings, 3, build_drawer(settings))
     assert isinstance(registrar, SemanticGuidedRegistration)
     assert registrar.options.seed == 3
     assert registrar.options.coarse.offsets == "none"
     assert registrar.options.fine.dense.levels == 2
-
-
-@pytest.mark.parametrize(
-    ("options", "settings"),
-    [(CoarseOptions(), CoarseSettings()), (FineOptions(), FineSettings())],
-    ids=["coarse", "fine"],
-)
-def test_defaults_of_options_and_settings_are_equal(options, settings):
-    assert asdict(options) == settings.model_dump()
-
-
-def test_defaults_of_clouds_are_equal():
-    assert asdict(CloudOptions()) == CloudSettings().model_dump() | {"seed": 0}

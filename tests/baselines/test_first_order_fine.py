@@ -11,7 +11,7 @@ from toolkit.baselines.first_order_fine import FirstOrderFineRegistration, _Obje
 from toolkit.baselines.view_features import ViewFeatures
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
-from toolkit.registration.fine import FineOptions, FirstOrderFineOptions
+from toolkit.registration.options import FineOptions, FirstOrderFineOptions
 from toolkit.rendering import render
 
 

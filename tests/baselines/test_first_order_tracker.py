@@ -31,7 +31,8 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import backend
 from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy

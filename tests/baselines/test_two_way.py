@@ -5,7 +5,8 @@ from __future__ import annotations
 from registered_room import Scene, error, motion
 
 from toolkit.baselines.two_way import TwoWayRegistration
-from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.fine import FineRegistration
+from toolkit.registration.options import FineOptions
 from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
 
 

@@ -10,28 +10,33 @@ import pytest
 import torch
 
 from toolkit.alignment.data import ResidualScales
-from toolkit.alignment.matching import MatchingOptions, Offset
+from toolkit.alignment.matching import Offset
+from toolkit.alignment.options import MatchingOptions
 from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
-from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.options import ClosingOptions
+from toolkit.closing.parts import ClosingParts
 from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.loops.candidates import CandidateFinder, CandidateOptions
+from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
+from toolkit.loops.options import CandidateOptions, VerificationOptions
 from toolkit.loops.relocalisation import LastSeen, Relocaliser
-from toolkit.loops.verification import VerificationOptions, objection
-from toolkit.mapping.mapper import Mapper, MapperOptions
-from toolkit.pose_graph.consistency import ConsistencyOptions
+from toolkit.loops.verification import objection
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.options import ConsistencyOptions, LoopNoiseOptions
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.result import RegistrationResult, failed
-from toolkit.submaps.allocation import Allocation, AllocationOptions
-from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.submaps.allocation import Allocation
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.options import AllocationOptions, BoundaryOptions
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(
@@ -106,7 +111,7 @@ def closed(
         verification=VerificationOptions(),
         consistency=ConsistencyOptions(),
         noise=OdometryNoise(),
-        loop_noise=LoopNoise(edge_m=0.001, edge_rad=0.001),
+        loop_noise=LoopNoise(LoopNoiseOptions(edge_m=0.001, edge_rad=0.001)),
         optimiser=PoseGraphOptimiser(),
     )
     closer = LoopCloser(detector, parts, options, log)

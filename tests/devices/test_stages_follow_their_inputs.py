@@ -15,7 +15,8 @@ from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import map_device
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import DenseOptions, FirstOrderOptions

@@ -11,8 +11,8 @@ import torch
 from toolkit.errors import DependencyError, FormatError, SettingsError
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.factory import build_describer, build_encoder
+from toolkit.features.options import Dinov2Options, FeatureOptions
 from toolkit.features.sources import ViewDescriber
-from toolkit.settings.features import Dinov2Settings, FeatureSettings
 
 
 @pytest.fixture(autouse=True)
@@ -48,15 +48,15 @@ def test_a_missing_semantic_picture_is_an_error(views):
 
 @pytest.mark.parametrize("kind", ["builtin", "colour-histogram"])
 def test_settings_name_the_encoder(kind):
-    describer = build_describer(FeatureSettings(kind=kind, source="semantic"))
+    describer = build_describer(FeatureOptions(kind=kind, source="semantic"))
     assert describer.name == f"{kind}/semantic"
     assert describer.dimensions == 384
-    assert describer.threshold == build_encoder(FeatureSettings(kind=kind)).threshold
+    assert describer.threshold == build_encoder(FeatureOptions(kind=kind)).threshold
 
 
 def test_a_model_from_settings(tiny_dinov2, views):
-    settings = Dinov2Settings(folder=tiny_dinov2, pooling="mean", longest_side=40, device="cpu")
-    encoder = build_encoder(FeatureSettings(kind="dinov2", dinov2=settings))
+    settings = Dinov2Options(folder=tiny_dinov2, pooling="mean", longest_side=40, device="cpu")
+    encoder = build_encoder(FeatureOptions(kind="dinov2", dinov2=settings))
     assert encoder.describe(views).shape == (6, 16)
 
 
@@ -77,24 +77,24 @@ def test_a_models_tokens_are_those_of_the_library(tiny_dinov2, views):
 
 def test_a_model_without_a_folder_names_the_setting():
     with pytest.raises(SettingsError, match=r"--loops\.features\.dinov2\.folder"):
-        build_encoder(FeatureSettings(kind="dinov2"))
+        build_encoder(FeatureOptions(kind="dinov2"))
 
 
 def test_a_folder_without_weights_is_told_in_one_line(tiny_dinov2, tmp_path):
-    empty = FeatureSettings(kind="dinov2", dinov2=Dinov2Settings(folder=tmp_path))
+    empty = FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=tmp_path))
     with pytest.raises(FormatError, match=r"config\.json"):
         build_encoder(empty)
     copy = shutil.copytree(tiny_dinov2, tmp_path / "copy")
     (copy / "model.safetensors").unlink()
     with pytest.raises(FormatError, match="download it again") as caught:
-        build_encoder(FeatureSettings(kind="dinov2", dinov2=Dinov2Settings(folder=copy)))
+        build_encoder(FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=copy)))
     assert "\n" not in str(caught.value)
 
 
 def test_missing_transformers_come_with_the_remedy(tiny_dinov2, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(DependencyError, match="pip install"):
-        build_encoder(FeatureSettings(kind="dinov2", dinov2=Dinov2Settings(folder=tiny_dinov2)))
+        build_encoder(FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=tiny_dinov2)))
 
 
 def test_a_model_without_a_class_token_asks_for_the_mean(tmp_path, views):

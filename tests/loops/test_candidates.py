@@ -9,15 +9,8 @@ import pytest
 
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
-from toolkit.loops.candidates import (
-    CandidateFinder,
-    CandidateOptions,
-    DescribedKeyframe,
-    LoopCandidate,
-)
-from toolkit.loops.factory import build_candidate_finder
-from toolkit.loops.landmarks import LandmarkOptions
-from toolkit.settings.loops import CandidateSettings, LandmarkSettings, LoopSettings
+from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
+from toolkit.loops.options import CandidateOptions, LandmarkOptions
 
 pytest.importorskip("faiss")
 
@@ -217,12 +210,11 @@ def test_a_keyframe_out_of_order_or_of_other_classes_is_refused():
     assert len(finder) == 3
 
 
-def test_a_finder_from_settings_takes_the_describers_threshold():
+def test_the_threshold_of_a_describer_separates_similar_views():
     describer = ViewDescriber(BuiltinEncoder())
-    candidates = CandidateSettings(search_every=1, min_gap_frames=1, min_gap_m=0.0)
-    landmarks = LandmarkSettings(weighting="linear")
-    settings = LoopSettings(candidates=candidates, landmarks=landmarks)
-    finder = build_candidate_finder(settings, describer)
+    candidates = CandidateOptions(search_every=1, min_gap_frames=1, min_gap_m=0.0)
+    landmarks = LandmarkOptions(weighting="linear")
+    finder = CandidateFinder(describer.dimensions, describer.threshold, candidates, landmarks)
     here = np.zeros(384, np.float32)
     here[0] = 1.0
     angle = 1.1 * describer.threshold

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
+from toolkit.closing.options import LoopClosureOptions
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.exposure import IDENTITY
@@ -14,14 +15,15 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.loops.class_counts import LabelledPixels, ObservedGaussians
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.loops.options import LandmarkOptions
+from toolkit.losses.semantic import SemanticLoss
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import backend
 from toolkit.semantics.codes import flat_code
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.loop_closure import LoopClosureSettings
-from toolkit.settings.loops import LandmarkSettings
 from toolkit.submaps.atlas import Atlas
 
 NAMES = ["wall", "chair", "table", "lamp"]
@@ -99,7 +101,7 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
     mapper = Mapper(MapperOptions(first_iterations=1), semantics=reading)
     atlas = Atlas(mapper)
     mapper.add_keyframe(Keyframe.from_frame(labelled_frame, np.eye(4)))
-    settings = LoopClosureSettings(landmarks=LandmarkSettings(counted=counted))
+    settings = LoopClosureOptions(landmarks=LandmarkOptions(counted=counted))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
     closer.observe(atlas)
     counter = {

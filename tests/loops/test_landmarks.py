@@ -9,13 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.loops.landmarks import (
-    LandmarkOptions,
-    gaussian_idf,
-    keyframe_idf,
-    landmark_distance,
-    landmark_vectors,
-)
+from toolkit.loops.landmarks import gaussian_idf, keyframe_idf, landmark_distance, landmark_vectors
+from toolkit.loops.options import LandmarkOptions
 
 # Wall and floor everywhere; a bed in one place, a desk in another.
 WALL, FLOOR, BED, DESK, NOWHERE = range(5)

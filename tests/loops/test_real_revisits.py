@@ -12,7 +12,8 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.geometry.frustum import far_depth_m, observed_points
-from toolkit.loops.candidates import CandidateFinder, CandidateOptions, DescribedKeyframe
+from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
+from toolkit.loops.options import CandidateOptions
 
 pytest.importorskip("faiss")
 

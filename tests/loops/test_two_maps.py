@@ -8,6 +8,7 @@ import pytest
 from toolkit.alignment.data import ResidualScales
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.loops.options import VerificationOptions
 from toolkit.loops.two_maps import (
     AlikeSubmaps,
     MapRegistration,
@@ -15,7 +16,6 @@ from toolkit.loops.two_maps import (
     choose,
     register_at,
 )
-from toolkit.loops.verification import VerificationOptions
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.submap import Submap
 

@@ -12,7 +12,8 @@ from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from toolkit.geometry.camera import Camera
-from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss, ssim_torch
+from toolkit.losses.options import RgbdLossWeights
+from toolkit.losses.photometric import rgbd_loss, ssim_torch
 from toolkit.rendering import SurfaceView
 
 PLACE = Camera(40.0, 41.0, 20.0, 17.0, 45, 37), np.eye(4)  # of a view; the losses use neither

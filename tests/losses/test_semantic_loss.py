@@ -8,10 +8,11 @@ import torch
 
 from toolkit.losses import semantic
 from toolkit.losses.photometric import ssim_torch
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights, semantic_loss_torch
+from toolkit.losses.semantic import SemanticLoss, semantic_loss_torch
 from toolkit.native import available_instruction_sets, load_variant
 from toolkit.semantics.codes import ColourCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 
 TREE = Taxonomy(

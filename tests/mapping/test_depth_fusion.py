@@ -13,7 +13,8 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.depth_fusion import MeasuredCentres, measured_centres
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=19.5, cy=14.5)
 WALL_M = 4.0

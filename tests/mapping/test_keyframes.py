@@ -12,7 +12,8 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.keyframes import KeyframePolicy, choose_window
+from toolkit.mapping.keyframes import choose_window
+from toolkit.mapping.options import KeyframePolicy
 
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
 

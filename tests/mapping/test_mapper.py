@@ -11,17 +11,14 @@ from mapped_room import depth_error_m, fed, psnr_db, same_bits
 
 from toolkit.exposure import Exposure
 from toolkit.features.builtin import BuiltinEncoder
-from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.losses import photometric
 from toolkit.mapping import sparse_adam
-from toolkit.mapping.factory import build_mapper
-from toolkit.mapping.keyframes import KeyframePolicy
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.mapping.surfaces import Surfaces
 from toolkit.rendering import surface
 from toolkit.rendering.texture import resample_at_centres
-from toolkit.settings.mapping import MappingSettings
 
 UNTOUCHED = MapperOptions(iterations=0, first_iterations=0, final_iterations=0)
 FEW = MapperOptions(iterations=4, first_iterations=8, final_iterations=1)
@@ -200,15 +197,6 @@ def test_it_works_without_compiled_kernels(room, monkeypatch):
     assert psnr_db(slow, room.frames[0], pose) == pytest.approx(
         psnr_db(fast, room.frames[0], pose), abs=0.2
     )
-
-
-def test_the_factory_passes_the_settings_on():
-    settings = MappingSettings(iterations=7, keyframes={"interval": 9}, rates={"colours": 0.5})
-    mapper = build_mapper(settings, np.random.default_rng(0))
-    assert mapper.options.iterations == 7
-    assert mapper.options.keyframes.interval == 9
-    assert mapper.optimiser.rates.colours == 0.5
-    assert isinstance(mapper.gaussians, GaussianCloud) and len(mapper.gaussians) == 0
 
 
 def test_bundle_adjustment_draws_a_wrong_pose_back(room):

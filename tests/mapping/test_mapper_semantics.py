@@ -12,12 +12,14 @@ from mapped_room import fed, same_bits
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.losses.semantic import SemanticLoss
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import DrawOptions, backend, draw_surface
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 
 TREE = Taxonomy(

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from toolkit.frame import Frame
-from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.gaussians.options import SeedingOptions
+from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 

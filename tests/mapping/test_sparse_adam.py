@@ -12,7 +12,8 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.mapping import sparse_adam
-from toolkit.mapping.sparse_adam import BETA1, BETA2, LearningRates, SparseAdam
+from toolkit.mapping.options import LearningRates
+from toolkit.mapping.sparse_adam import BETA1, BETA2, SparseAdam
 from toolkit.native import available_instruction_sets, load_variant
 
 PLAIN = ("log_radii", "opacity_logits", "colours", "features")  # parameters in their own unit

@@ -8,16 +8,19 @@ from walks import composed
 
 from toolkit.geometry import se3
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise, path_between
+from toolkit.pose_graph.options import LoopNoiseOptions, OdometryNoiseOptions
 
 NOISE = OdometryNoise(
-    scale=4.0,
-    edge_m=0.1,
-    edge_rad=0.2,
-    per_metre_m=0.3,
-    per_metre_rad=0.4,
-    per_radian_m=0.5,
-    per_radian_rad=0.6,
-    unseen=1e6,
+    OdometryNoiseOptions(
+        scale=4.0,
+        edge_m=0.1,
+        edge_rad=0.2,
+        per_metre_m=0.3,
+        per_metre_rad=0.4,
+        per_radian_m=0.5,
+        per_radian_rad=0.6,
+        unseen=1e6,
+    )
 )
 
 
@@ -31,7 +34,7 @@ def test_every_term_is_where_it_belongs() -> None:
 
 
 def test_what_was_not_seen_has_the_width_of_ignorance() -> None:
-    noise = OdometryNoise(unseen=0.5)
+    noise = OdometryNoise(OdometryNoiseOptions(unseen=0.5))
     corridor = np.diag([0.0, 1e8, 1e8, 1e9, 1e9, 1e9])
     sigmas = np.sqrt(np.diag(noise.covariance(corridor, 0.0, 0.0)))
     assert sigmas[0] == pytest.approx(0.5, rel=1e-2)
@@ -57,7 +60,9 @@ def test_the_path_counts_and_not_the_distance_of_its_ends() -> None:
 
 
 def test_cutting_a_path_into_edges_adds_the_edges_constant_alone() -> None:
-    noise = OdometryNoise(edge_m=1e-6, edge_rad=1e-6, per_metre_rad=1e-9, per_radian_rad=1e-9)
+    noise = OdometryNoise(
+        OdometryNoiseOptions(edge_m=1e-6, edge_rad=1e-6, per_metre_rad=1e-9, per_radian_rad=1e-9)
+    )
     poses = steps_of(12, np.array([0.05, 0.0, 0.1, 0.0, 0.0, 0.0]))
     certain = 1e14 * np.eye(6)
     whole = noise.along(0, 12, poses, certain)
@@ -76,7 +81,9 @@ def test_an_edge_is_the_motion_from_the_first_frame_to_the_last() -> None:
 
 def test_a_registration_becomes_a_loop() -> None:
     T = se3.exp(np.array([0.3, 0.0, 0.1, 0.0, 0.4, 0.0]))
-    edge = LoopNoise(scale=2.0, edge_m=0.1, edge_rad=0.2, unseen=1e6).edge(4, 1, T, np.eye(6))
+    edge = LoopNoise(LoopNoiseOptions(scale=2.0, edge_m=0.1, edge_rad=0.2, unseen=1e6)).edge(
+        4, 1, T, np.eye(6)
+    )
     assert (edge.first, edge.second, edge.kind, edge.robust) == (4, 1, "loop", True)
     assert np.array_equal(edge.T_first_second, T)
     np.testing.assert_allclose(edge.covariance, np.diag([2.01] * 3 + [2.04] * 3), rtol=1e-9)

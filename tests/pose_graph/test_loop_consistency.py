@@ -13,8 +13,9 @@ from walks import ODOMETRY, composed, walk
 from toolkit.geometry import se3
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.clique import largest_clique
-from toolkit.pose_graph.consistency import ConsistencyOptions, OdometryChain, consistent_loops
+from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.graph import PoseEdge, information_of
+from toolkit.pose_graph.options import ConsistencyOptions
 
 FEW = settings(deadline=None, max_examples=15)
 seeds = st.integers(0, 2**16)

@@ -23,7 +23,8 @@ from toolkit.pose_graph.correction import (
     submap_graph,
 )
 from toolkit.pose_graph.graph import PoseEdge
-from toolkit.pose_graph.solver import SolverOptions, solve
+from toolkit.pose_graph.options import SolverOptions
+from toolkit.pose_graph.solver import solve
 from toolkit.submaps.submap import Submap
 
 FEW = settings(deadline=None, max_examples=15)

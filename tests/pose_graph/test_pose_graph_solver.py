@@ -18,7 +18,8 @@ from toolkit.geometry import se3
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.pose_graph.files import graph_of
 from toolkit.pose_graph.graph import PoseEdge, PoseGraph, information_of
-from toolkit.pose_graph.solver import SolverOptions, kernel_weights, solve
+from toolkit.pose_graph.options import SolverOptions
+from toolkit.pose_graph.solver import kernel_weights, solve
 
 FEW = settings(deadline=None, max_examples=8)
 seeds = st.integers(0, 2**16)

@@ -10,17 +10,10 @@ from walks import Walk, walk
 
 from toolkit.geometry import se3
 from toolkit.pose_graph.chi_square import quantile
-from toolkit.pose_graph.factory import (
-    build_consistency,
-    build_loop_noise,
-    build_odometry_noise,
-    build_optimiser,
-)
 from toolkit.pose_graph.graph import PoseEdge, information_of
-from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
-from toolkit.pose_graph.retraction import PoseGraphOptimiser, RetractionOptions
-from toolkit.pose_graph.solver import SolverOptions, solve
-from toolkit.settings.pose_graph import PoseGraphSettings
+from toolkit.pose_graph.options import SolverOptions
+from toolkit.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.pose_graph.solver import solve
 
 FEW = settings(deadline=None, max_examples=3)
 seeds = st.integers(0, 2**16)
@@ -142,21 +135,3 @@ def test_the_same_loops_go_each_time() -> None:
     assert np.array_equal(first.chi2, second.chi2)
     for node, T in first.T_world_node.items():
         assert np.array_equal(T, second.T_world_node[node])
-
-
-def test_parts_from_settings() -> None:
-    chosen = PoseGraphSettings.model_validate(
-        {
-            "solver": {"kernel": "huber", "kernel_width": 2.0},
-            "retraction": {"confidence": 0.9},
-            "odometry": {"scale": 7.0},
-            "loops": {"edge_m": 0.5},
-            "consistency": {"exact_up_to": 5},
-        }
-    )
-    optimiser = build_optimiser(chosen)
-    assert optimiser.solver == SolverOptions(kernel="huber", kernel_width=2.0)
-    assert optimiser.retraction == RetractionOptions(confidence=0.9)
-    assert build_odometry_noise(chosen) == OdometryNoise(scale=7.0)
-    assert build_loop_noise(chosen) == LoopNoise(edge_m=0.5)
-    assert build_consistency(chosen).exact_up_to == 5

@@ -41,7 +41,7 @@ def test_the_layers_are_kept(checkout):
     [
         ("geometry/camera.py", "import toolkit.tracking", "Each layer imports only"),
         ("io/images.py", "import open3d", "Heavy libraries"),
-        ("mapping/keyframes.py", "import toolkit.settings", "Of each stage"),
+        ("mapping/options.py", "import numpy", "Declared options"),
         # A module that the table does not name belongs nowhere.
         ("utils.py", "", "Each layer imports only"),
     ],

@@ -15,7 +15,8 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import render
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import DenseOptions

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved, thumbnail
 
 from toolkit.geometry import se3
-from toolkit.registration.coarse import CoarseOptions, descriptor_pairs, register_coarse
+from toolkit.registration.coarse import descriptor_pairs, register_coarse
+from toolkit.registration.options import CoarseOptions
 
 NOWHERE_NEAR = motion(4, 7.0, 150.0)
 

@@ -12,11 +12,8 @@ from registered_room import Scene, error, motion
 from toolkit.alignment.joint import align
 from toolkit.geometry import se3
 from toolkit.registration import fine
-from toolkit.registration.fine import (
-    FineOptions,
-    FineRegistration,
-    classes_clash,
-)
+from toolkit.registration.fine import FineRegistration, classes_clash
+from toolkit.registration.options import FineOptions
 from toolkit.registration.views import ViewDrawer
 
 

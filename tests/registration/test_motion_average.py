@@ -9,11 +9,8 @@ from hypothesis import strategies as st
 from registered_room import error, motion
 
 from toolkit.geometry import se3
-from toolkit.registration.motion_average import (
-    AverageOptions,
-    _inverse_right_jacobian,
-    average_motion,
-)
+from toolkit.registration.motion_average import _inverse_right_jacobian, average_motion
+from toolkit.registration.options import AverageOptions
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from registered_room import Scene, error, motion, moved
 
-from toolkit.alignment.matching import MatchingOptions
+from toolkit.alignment.options import MatchingOptions
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.registration.coarse import CoarseOptions, register_coarse
-from toolkit.registration.motion_average import AverageOptions
+from toolkit.registration.coarse import register_coarse
+from toolkit.registration.options import AverageOptions, CoarseOptions
 from toolkit.registration.pooled import pooled_motion
 
 # What the coarse stage's information claims of a hypothesis: features alone are no better in so

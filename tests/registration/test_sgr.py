@@ -10,7 +10,7 @@ from registered_room import Scene, error, motion, moved, seen_by
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.registration.fine import FineOptions
+from toolkit.registration.options import FineOptions
 from toolkit.registration.result import register_pair
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
 

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.gaussians.options import SeedingOptions
+from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import DrawOptions, backend, draw_surface, surface

@@ -8,15 +8,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.semantics.codes import (
-    CodeOptions,
-    ColourCode,
-    SemanticCode,
-    binary_code,
-    flat_code,
-    one_hot_code,
-)
+from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoding import decode
+from toolkit.semantics.options import CodeOptions
 from toolkit.semantics.taxonomy import Taxonomy
 
 

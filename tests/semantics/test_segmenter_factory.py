@@ -10,16 +10,17 @@ from pydantic import ValidationError
 
 from toolkit.errors import DatasetError, FormatError, SettingsError
 from toolkit.io.images import write_png
+from toolkit.options import validated
 from toolkit.semantics.factory import build_segmenter
+from toolkit.semantics.options import SegmenterOptions
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
 from toolkit.semantics.segmenters.recorded import RecordedLabels
 from toolkit.semantics.segmenters.unlabelled import Unlabelled
-from toolkit.settings.semantics import SegmenterSettings
 
 
-def settings(**values) -> SegmenterSettings:
-    return SegmenterSettings.model_validate(values)
+def settings(**values) -> SegmenterOptions:
+    return validated(SegmenterOptions, values)
 
 
 def test_auto_takes_the_data_sets_labels_or_else_geometry():

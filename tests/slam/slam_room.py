@@ -14,9 +14,11 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
+from toolkit.options import validated
 from toolkit.semantics.factory import build_code
-from toolkit.settings.semantics import SemanticsSettings
+from toolkit.semantics.options import SemanticsOptions
 from toolkit.slam import FrameResult, Slam
 from toolkit.taxonomy_building.factory import build_labeller
 from toolkit.tracking.dense import DenseTracker
@@ -46,8 +48,9 @@ def new_slam(seed: int = 0, placed: bool = True) -> Slam:
 
 def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
     """With labels of the room's own ("recorded") or of its planes ("geometric")."""
-    settings = SemanticsSettings.model_validate(
-        {"segmenter": {"kind": kind}, "network": {"use": True}, "loss": {"inter_from": 1}}
+    settings = validated(
+        SemanticsOptions,
+        {"segmenter": {"kind": kind}, "network": {"use": True}, "loss": {"inter_from": 1}},
     )
     labeller = build_labeller(settings, dict(enumerate(CLASS_NAMES, start=1)))
     assert labeller is not None

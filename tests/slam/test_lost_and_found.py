@@ -9,14 +9,16 @@ import pytest
 from slam_room import FEW, blind_frames, fed, fingerprint, first_steps
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
+from toolkit.closing.options import LoopClosureOptions
 from toolkit.exposure import IDENTITY
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.settings.loop_closure import LoopClosureSettings
+from toolkit.options import validated
 from toolkit.slam import Slam
-from toolkit.submaps.allocation import Allocation, AllocationOptions
+from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.options import AllocationOptions
 from toolkit.submaps.store import SubmapStore
 from toolkit.tracking.dense import DenseTracker
 
@@ -27,11 +29,12 @@ def room():
 
 
 def new_slam(patience=3, max_keyframes=150, folder=None):
-    settings = LoopClosureSettings.model_validate(
+    settings = validated(
+        LoopClosureOptions,
         {
             "relocalisation": {"patience": patience},
             "registration": {"coarse": {"matching": {"min_matches": 6}}},
-        }
+        },
     )
     mapper = Mapper(FEW, np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))

@@ -17,7 +17,8 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.geometry import se3
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import render
 from toolkit.runs.folder import RunFolder
 from toolkit.slam import Slam

@@ -15,20 +15,17 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper, MapperOptions
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import render
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.trees import shipped_taxonomy
-from toolkit.settings.submaps import AllocationSettings
 from toolkit.slam import Slam
-from toolkit.submaps.allocation import (
-    Allocation,
-    AllocationOptions,
-    path_length_m,
-)
-from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.submaps.allocation import Allocation, path_length_m
+from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.factory import allocation_options
+from toolkit.submaps.options import AllocationOptions, BoundaryOptions
 from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
@@ -108,11 +105,11 @@ class TestAllocation:
 
     def test_each_segmenter_has_its_own_threshold(self):
         labeller = Labeller(GeometricSegmenter(), shipped_taxonomy("geometric"))
-        own = allocation_options(AllocationSettings(), labeller)
+        own = allocation_options(AllocationOptions(), labeller)
         assert own.min_divergence == labeller.segmenter.place_divergence < 0.4
-        asked = allocation_options(AllocationSettings(min_divergence=0.7), labeller)
+        asked = allocation_options(AllocationOptions(min_divergence=0.7), labeller)
         assert asked.min_divergence == 0.7
-        assert allocation_options(AllocationSettings(), None) == AllocationOptions()
+        assert allocation_options(AllocationOptions(), None) == AllocationOptions()
 
     def test_elsewhere_without_labels_is_enough(self, keyframes):
         verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])

@@ -11,7 +11,8 @@ from registered_room import Scene, error, motion, scene, seen_by, stranger
 
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.tracking.placement import KeyframePlacement, PlacementOptions
+from toolkit.tracking.options import PlacementOptions
+from toolkit.tracking.placement import KeyframePlacement
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from toolkit.alignment.data import (
     rescaled,
 )
 from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
+from toolkit.alignment.options import JointOptions
 from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 
@@ -48,30 +49,6 @@ class Pair:
     frame: list[FrameLevel]
     T_model_target: Array
     T_source_frame: Array
-
-
-@dataclass(frozen=True)
-class JointOptions:
-    """Values of the optimiser.
-
-    Attributes:
-        levels: pyramid levels of the first pass.
-        iterations: most steps a level.
-        max_distance: gate on depth differences at the finest level, as a share of depth;
-            doubled at every coarser level.
-        exposure: estimate gain and bias of each pair at the finest level.
-        max_translation_m, max_rotation_rad: longest step.
-        small_translation_m, small_rotation_rad: a step below both ends the finest level.
-    """
-
-    levels: int = 4
-    iterations: int = 12
-    max_distance: float = 0.05
-    exposure: bool = True
-    max_translation_m: float = 0.2
-    max_rotation_rad: float = 0.2
-    small_translation_m: float = 1e-4
-    small_rotation_rad: float = 5e-5
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.health import failure_reason
-from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
-from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.options import MatchingOptions
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
@@ -26,37 +26,6 @@ _NEAREST_M = 0.05
 # Maximum correction of the initial pose by dense alignment, as a fraction of the image's width, but
 # at least this number of the coarser camera's pixels. After a larger one, one of the two is wrong.
 _MOST_CORRECTION, _MOST_CORRECTION_PIXELS = 0.02, 3.0
-
-
-@dataclass(frozen=True)
-class MatchingOptions:
-    """Values of the measurement.
-
-    Attributes:
-        features: most SIFT features an image.
-        ratio: a match must be nearer than this share of the second nearest.
-        hypotheses: motions tried, each from three matches.
-        tolerance_rad: largest error of direction of a match, but at least 1.5 pixels of the
-            coarser of the two cameras.
-        tolerance_depth: largest error of depth, as a share of the depth.
-        min_matches: fewest matches that must agree.
-        max_width: dense alignment halves images until they are no wider.
-        dense: of the dense alignment; a match is good to a pixel or two, so few levels do.
-        limits: bounds beyond which the dense alignment is not believed.
-        redundancy: so many residuals count as one in the information matrix. Counted one by
-            one, squared errors were 2 to 13 times the expected ones in synthetic rooms.
-    """
-
-    features: int = 1500
-    ratio: float = 0.8
-    hypotheses: int = 500
-    tolerance_rad: float = 0.008
-    tolerance_depth: float = 0.05
-    min_matches: int = 12
-    max_width: int = 400
-    dense: JointOptions = field(default_factory=lambda: JointOptions(levels=3))
-    limits: HealthLimits = field(default_factory=HealthLimits)
-    redundancy: float = 5.0
 
 
 @dataclass(frozen=True)

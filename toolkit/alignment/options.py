@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from toolkit.options import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from toolkit.options import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, Range
 
 
 @dataclass(frozen=True)
@@ -23,3 +24,53 @@ class HealthLimits:
     """Minimum eigenvalue of the pose's information matrix, in 1/m^2 and 1/rad^2."""
     max_residual_ratio: PositiveFloat = 4.0
     """Maximum product of the photometric and the depth scale, relative to the previous frame."""
+
+
+@dataclass(frozen=True)
+class JointOptions:
+    """Joint dense Gauss-Newton alignment of pairs of views."""
+
+    levels: Annotated[int, Range(ge=1, le=7)] = 4
+    """Number of image pyramid levels of the first pass."""
+    iterations: PositiveInt = 12
+    """Maximum number of Gauss-Newton iterations per pyramid level."""
+    max_distance: PositiveFloat = 0.05
+    """Maximum depth difference of corresponding pixels at the finest pyramid level, as a fraction
+    of depth. It doubles with every coarser level."""
+    exposure: bool = True
+    """Estimate the exposure (gain and bias) of each pair at the finest pyramid level."""
+    max_translation_m: PositiveFloat = 0.2
+    """Maximum translation per iteration, in metres."""
+    max_rotation_rad: PositiveFloat = 0.2
+    """Maximum rotation per iteration, in radians."""
+    small_translation_m: PositiveFloat = 1e-4
+    """Translation per iteration below which the finest level has converged, in metres."""
+    small_rotation_rad: PositiveFloat = 5e-5
+    """Rotation per iteration below which the finest level has converged, in radians."""
+
+
+@dataclass(frozen=True)
+class MatchingOptions:
+    """Relative pose of two keyframes from their images: SIFT matches, then dense alignment."""
+
+    features: Annotated[int, Range(ge=3)] = 1500
+    """Maximum number of SIFT features per image."""
+    ratio: Annotated[float, Range(gt=0, le=1)] = 0.8
+    """Maximum ratio of the descriptor distances of the nearest and the second nearest match."""
+    hypotheses: PositiveInt = 500
+    """Number of RANSAC hypotheses, each from three matches."""
+    tolerance_rad: PositiveFloat = 0.008
+    """Maximum direction error of an inlier, in radians; at least 1.5 pixels of the coarser
+    camera."""
+    tolerance_depth: PositiveFloat = 0.05
+    """Maximum depth error of an inlier, as a fraction of depth."""
+    min_matches: Annotated[int, Range(ge=3)] = 12
+    """Minimum number of inlier matches."""
+    max_width: Annotated[int, Range(ge=16)] = 400
+    """Maximum image width for dense alignment, in pixels. Wider images are halved."""
+    # Matches are accurate to one or two pixels, so that few levels suffice.
+    dense: JointOptions = JointOptions(levels=3)
+    limits: HealthLimits = HealthLimits()
+    # Taken one by one, squared errors were 2 to 13 times the expected ones in synthetic rooms.
+    redundancy: Annotated[float, Range(ge=1)] = 5.0
+    """Number of residuals that count as one in the information matrix."""

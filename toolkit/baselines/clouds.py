@@ -6,9 +6,8 @@ one thread, and its random generator is seeded before every use.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +15,13 @@ from numpy.typing import NDArray
 from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
+from toolkit.registration.options import CloudOptions
 from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import ViewDrawer
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class CloudOptions:
-    """Values of registration by clouds.
-
-    Attributes:
-        search: from nothing, FPFH features matched by "ransac" or by "fast" global registration.
-        icp: then "point-to-plane", or "coloured" where colour must fix what planes leave free.
-        voxel_m: clouds are thinned to one point a voxel for the features, half that for ICP.
-        min_opacity: more transparent Gaussians are left out.
-        hypotheses: of RANSAC.
-        min_fitness: fewer of the source's points on the target's surface are no overlap.
-        views: of the source, from which the result is judged.
-        seed: of RANSAC and fast global registration.
-    """
-
-    search: Literal["ransac", "fast"] = "ransac"
-    icp: Literal["point-to-plane", "coloured"] = "point-to-plane"
-    voxel_m: float = 0.05
-    min_opacity: float = 0.5
-    hypotheses: int = 50000
-    min_fitness: float = 0.1
-    views: int = 5
-    seed: int = 0
 
 
 # Fewer points than this are no shape.
@@ -62,14 +37,23 @@ _ICP_VOXELS, _COLOURED_VOXELS = (2.0, 1.0, 0.5), 2.0
 class CloudRegistration:
     """Registers the point clouds of two submaps; see Registrar.
 
+    Args:
+        options: default if None.
+        drawer: renders the views in which the result is checked; default if None.
+        seed: of RANSAC and fast global registration.
+
     Raises (from `register`):
         DependencyError: Open3D cannot be loaded.
     """
 
     def __init__(
-        self, options: CloudOptions | None = None, drawer: ViewDrawer | None = None
+        self,
+        options: CloudOptions | None = None,
+        drawer: ViewDrawer | None = None,
+        seed: int = 0,
     ) -> None:
         self.options = options or CloudOptions()
+        self.seed = seed
         self.drawer = drawer or ViewDrawer()
 
     def register(
@@ -134,7 +118,7 @@ class CloudRegistration:
         near = o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_RADIUS * voxel_m, 100)
         features = [registration.compute_fpfh_feature(cloud, near) for cloud in thin]
         distance = _MATCH_DISTANCE * voxel_m
-        o3d.utility.random.seed(self.options.seed)
+        o3d.utility.random.seed(self.seed)
         if self.options.search == "fast":
             option = registration.FastGlobalRegistrationOption(
                 use_absolute_scale=True, maximum_correspondence_distance=distance

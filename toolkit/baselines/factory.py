@@ -1,22 +1,23 @@
-"""Trackers and registrars from settings: our method, or the baseline that the settings name."""
+"""Trackers and registrars from options: our method, or the baseline that they name."""
 
 from __future__ import annotations
 
-from toolkit.baselines.clouds import CloudOptions, CloudRegistration
+from toolkit.baselines.clouds import CloudRegistration
 from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
 from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Recorder
-from toolkit.registration.factory import coarse_options, fine_options
 from toolkit.registration.fine import FineRegistration
-from toolkit.registration.motion_average import AverageOptions
+from toolkit.registration.options import (
+    FineOptions,
+    RegistrationOptions,
+)
 from toolkit.registration.result import Registrar
 from toolkit.registration.second_opinion import SecondOpinion
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
 from toolkit.registration.views import ViewDrawer
 from toolkit.semantics.codes import SemanticCode
-from toolkit.settings.registration import FineSettings, RegistrationSettings
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import TrackingOptions
 from toolkit.tracking.tracker import Tracker
@@ -41,12 +42,12 @@ def build_tracker(
 
 
 def build_registrar(
-    settings: RegistrationSettings,
+    options: RegistrationOptions,
     seed: int,
     drawer: ViewDrawer,
     describer: ViewDescriber | None = None,
 ) -> Registrar:
-    """Build the registrar of submaps that the settings name.
+    """Build the registrar of submaps that the options name.
 
     Args:
         seed: of its random generators.
@@ -54,44 +55,43 @@ def build_registrar(
         describer: describes views for the feature term of the first-order optimiser; None
             leaves the term out.
     """
-    clouds = CloudRegistration(CloudOptions(**settings.clouds.model_dump(), seed=seed), drawer)
-    if settings.kind == "clouds":
+    clouds = CloudRegistration(options.clouds, drawer, seed)
+    if options.kind == "clouds":
         return clouds
-    registrar = _view_registrar(settings, seed, drawer, describer)
-    return SecondOpinion(registrar, clouds) if settings.second_opinion else registrar
+    registrar = _view_registrar(options, seed, drawer, describer)
+    return SecondOpinion(registrar, clouds) if options.second_opinion else registrar
 
 
 def build_fine(
-    settings: FineSettings, drawer: ViewDrawer, describer: ViewDescriber | None = None
+    options: FineOptions, drawer: ViewDrawer, describer: ViewDescriber | None = None
 ) -> FineRegistration:
-    """Build fine registration with the optimiser that the settings name.
+    """Build fine registration with the optimiser that the options name.
 
     Args:
         describer: see `build_registrar`.
     """
-    options = fine_options(settings)
     if options.optimiser == "first-order":
         return FirstOrderFineRegistration(options, drawer, describer)
     return FineRegistration(options, drawer)
 
 
-def needs_describer(settings: RegistrationSettings) -> bool:
+def needs_describer(options: RegistrationOptions) -> bool:
     """Whether registration has the feature term of G-6, which needs a describer of views."""
-    fine = settings.fine
+    fine = options.fine
     return fine.optimiser == "first-order" and fine.first_order.feature > 0
 
 
 def _view_registrar(
-    settings: RegistrationSettings, seed: int, drawer: ViewDrawer, describer: ViewDescriber | None
+    options: RegistrationOptions, seed: int, drawer: ViewDrawer, describer: ViewDescriber | None
 ) -> Registrar:
     """The registrar that compares rendered views."""
-    fine = build_fine(settings.fine, drawer, describer)
-    if settings.kind == "fine":
+    fine = build_fine(options.fine, drawer, describer)
+    if options.kind == "fine":
         return fine
-    options = SgrOptions(coarse_options(settings.coarse), fine.options, seed)
-    if settings.kind == "coarse":
-        return CoarseOnly(options, drawer)
-    if settings.kind == "two-way":
-        average = AverageOptions(**settings.coarse.average.model_dump())
-        return SemanticGuidedRegistration(options, drawer, TwoWayRegistration(fine, average))
-    return SemanticGuidedRegistration(options, drawer, fine)
+    stages = SgrOptions(options.coarse, fine.options, seed)
+    if options.kind == "coarse":
+        return CoarseOnly(stages, drawer)
+    if options.kind == "two-way":
+        refiner = TwoWayRegistration(fine, options.coarse.average)
+        return SemanticGuidedRegistration(stages, drawer, refiner)
+    return SemanticGuidedRegistration(stages, drawer, fine)

@@ -19,13 +19,8 @@ from toolkit.features.sources import ViewDescriber
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.registration.fine import (
-    FineOptions,
-    FineRegistration,
-    FirstOrderFineOptions,
-    SourceView,
-    TargetView,
-)
+from toolkit.registration.fine import FineRegistration, SourceView, TargetView
+from toolkit.registration.options import FineOptions, FirstOrderFineOptions
 from toolkit.registration.views import ViewDrawer
 from toolkit.rendering import RenderOutput, render
 from toolkit.submaps.submap import Submap

@@ -30,12 +30,13 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.losses.semantic import SemanticLoss, SemanticLossWeights
+from toolkit.losses.semantic import SemanticLoss
 from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
 from toolkit.native.constants import SILHOUETTE
 from toolkit.rendering import RenderOutput, backend
 from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
+from toolkit.semantics.options import SemanticLossWeights
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.result import Health, TrackingResult

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.registration.fine import FineRegistration
-from toolkit.registration.motion_average import AverageOptions, MotionAverage, average_motion
+from toolkit.registration.motion_average import MotionAverage, average_motion
+from toolkit.registration.options import AverageOptions
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import views_of_overlap
 from toolkit.submaps.submap import Submap

@@ -23,6 +23,7 @@ from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
+from toolkit.loops.options import VerificationOptions
 from toolkit.loops.two_maps import (
     Choice,
     MapRegistration,
@@ -30,12 +31,10 @@ from toolkit.loops.two_maps import (
     choose,
     register_at,
 )
-from toolkit.loops.verification import VerificationOptions
 from toolkit.registration.factory import build_drawer
+from toolkit.registration.options import RegistrationOptions
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
-from toolkit.settings.loop_closure import VerificationSettings
-from toolkit.settings.registration import RegistrationSettings
 from toolkit.submaps.saved import SavedSubmaps
 
 _log = logging.getLogger(__name__)
@@ -53,8 +52,8 @@ class RegisterOptions:
     """Folder to write, new or empty: map.ply, register.json, trajectory_a.txt, trajectory_b.txt."""
     pairs: int = 6
     """Pairs of submaps that are registered, the most alike first."""
-    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
-    verification: VerificationSettings = field(default_factory=VerificationSettings)
+    registration: RegistrationOptions = field(default_factory=RegistrationOptions)
+    verification: VerificationOptions = field(default_factory=VerificationOptions)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -154,10 +153,9 @@ def _registered(
     if needs_describer(options.registration):
         describer = build_describer(a.settings.loops.features)
     registrar = build_registrar(options.registration, a.settings.seed, drawer, describer)
-    verification = VerificationOptions(**options.verification.model_dump())
     pairs = alike_submaps(*submaps, options.pairs)
     return [
-        register_at(pair, *submaps, registrar, verification)
+        register_at(pair, *submaps, registrar, options.verification)
         for pair in tqdm(pairs, unit="pair of submaps")
     ]
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.closing.keyframe_loops import KeyframeLoops
-from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.options import ClosingOptions
+from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import moved_by, verdict
 from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.closing.uncertainty import frame_covariances

@@ -1,4 +1,4 @@
-"""Loop closure from settings."""
+"""Build loop closure from its options."""
 
 from __future__ import annotations
 
@@ -11,31 +11,25 @@ from torch import Tensor
 
 from toolkit.baselines.factory import build_fine, build_registrar
 from toolkit.closing.closer import LoopCloser
-from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.options import LoopClosureOptions
+from toolkit.closing.parts import ClosingParts
 from toolkit.features.factory import build_describer
 from toolkit.frame import Recorder
+from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
 from toolkit.loops.detection import LoopDetector
-from toolkit.loops.factory import build_candidate_finder
 from toolkit.loops.log import LoopLog
-from toolkit.loops.relocalisation import RelocalisationOptions, Relocaliser
-from toolkit.loops.verification import VerificationOptions
+from toolkit.loops.options import LandmarkOptions
+from toolkit.loops.relocalisation import Relocaliser
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.pose_graph.factory import (
-    build_consistency,
-    build_loop_noise,
-    build_odometry_noise,
-    build_optimiser,
-)
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.factory import (
     build_drawer,
-    matching_options,
 )
 from toolkit.rendering import backend
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.loop_closure import LoopClosureSettings
-from toolkit.settings.loops import LandmarkSettings, LoopSettings
 
 
 @dataclass(frozen=True)
@@ -56,7 +50,7 @@ class ClosingContext:
 
 
 def build_loop_closer(
-    settings: LoopClosureSettings,
+    options: LoopClosureOptions,
     context: ClosingContext,
     log: LoopLog | None = None,
     recorder: Recorder | None = None,
@@ -66,9 +60,10 @@ def build_loop_closer(
     Raises:
         ToolkitError: FAISS is missing, or the encoder's weights are.
     """
-    describer = build_describer(settings.features)
-    found = LoopSettings(candidates=settings.candidates, landmarks=settings.landmarks)
-    finder = build_candidate_finder(found, describer)
+    describer = build_describer(options.features)
+    finder = CandidateFinder(
+        describer.dimensions, describer.threshold, options.candidates, options.landmarks
+    )
     taxonomy = context.taxonomy
     painter = None
     if taxonomy is not None:
@@ -77,31 +72,29 @@ def build_loop_closer(
         def painter(class_ids: NDArray[np.integer]) -> Tensor:
             return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
 
-    detector = LoopDetector(describer, finder, _class_counter(settings.landmarks, context), painter)
+    detector = LoopDetector(describer, finder, _class_counter(options.landmarks, context), painter)
     drawer = build_drawer(
-        settings.registration, context.semantics, context.backend_name, context.centred
+        options.registration, context.semantics, context.backend_name, context.centred
     )
-    matching = matching_options(settings.registration.coarse.matching)
-    relocalisation = RelocalisationOptions(**settings.relocalisation.model_dump())
+    matching = options.registration.coarse.matching
+    pose_graph = options.pose_graph
     parts = ClosingParts(
-        registrar=build_registrar(settings.registration, context.seed, drawer, describer),
-        nearby=build_fine(settings.registration.fine, drawer, describer),
+        registrar=build_registrar(options.registration, context.seed, drawer, describer),
+        nearby=build_fine(options.registration.fine, drawer, describer),
         matching=matching,
-        relocaliser=Relocaliser(detector, matching, relocalisation),
-        verification=VerificationOptions(**settings.verification.model_dump()),
-        consistency=build_consistency(settings.pose_graph),
-        noise=build_odometry_noise(settings.pose_graph),
-        loop_noise=build_loop_noise(settings.pose_graph),
-        optimiser=build_optimiser(settings.pose_graph),
+        relocaliser=Relocaliser(detector, matching, options.relocalisation),
+        verification=options.verification,
+        consistency=pose_graph.consistency,
+        noise=OdometryNoise(pose_graph.odometry),
+        loop_noise=LoopNoise(pose_graph.loops),
+        optimiser=PoseGraphOptimiser(pose_graph.solver, pose_graph.retraction),
     )
-    return LoopCloser(
-        detector, parts, ClosingOptions(**settings.closing.model_dump()), log, recorder
-    )
+    return LoopCloser(detector, parts, options.closing, log, recorder)
 
 
-def _class_counter(settings: LandmarkSettings, context: ClosingContext) -> ClassCounter:
+def _class_counter(options: LandmarkOptions, context: ClosingContext) -> ClassCounter:
     """What counts the classes of a keyframe."""
     classes = len(context.taxonomy) if context.taxonomy else 0
-    if settings.counted == "pixels" or not context.semantics.channels:
+    if options.counted == "pixels" or not context.semantics.channels:
         return LabelledPixels(classes)
     return ObservedGaussians(context.semantics, classes, backend(context.backend_name))

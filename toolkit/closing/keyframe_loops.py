@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from toolkit.alignment.matching import measure_offset
-from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.options import ClosingOptions
+from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import Record, moved_by, verdict
 from toolkit.closing.uncertainty import SURE
 from toolkit.keyframe import Keyframe

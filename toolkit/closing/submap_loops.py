@@ -10,13 +10,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.closing.parts import ClosingOptions, ClosingParts
+from toolkit.closing.options import ClosingOptions
+from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import Record, figures_of, verdict
 from toolkit.closing.sights import Sights
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
-from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.loops.options import VerificationOptions
+from toolkit.loops.verification import objection
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.graph import PoseEdge

@@ -6,11 +6,11 @@ from toolkit.errors import SettingsError
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.colour_histogram import ColourHistogramEncoder
 from toolkit.features.encoder import Encoder
+from toolkit.features.options import FeatureOptions
 from toolkit.features.sources import ViewDescriber
-from toolkit.settings.features import FeatureSettings
 
 
-def build_encoder(settings: FeatureSettings) -> Encoder:
+def build_encoder(settings: FeatureOptions) -> Encoder:
     """The encoder that the settings name.
 
     Raises:
@@ -34,6 +34,6 @@ def build_encoder(settings: FeatureSettings) -> Encoder:
     return Dinov2Encoder(model.folder, model.pooling, model.longest_side, model.device)
 
 
-def build_describer(settings: FeatureSettings) -> ViewDescriber:
+def build_describer(settings: FeatureOptions) -> ViewDescriber:
     """Encoder and source of pictures that the settings name; errors as `build_encoder`."""
     return ViewDescriber(build_encoder(settings), settings.source)

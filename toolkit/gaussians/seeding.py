@@ -6,8 +6,7 @@ with opacity 0.5 (the papers') renders it at 32 dB, `0.6 d / f` with 0.95 at 38 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,33 +15,8 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.gaussians.allocation import choose_pixels
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.options import SeedingOptions
 from toolkit.geometry import se3
-
-
-@dataclass(frozen=True)
-class SeedingOptions:
-    """How a pixel becomes a Gaussian.
-
-    Attributes:
-        radius: standard deviation in units of d / f, the pixel's footprint.
-        opacity: start opacity in (0, 1).
-        max_cell: 1, 2 or 4; plain surfaces get one Gaussian for up to this many
-            pixels a side.
-        flat_colour: largest colour range within a cell that still counts as plain.
-        flat_depth: largest deviation of a cell's depth from a plane, as a share of depth.
-        choice: which pixels seed: all of them, plain ones in cells; or a random share, the
-            same everywhere ("uniform") or by the square root of each class's area (G,
-            "semantic"). Fewer Gaussians are made larger.
-        share: of the pixels, where they are chosen at random.
-    """
-
-    radius: float = 0.6
-    opacity: float = 0.95
-    max_cell: int = 2
-    flat_colour: float = 0.04
-    flat_depth: float = 0.005
-    choice: Literal["cells", "uniform", "semantic"] = "cells"
-    share: float = 0.5
 
 
 def seed(
@@ -71,7 +45,7 @@ def seed(
         grown = torch.from_numpy(np.log(area[chosen]) / 2).to(cloud.log_radii)
         return replace(cloud, log_radii=cloud.log_radii + grown)
     parts = []
-    cell = options.max_cell
+    cell: int = options.max_cell
     while cell >= 1:
         chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell, options)
         parts.append(_seed_cells(frame, T_map_camera, chosen, cell, options, start_values))

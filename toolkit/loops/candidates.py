@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.loops.landmarks import LandmarkOptions, landmark_distance, landmark_vectors
+from toolkit.loops.landmarks import landmark_distance, landmark_vectors
+from toolkit.loops.options import CandidateOptions, LandmarkOptions
 from toolkit.loops.retrieval import DescriptorIndex, Neighbour
 
 # The rank of a candidate whose landmarks tell nothing: as of vectors with little in common.
@@ -77,39 +78,6 @@ class Sighting:
     frame: int
     submap: int
     distance: float
-
-
-@dataclass(frozen=True)
-class CandidateOptions:
-    """When keyframes are candidates.
-
-    Attributes:
-        search_every: keyframes from one search to the next (G: 6).
-        considered: the nearest so many keyframes are looked at.
-        kept: of those that pass, at most so many, the best by landmarks (G: 1), but one of
-            each submap before a second one.
-        threshold: "fixed" takes the encoder's own, "adaptive" what the keyframe's own
-            neighbours look like, since places differ in how fast their look changes.
-        distance: replaces the encoder's threshold.
-        adaptive_quantile: of the distances to the neighbours in the keyframe's own submap,
-            becomes the threshold, but never more than `adaptive_limit` times the fixed one.
-        adaptive_limit: see there.
-        min_gap_frames: between query and match,
-        min_gap_m: and along the path, metres, or neighbours would always match.
-        max_landmark_distance: beyond it a candidate is refused. Nine of ten views that
-            overlap by 60 % are nearer than 0.67 in rooms of many classes.
-    """
-
-    search_every: int = 6
-    considered: int = 10
-    kept: int = 3
-    threshold: Literal["fixed", "adaptive"] = "fixed"
-    distance: float | None = None
-    adaptive_quantile: float = 0.5
-    adaptive_limit: float = 1.5
-    min_gap_frames: int = 30
-    min_gap_m: float = 0.5
-    max_landmark_distance: float = 0.7
 
 
 class CandidateFinder:

@@ -12,33 +12,13 @@ scaled to length 1. The square root keeps walls from drowning the rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.loops.options import LandmarkOptions
+
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
-Weighting = Literal["sqrt", "linear", "paper"]
-Counted = Literal["pixels", "gaussians"]
-
-
-@dataclass(frozen=True)
-class LandmarkOptions:
-    """How a view is counted, and how counts become landmark vectors.
-
-    Attributes:
-        weighting: "sqrt" as above; "linear" without the root; "paper" as printed in G-7.
-        min_count: a class with a smaller count is not seen in that view; in the paper's
-            weighting it is the floor on M_c instead.
-        counted: "pixels" counts the keyframe's labelled pixels, "gaussians" the Gaussians that it
-            observes by the class they decode to, as in G-7.
-    """
-
-    weighting: Weighting = "sqrt"
-    min_count: int = 10
-    counted: Counted = "pixels"
 
 
 def landmark_vectors(

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.matching import MatchingOptions, measure_offset
+from toolkit.alignment.matching import measure_offset
+from toolkit.alignment.options import MatchingOptions
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import Sighting
 from toolkit.loops.detection import LoopDetector
+from toolkit.loops.options import RelocalisationOptions
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.health import has_depth
@@ -21,31 +23,6 @@ from toolkit.tracking.result import TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class RelocalisationOptions:
-    """How a lost camera is looked for.
-
-    Attributes:
-        tries: keyframes, the most alike first, whose images are matched with the frame. As
-            many again where some that are less alike are in reach.
-        speed_m_s, slack_m: in reach is what lies no farther from where the camera was last than
-            it can have gone since, and so much beyond. Of two rooms that look the same, it is in
-            the one it was in; so other places are believed only once `patience` is at an end.
-        min_visible: share of the frame that the submap must explain there. More than of a
-            tracked frame, which nothing but its neighbours would confirm.
-        max_intensity_residual: maximum photometric scale there, for intensities in [0, 1].
-        patience: lost frames, one after another, after which a new submap begins; loops join
-            it later.
-    """
-
-    tries: int = 5
-    speed_m_s: float = 2.0
-    slack_m: float = 2.0
-    min_visible: float = 0.4
-    max_intensity_residual: float = 0.1
-    patience: int = 15
 
 
 @dataclass(frozen=True)

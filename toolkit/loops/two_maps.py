@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.loops.verification import VerificationOptions, objection
+from toolkit.loops.options import VerificationOptions
+from toolkit.loops.verification import objection
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.submap import Submap
 

@@ -7,33 +7,10 @@ of that; what tells them apart is the odometry, which `pose_graph.consistency` a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from toolkit.loops.options import VerificationOptions
 from toolkit.registration.result import RegistrationResult
-
-
-@dataclass(frozen=True)
-class VerificationOptions:
-    """Bounds of a loop.
-
-    Attributes:
-        min_overlap: share of the source's pixels, from the views compared, that the target
-            shows as well.
-        min_inliers: share of those whose surfaces agree.
-        min_class_agreement: share of those, with a class on both sides, of the same class.
-        max_intensity_residual: robust scale of the photometric residual, intensities in [0, 1].
-        max_depth_residual_m: robust scale of the geometric residual at 1 m, metres.
-        min_information: smallest eigenvalue of the information matrix (1 / m^2, 1 / rad^2).
-    """
-
-    min_overlap: float = 0.3
-    min_inliers: float = 0.8
-    min_class_agreement: float = 0.7
-    max_intensity_residual: float = 0.1
-    max_depth_residual_m: float = 0.02
-    min_information: float = 1e4
 
 
 def objection(result: RegistrationResult, options: VerificationOptions) -> str:

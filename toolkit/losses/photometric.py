@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 import torch
 from torch import Tensor
 
+from toolkit.losses.options import RgbdLossWeights
 from toolkit.native import address, kernels_for
 from toolkit.native.constants import (
     DEPTH_SUM,
@@ -19,34 +20,6 @@ from toolkit.native.constants import (
 )
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.surface import SurfaceView
-
-
-@dataclass(frozen=True)
-class RgbdLossWeights:
-    """Weights of the mapping loss.
-
-    The papers' L1 is replaced by the Charbonnier loss, which is quadratic near zero: with the
-    constant gradient of L1, Adam keeps moving Gaussians that already fit.
-
-    Attributes:
-        colour: weight of the colour term, (1 - structure) * L1 + structure * (1 - SSIM) (G-4).
-        depth: weight of the L1 depth term inside the silhouette mask.
-        silhouette: weight of 1 - silhouette where depth was measured. Without it, black surfaces
-            become transparent, because the background is black.
-        structure: weight of SSIM within the colour term, in [0, 1].
-        colour_scale: Charbonnier scale of colour errors, intensity in [0, 1].
-        depth_scale_m: Charbonnier scale of depth errors at 1 m, metres; proportional to the
-            squared depth.
-        min_silhouette: minimum silhouette of pixels in the depth term.
-    """
-
-    colour: float = 0.5
-    depth: float = 1.0
-    silhouette: float = 0.02
-    structure: float = 0.2
-    colour_scale: float = 0.02
-    depth_scale_m: float = 0.005
-    min_silhouette: float = 0.5
 
 
 def rgbd_loss(

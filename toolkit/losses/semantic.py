@@ -12,37 +12,7 @@ from toolkit.losses.photometric import ssim_torch
 from toolkit.native import address, kernels_for
 from toolkit.semantics.codes import Heads, SemanticCode
 from toolkit.semantics.decoder import NetworkDecoder
-
-
-@dataclass(frozen=True)
-class SemanticLossWeights:
-    """Weights of the semantic loss.
-
-    Attributes:
-        weight: weight of the semantic loss relative to colour and depth (H-24: 0.2; G-3: 0.5).
-        every: interval of mapping iterations that include the semantic loss; label voting at
-            the end of a call refines the result.
-        intra: weight of the intra-level term (H-9: w1).
-        inter: weight of the inter-level term, the network's loss over flat classes (H-9: w2).
-        inter_from: first iteration of a mapping call with the inter-level term (H: eta), at
-            most a quarter of the call, so that short calls include it.
-        inter_pixels: number of pixels sampled for the network per iteration; 0 uses all.
-        structure: weight of SSIM in the loss of the colour code, in [0, 1] (G-3, G-4: 0.2);
-            ignored by other codes.
-        min_silhouette: minimum silhouette of pixels in the loss.
-        moves_geometry: whether the semantic loss is propagated to geometry and opacity, as in
-            the papers, or only to the features.
-    """
-
-    weight: float = 0.2
-    every: int = 3
-    intra: float = 1.0
-    inter: float = 5.0
-    inter_from: int = 15
-    inter_pixels: int = 2048
-    structure: float = 0.0
-    min_silhouette: float = 0.5
-    moves_geometry: bool = False
+from toolkit.semantics.options import SemanticLossWeights
 
 
 @dataclass(frozen=True)

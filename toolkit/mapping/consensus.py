@@ -9,7 +9,7 @@ so a part of one that other views know tells about the part that only this view 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,27 +19,11 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.options import ConsensusOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 
 Draw = Callable[[GaussianCloud, Keyframe], SurfaceView]
-
-
-@dataclass(frozen=True)
-class ConsensusOptions:
-    """When a segment of a keyframe's labels is overruled.
-
-    Attributes:
-        rounds: of correcting and voting again; 0 only votes.
-        min_views: a pixel is evidence where the map was told by so many views.
-        min_share: share of a segment's pixels that must be evidence.
-        margin: by how much the map's class must be the likelier.
-    """
-
-    rounds: int = 2
-    min_views: float = 1.5
-    min_share: float = 0.1
-    margin: float = 0.1
 
 
 def agree(

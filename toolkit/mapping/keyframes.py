@@ -2,34 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from toolkit.keyframe import Keyframe
-
-
-@dataclass(frozen=True)
-class KeyframePolicy:
-    """When a tracked frame becomes a keyframe.
-
-    Attributes:
-        interval: every so many frames (G: d_k).
-        min_overlap: sooner, when less than this share of the last keyframe's points is
-            still in view.
-    """
-
-    interval: int = 5
-    min_overlap: float = 0.95
-
-    def wants(self, frames_since_last: int, overlap: float) -> bool:
-        """Whether the newest frame should become a keyframe.
-
-        Args:
-            frames_since_last: since the last keyframe.
-            overlap: share of the last keyframe's points that the newest frame sees.
-        """
-        return frames_since_last >= self.interval or overlap < self.min_overlap
 
 
 def choose_window(

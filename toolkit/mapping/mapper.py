@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,82 +14,27 @@ from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.seeding import SeedingOptions, seed
+from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.losses.features import FeatureLoss
-from toolkit.losses.photometric import RgbdLossWeights, rgbd_loss
-from toolkit.mapping.consensus import ConsensusOptions, agree
+from toolkit.losses.photometric import rgbd_loss
+from toolkit.mapping.consensus import agree
 from toolkit.mapping.content import MapContent
 from toolkit.mapping.density import missing, useless
 from toolkit.mapping.depth_fusion import measured_centres
-from toolkit.mapping.keyframes import KeyframePolicy, choose_window
+from toolkit.mapping.keyframes import choose_window
 from toolkit.mapping.observations import Observations
+from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.mapping.sparse_adam import PARAMETERS, LearningRates, SparseAdam
+from toolkit.mapping.sparse_adam import PARAMETERS, SparseAdam
 from toolkit.mapping.surfaces import Surfaces
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import resample_at_centres
-
-
-@dataclass(frozen=True)
-class MapperOptions:
-    """Values of the mapper.
-
-    Attributes:
-        iterations: optimisation steps a keyframe, while mapping.
-        first_iterations: steps on the first keyframe, which has all to itself.
-        final_iterations: steps a keyframe at the end, over all of them.
-        final_on_surfaces: these move centres along the surfaces they lie on and not off them.
-            Free, they look 0.1 to 0.4 dB better, and walls are a third thicker than unrefined.
-        final_poses: these move the keyframes' poses as well (G, stage 1).
-        final_feature: weight of the papers' feature term in these (G: 0.5).
-        window: keyframes a mapping call works on.
-        newest_share: share of the steps spent on the newest keyframe.
-        min_overlap: share of the newest keyframe's points another one must see.
-        min_silhouette: seed where the map is thinner (H: tau_sil). At 0.5, pinholes stay that
-            no keyframe closes: 0.5 dB, and 10 % fewer Gaussians (a room and a ring).
-        depth_floor: seed where rendered depth lies behind the measured one by more than
-            this share of it, and by more than `depth_factor` medians of the error.
-        fuse_depth: keep centres at the running mean of what is measured (`depth_fusion.py`).
-        centred: fit colours where the Gaussians are and not where they are drawn, for the dense
-            tracker, until the final refinement (`rendering/texture.py`).
-        bundle_adjustment: optimise the poses of keyframes together with the map (G-3); the
-            first one stays, or the whole would drift.
-        pose_translation_m, pose_rotation_rad: its steps.
-        min_opacity: prune below it.
-        max_radius_m: prune beyond it.
-    """
-
-    iterations: int = 12
-    first_iterations: int = 40
-    final_iterations: int = 10
-    final_on_surfaces: bool = True
-    final_poses: bool = False
-    final_feature: float = 0.0
-    window: int = 8
-    newest_share: float = 0.4
-    min_overlap: float = 0.15
-    min_silhouette: float = 0.85
-    depth_floor: float = 0.03
-    depth_factor: float = 20.0
-    fuse_depth: bool = True
-    centred: bool = True
-    bundle_adjustment: bool = False
-    pose_translation_m: float = 1e-4
-    pose_rotation_rad: float = 5e-5
-    min_opacity: float = 0.005
-    max_radius_m: float = 0.5
-    keyframes: KeyframePolicy = field(default_factory=KeyframePolicy)
-    seeding: SeedingOptions = field(default_factory=SeedingOptions)
-    rates: LearningRates = field(default_factory=LearningRates)
-    loss: RgbdLossWeights = field(default_factory=RgbdLossWeights)
-    consensus: ConsensusOptions = field(default_factory=ConsensusOptions)
-
 
 # Gaussians that have had more steps begin the final refinement as if they had had so many: fitted
 # to be tracked against, they have some way to go. 0.7 dB, for 0.15 mm of depth (a room).

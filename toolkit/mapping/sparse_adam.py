@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.mapping.options import LearningRates
 from toolkit.native import address, kernels_for
 
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
-
-
-@dataclass(frozen=True)
-class LearningRates:
-    """Step sizes.
-
-    Attributes:
-        means: in units of a Gaussian's own radius, so that scenes of any scale behave alike.
-        log_radii, opacity_logits, colours: in the parameter's own unit.
-        features: in units of the code's own; a logit.
-        epsilon: gradients well below it hardly move anything: a Gaussian that fits rests. In
-            units of the loss summed over pixels, by the parameter in its own unit.
-        settle_steps: a Gaussian's rates fall as 1 / (1 + its steps / settle_steps).
-    """
-
-    means: float = 0.04
-    log_radii: float = 0.01
-    opacity_logits: float = 0.05
-    colours: float = 0.01
-    features: float = 1.0
-    epsilon: float = 0.05
-    settle_steps: float = 60.0
 
 
 BETA1, BETA2 = 0.9, 0.99

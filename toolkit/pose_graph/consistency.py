@@ -24,6 +24,7 @@ from toolkit.geometry import se3
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.clique import largest_clique
 from toolkit.pose_graph.graph import PoseEdge
+from toolkit.pose_graph.options import ConsistencyOptions
 
 Array = NDArray[np.float64]
 
@@ -187,21 +188,6 @@ class ConsistentLoops:
             )
         against = sum(bool(self.pair_chi2[place, k] > self.pair_bound) for k in self.kept)
         return f"contradicts {against} of the {len(self.kept)} loops that agree"
-
-
-@dataclass(frozen=True)
-class ConsistencyOptions:
-    """When loops agree.
-
-    Attributes:
-        odometry_confidence: share of right loops that agree with the odometry.
-        pair_confidence: share of pairs of right loops that agree.
-        exact_up_to: so many loops are searched for the largest set; more, greedily.
-    """
-
-    odometry_confidence: float = 0.999
-    pair_confidence: float = 0.999
-    exact_up_to: int = 40
 
 
 def consistent_loops(

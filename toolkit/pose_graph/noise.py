@@ -16,31 +16,22 @@ no more than the constant of an edge.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 from toolkit.pose_graph.graph import PoseEdge, information_of
+from toolkit.pose_graph.options import LoopNoiseOptions, OdometryNoiseOptions
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
 class LoopNoise:
-    """From the information of a registration to the covariance of a loop edge.
+    """Covariances of loop edges from the information of registrations."""
 
-    Attributes:
-        scale: variance of the errors over that which was stated, at least 1.
-        edge_m, edge_rad: least standard deviation of every edge.
-        unseen: standard deviation where the information says nothing (m and rad).
-    """
-
-    scale: float = 100.0
-    edge_m: float = 0.01
-    edge_rad: float = 0.005
-    unseen: float = 1.0
+    def __init__(self, options: LoopNoiseOptions | None = None) -> None:
+        self.options = options or LoopNoiseOptions()
 
     def alignment(self, information: Array) -> Array:
         """Covariance [6, 6] of an alignment.
@@ -49,9 +40,9 @@ class LoopNoise:
             information: [6, 6] positive semi-definite, of (translation m, rotation rad).
         """
         # A weak prior holds the directions that nothing was seen of.
-        weak = np.eye(6) / self.unseen**2
-        measured = np.linalg.inv(0.5 * (information + information.T) / self.scale + weak)
-        floor = np.diag([self.edge_m**2] * 3 + [self.edge_rad**2] * 3)
+        weak = np.eye(6) / self.options.unseen**2
+        measured = np.linalg.inv(0.5 * (information + information.T) / self.options.scale + weak)
+        floor = np.diag([self.options.edge_m**2] * 3 + [self.options.edge_rad**2] * 3)
         return 0.5 * (measured + measured.T) + floor
 
     def edge(self, first: int, second: int, T_first_second: Array, information: Array) -> PoseEdge:
@@ -60,27 +51,13 @@ class LoopNoise:
         return PoseEdge.loop(first, second, T_first_second, information_of(covariance))
 
 
-@dataclass(frozen=True)
 class OdometryNoise(LoopNoise):
-    """From a tracker's information to the covariance of an odometry edge.
+    """Covariances of odometry edges from the information of a tracker."""
 
-    The defaults were set on one sequence of a hand-held camera, TUM's fr1_rpy: there the dense
-    tracker's errors over 5 to 40 frames (the truth's own included) are 0.7 to 1.2 of what the
-    terms of edge and path say without the information. On rendered sequences they are wide.
+    options: OdometryNoiseOptions
 
-    Attributes:
-        scale, edge_m, edge_rad, unseen: as of loops.
-        per_metre_m, per_metre_rad: standard deviation after a metre of path; it grows with
-            the root of the length.
-        per_radian_m, per_radian_rad: the same after a turn by one radian.
-    """
-
-    edge_m: float = 0.002
-    edge_rad: float = 0.001
-    per_metre_m: float = 0.015
-    per_metre_rad: float = 0.01
-    per_radian_m: float = 0.015
-    per_radian_rad: float = 0.02
+    def __init__(self, options: OdometryNoiseOptions | None = None) -> None:
+        super().__init__(options or OdometryNoiseOptions())
 
     def covariance(self, information: Array, metres: float, radians: float) -> Array:
         """Covariance [6, 6] of an edge that ends at a tracked frame.
@@ -89,8 +66,10 @@ class OdometryNoise(LoopNoise):
             information: [6, 6] of that frame, zero where poses were given.
             metres, radians: path and turns along the edge, as `path_between` sums them.
         """
-        drift_m2 = self.per_metre_m**2 * metres + self.per_radian_m**2 * radians
-        drift_rad2 = self.per_metre_rad**2 * metres + self.per_radian_rad**2 * radians
+        drift_m2 = self.options.per_metre_m**2 * metres + self.options.per_radian_m**2 * radians
+        drift_rad2 = (
+            self.options.per_metre_rad**2 * metres + self.options.per_radian_rad**2 * radians
+        )
         return self.alignment(information) + np.diag([drift_m2] * 3 + [drift_rad2] * 3)
 
     def along(

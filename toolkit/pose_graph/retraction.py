@@ -23,20 +23,10 @@ import numpy as np
 
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.graph import PoseGraph
-from toolkit.pose_graph.solver import PoseGraphSolution, SolverOptions, solve
+from toolkit.pose_graph.options import RetractionOptions, SolverOptions
+from toolkit.pose_graph.solver import PoseGraphSolution, solve
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class RetractionOptions:
-    """When a loop is taken back.
-
-    Attributes:
-        confidence: share of right loops that each test passes, if covariances are right.
-    """
-
-    confidence: float = 0.999
 
 
 class PoseGraphOptimiser:

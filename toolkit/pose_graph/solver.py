@@ -9,43 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError, ToolkitError
 from toolkit.pose_graph.graph import PoseGraph
+from toolkit.pose_graph.options import SolverOptions
 
 Array = NDArray[np.float64]
-Kernel = Literal["none", "huber", "cauchy", "geman-mcclure"]
 
 # (translation, rotation) <-> (rotation, translation); its own inverse.
 _SWAP = np.array([3, 4, 5, 0, 1, 2])
 # The prior on the fixed node only removes the freedom of the whole: at the optimum it costs
 # nothing, and its width (m, rad) shows in the covariances alone.
 _FIXED_SIGMA = 1e-6
-
-
-@dataclass(frozen=True)
-class SolverOptions:
-    """How a pose graph is solved.
-
-    Attributes:
-        kernel: of robust edges.
-        kernel_width: residual, in standard deviations, where the kernel begins to doubt; a
-            good edge of 6 degrees of freedom has 2.4 on the average.
-        initialise: start from GTSAM's chordal initialisation, not from the graph's poses;
-            for graphs whose poses are far off, but without wrong loops, which bend it.
-        iterations: most Levenberg-Marquardt steps.
-        tolerance: relative and absolute fall of the error that ends them.
-    """
-
-    kernel: Kernel = "cauchy"
-    kernel_width: float = 3.0
-    initialise: bool = False
-    iterations: int = 100
-    tolerance: float = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

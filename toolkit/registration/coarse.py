@@ -6,39 +6,20 @@ Z of every pair is measured: `T T_source = T_target Z`. Robust averaging rejects
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
-from toolkit.alignment.matching import MatchingOptions, Offset, measure_offset
-from toolkit.registration.motion_average import AverageOptions, MotionAverage, average_motion
+from toolkit.alignment.matching import Offset, measure_offset
+from toolkit.registration.motion_average import MotionAverage, average_motion
+from toolkit.registration.options import CoarseOptions
 from toolkit.registration.pooled import pooled_motion
 from toolkit.registration.result import UNKNOWN, RegistrationResult, failed
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class CoarseOptions:
-    """Values of the coarse stage.
-
-    Attributes:
-        pairs: most pairs of keyframes (G: k).
-        offsets: "measured" between the observed images; "none" is the paper's form, Z = I.
-        min_agreeing: fewest pairs that must agree.
-        enough: so many that agree spare the rest of the measurements.
-    """
-
-    pairs: int = 10
-    offsets: Literal["measured", "none"] = "measured"
-    min_agreeing: int = 2
-    enough: int = 4
-    matching: MatchingOptions = field(default_factory=MatchingOptions)
-    average: AverageOptions = field(default_factory=AverageOptions)
 
 
 @dataclass(frozen=True)

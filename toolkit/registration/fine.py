@@ -7,8 +7,7 @@ baseline, see `toolkit.baselines.first_order_fine`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,77 +15,16 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import ModelLevel
-from toolkit.alignment.joint import (
-    MIN_PIXELS,
-    Estimate,
-    JointOptions,
-    Pair,
-    align,
-)
+from toolkit.alignment.joint import MIN_PIXELS, Estimate, Pair, align
 from toolkit.alignment.levels import model_level, pyramid
 from toolkit.geometry import se3
+from toolkit.registration.options import FineOptions
 from toolkit.registration.quality import AlignmentCheck, compare
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.registration.views import View, ViewDrawer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class FirstOrderFineOptions:
-    """Options of the paper's optimiser, a baseline: Adam on the motion of the source (G-6).
-
-    Attributes:
-        semantic, feature: weights of the semantic and of the feature term relative to the colour
-            term (G: 1.0 and 0.5).
-        iterations: maximum number of Adam steps.
-        translation_rate, rotation_rate: learning rates in metres and radians.
-        patience: a round ends after so many steps without a gain.
-        min_gain: minimum relative decrease of the loss that counts as a gain.
-        rounds: each starts at the best motion so far, with rates multiplied by `rate_decay`.
-        min_silhouette: minimum silhouette in both maps of the pixels compared.
-    """
-
-    semantic: float = 1.0
-    feature: float = 0.5
-    iterations: int = 150
-    translation_rate: float = 0.005
-    rotation_rate: float = 0.003
-    patience: int = 8
-    min_gain: float = 0.001
-    rounds: int = 3
-    rate_decay: float = 0.2
-    min_silhouette: float = 0.9
-
-
-@dataclass(frozen=True)
-class FineOptions:
-    """Values of the fine stage.
-
-    Attributes:
-        optimiser: "dense", or "first-order" for the paper's baseline; the factory reads it.
-        views: most views of the source (G: k).
-        renders: how often the target is drawn from all of them, dense alone.
-        rerender_distance: draw again when a view moved by more than this share of its median
-            depth (translation) or this angle in radians.
-        min_overlap: a result on less common ground has not converged.
-        semantic_gate: leave out pixels whose classes differ.
-        redundancy: so many residuals count as one in the information matrix. Pixels and views
-            show the same Gaussians, and the error of a fit is that of two maps, not of pixels:
-            counted one by one, squared errors were 200 to 1100 times the expected ones in
-            synthetic rooms, with sensor noise and without.
-    """
-
-    optimiser: Literal["dense", "first-order"] = "dense"
-    views: int = 10
-    renders: int = 6
-    rerender_distance: float = 0.01
-    min_overlap: float = 0.1
-    semantic_gate: bool = True
-    redundancy: float = 500.0
-    dense: JointOptions = field(default_factory=JointOptions)
-    first_order: FirstOrderFineOptions = field(default_factory=FirstOrderFineOptions)
 
 
 @dataclass(frozen=True)

@@ -12,28 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
+from toolkit.registration.options import AverageOptions
 
 Array = NDArray[np.float64]
 
 # Geman-McClure: a squared residual of so many units has a quarter of its weight.
 _REACH = 9.0
 _SMALL_STEP = 1e-8
-
-
-@dataclass(frozen=True)
-class AverageOptions:
-    """Values of the robust mean.
-
-    Attributes:
-        sigma_translation_m, sigma_rotation_rad: what a residual of one unit is.
-        agree_within: a hypothesis agrees up to so many units.
-        iterations: most Gauss-Newton steps.
-    """
-
-    sigma_translation_m: float = 0.03
-    sigma_rotation_rad: float = 0.02
-    agree_within: float = 4.0
-    iterations: int = 30
 
 
 @dataclass(frozen=True)

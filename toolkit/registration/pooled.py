@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.matching import Matched, MatchingOptions, match_features, rigid_fits
+from toolkit.alignment.matching import Matched, match_features, rigid_fits
+from toolkit.alignment.options import MatchingOptions
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.registration.coarse import CoarseOptions, CoarseRegistration, register_coarse
-from toolkit.registration.fine import FineOptions, FineRegistration
+from toolkit.registration.coarse import CoarseRegistration, register_coarse
+from toolkit.registration.fine import FineRegistration
+from toolkit.registration.options import CoarseOptions, FineOptions
 from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult
 from toolkit.registration.views import ViewDrawer, views_of_overlap

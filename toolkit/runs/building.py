@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from toolkit.baselines.factory import build_tracker
@@ -10,8 +12,8 @@ from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.errors import DatasetError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
-from toolkit.mapping.factory import build_mapper, build_semantic_mapping
-from toolkit.registration.factory import build_placement
+from toolkit.mapping.factory import build_semantic_mapping
+from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import map_device
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings
@@ -21,6 +23,7 @@ from toolkit.slam import Slam
 from toolkit.submaps.factory import build_atlas
 from toolkit.taxonomy_building.factory import build_labeller
 from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.placement import KeyframePlacement
 
 
 def build_slam(
@@ -48,8 +51,8 @@ def build_slam(
     # The papers' tracker compares pixels as they are drawn; with given poses none compares any.
     centred = settings.mapping.centred
     centred &= settings.poses == "slam" and settings.tracking.kind == "dense"
-    mapper = build_mapper(
-        settings.mapping.model_copy(update={"centred": centred}),
+    mapper = Mapper(
+        replace(settings.mapping, centred=centred),
         np.random.default_rng(settings.seed),
         settings.backend,
         recorder,
@@ -69,7 +72,8 @@ def build_slam(
             closer = build_loop_closer(settings.loops, context, log, recorder)
         # The papers' tracker is there to be compared with.
         dense = settings.tracking.kind == "dense"
-        placement = build_placement(settings.placement) if dense else None
+        placed = dense and settings.placement.use
+        placement = KeyframePlacement(settings.placement) if placed else None
         return Slam(tracker, mapper, recorder, labeller, atlas, closer, settings.denoise, placement)
     if dataset is None or dataset.ground_truth is None:
         name = "this sequence" if dataset is None else dataset.name

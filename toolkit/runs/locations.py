@@ -6,8 +6,6 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
-
 from toolkit.runs.settings import RunSettings
 
 
@@ -27,7 +25,7 @@ def with_absolute_paths(settings: RunSettings) -> RunSettings:
     # A name or a file, hence not declared as a path.
     taxonomy = Path(settings.semantics.taxonomy)
     if taxonomy.is_file():
-        semantics = settings.semantics.model_copy(update={"taxonomy": str(absolute(taxonomy))})
+        semantics = replace(settings.semantics, taxonomy=str(absolute(taxonomy)))
         settings = replace(settings, semantics=semantics)
     return settings
 
@@ -41,7 +39,4 @@ def _absolute_in(value: Any) -> Any:
         return replace(
             value, **{f.name: _absolute_in(getattr(value, f.name)) for f in fields(value)}
         )
-    if isinstance(value, BaseModel):
-        values = {name: _absolute_in(getattr(value, name)) for name in type(value).model_fields}
-        return value.model_copy(update=values)
     return value

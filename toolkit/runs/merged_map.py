@@ -64,8 +64,8 @@ def shared_reading(a: FinishedRun, b: FinishedRun) -> SemanticMapping | None:
     if not_one_tree(a, b) or a.taxonomy is None:
         return None
     settings = a.settings.semantics
-    network = settings.network.model_copy(update={"use": False})
-    settings = settings.model_copy(update={"reader": "path", "network": network})
+    network = replace(settings.network, use=False)
+    settings = replace(settings, reader="path", network=network)
     semantics = build_semantic_mapping(settings, build_code(settings.code, a.taxonomy), 0)
     told = a.semantics.state()["told"] | b.semantics.state()["told"]
     semantics.restore({"told": told})

@@ -8,16 +8,15 @@ from typing import Annotated, Any, Literal
 
 import yaml
 
+from toolkit.closing.options import LoopClosureOptions
 from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
+from toolkit.mapping.options import MapperOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
-from toolkit.settings.loop_closure import LoopClosureSettings
-from toolkit.settings.mapping import MappingSettings
-from toolkit.settings.registration import PlacementSettings
-from toolkit.settings.semantics import SemanticsSettings
-from toolkit.settings.submaps import SubmapSettings
-from toolkit.tracking.options import TrackingOptions
+from toolkit.semantics.options import SemanticsOptions
+from toolkit.submaps.options import SubmapOptions
+from toolkit.tracking.options import PlacementOptions, TrackingOptions
 
 # Settings of the papers' systems, for comparison.
 PRESETS = Path(__file__).with_name("presets")
@@ -60,11 +59,11 @@ class RunSettings:
     backend: Literal["auto", "native", "reference", "cuda", "gsplat"] = "auto"
     """Renderer."""
     tracking: TrackingOptions = TrackingOptions()
-    placement: PlacementSettings = PlacementSettings()
-    mapping: MappingSettings = MappingSettings()
-    semantics: SemanticsSettings = SemanticsSettings()
-    submaps: SubmapSettings = SubmapSettings()
-    loops: LoopClosureSettings = LoopClosureSettings()
+    placement: PlacementOptions = PlacementOptions()
+    mapping: MapperOptions = MapperOptions()
+    semantics: SemanticsOptions = SemanticsOptions()
+    submaps: SubmapOptions = SubmapOptions()
+    loops: LoopClosureOptions = LoopClosureOptions()
     checkpoint: CheckpointOptions = CheckpointOptions()
     evaluation: EvaluationOptions = EvaluationOptions()
 

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.semantics.options import CodeOptions
 from toolkit.semantics.taxonomy import Taxonomy
 
 _LEAST_LOGIT = 0.5
@@ -95,20 +96,6 @@ class Heads:
     weight: NDArray[np.float32]
     targets: NDArray[np.int32]
     bits: bool
-
-
-@dataclass(frozen=True)
-class CodeOptions:
-    """How a code starts and how its heads are weighed.
-
-    Attributes:
-        start_confidence: of a head right after seeding, in (0, 1).
-        normalise: divide each head's loss by that of a blind guess, so that weights do not
-            depend on the number of classes; the papers do not.
-    """
-
-    start_confidence: float = 0.9
-    normalise: bool = True
 
 
 class HeadedCode:

@@ -1,4 +1,4 @@
-"""Segmenter and semantic code from settings."""
+"""Segmenter and semantic code from options."""
 
 from __future__ import annotations
 
@@ -7,48 +7,40 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from toolkit.errors import DatasetError, SettingsError
-from toolkit.semantics.codes import (
+from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
+from toolkit.semantics.options import (
     CodeOptions,
-    ColourCode,
-    SemanticCode,
-    binary_code,
-    flat_code,
-    one_hot_code,
+    LabelImageOptions,
+    ModelOptions,
+    SegmenterOptions,
 )
 from toolkit.semantics.palette import Palette
-from toolkit.semantics.segmenters.geometric import GeometricOptions, GeometricSegmenter
+from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
 from toolkit.semantics.segmenters.recorded import RecordedLabels
 from toolkit.semantics.segmenters.segmenter import Segmenter
 from toolkit.semantics.segmenters.unlabelled import Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.settings.semantics import (
-    CodeSettings,
-    LabelImageSettings,
-    ModelSettings,
-    SegmenterSettings,
-)
 
 _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
 
 
-def build_code(settings: CodeSettings, taxonomy: Taxonomy) -> SemanticCode | None:
-    """The code that the settings describe, None for a map without semantics."""
-    if settings.kind == "none":
+def build_code(options: CodeOptions, taxonomy: Taxonomy) -> SemanticCode | None:
+    """The code that the options describe, None for a map without semantics."""
+    if options.kind == "none":
         return None
-    if settings.kind == "colour":
+    if options.kind == "colour":
         palette = Palette(taxonomy).classes[1:].astype(np.float32) / 255.0
         return ColourCode(taxonomy, palette)
-    options = CodeOptions(settings.start_confidence, settings.normalise)
-    return _HEADED[settings.kind](taxonomy, options)
+    return _HEADED[options.kind](taxonomy, options)
 
 
 def build_segmenter(
-    settings: SegmenterSettings,
+    options: SegmenterOptions,
     label_names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
 ) -> Segmenter:
-    """The segmenter that the settings name.
+    """The segmenter that the options name.
 
     Args:
         label_names: the data set's class names by id, or None where it has no labels.
@@ -61,7 +53,7 @@ def build_segmenter(
         DependencyError: transformers cannot be loaded.
         FormatError: a model's folder is not what it should be.
     """
-    kind = settings.kind
+    kind = options.kind
     if kind == "auto":
         kind = "recorded" if label_names else "geometric"
     if kind == "recorded":
@@ -71,35 +63,35 @@ def build_segmenter(
             )
         return RecordedLabels(label_names)
     if kind == "images":
-        return _label_images(settings.images, stems)
+        return _label_images(options.images, stems)
     if kind == "model":
-        return _model(settings.model)
+        return _model(options.model)
     if kind == "geometric":
-        if settings.geometric.min_camera_height_m >= settings.geometric.max_camera_height_m:
+        if options.geometric.min_camera_height_m >= options.geometric.max_camera_height_m:
             raise SettingsError(
                 "semantics.segmenter.geometric.min_camera_height_m must be below "
                 "max_camera_height_m"
             )
-        return GeometricSegmenter(GeometricOptions(**settings.geometric.model_dump()))
+        return GeometricSegmenter(options.geometric)
     return Unlabelled()
 
 
-def _label_images(settings: LabelImageSettings, stems: Sequence[str] | None) -> Segmenter:
-    if settings.folder is None:
+def _label_images(options: LabelImageOptions, stems: Sequence[str] | None) -> Segmenter:
+    if options.folder is None:
         raise SettingsError(
             "--semantics.segmenter.kind images needs --semantics.segmenter.images.folder DIR"
         )
-    if settings.pairing == "number":
-        return LabelImageFolder(settings.folder, None, settings.gaps)
+    if options.pairing == "number":
+        return LabelImageFolder(options.folder, None, options.gaps)
     if stems is None:
         raise SettingsError(
             "these frames have no file names; set --semantics.segmenter.images.pairing number"
         )
-    return LabelImageFolder(settings.folder, stems, settings.gaps)
+    return LabelImageFolder(options.folder, stems, options.gaps)
 
 
-def _model(settings: ModelSettings) -> Segmenter:
-    if settings.folder is None:
+def _model(options: ModelOptions) -> Segmenter:
+    if options.folder is None:
         raise SettingsError(
             "--semantics.segmenter.kind model needs --semantics.segmenter.model.folder DIR"
         )
@@ -108,8 +100,8 @@ def _model(settings: ModelSettings) -> Segmenter:
     from toolkit.semantics.segmenters.patch_features import PatchEncoder
     from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter
 
-    if settings.head is None:
-        return TransformersSegmenter(settings.folder, settings.min_confidence, settings.device)
-    head = LinearHead.load(settings.head)
-    encoder = PatchEncoder(settings.folder, head.longest_side, settings.device)
-    return HeadSegmenter(encoder, head, settings.min_confidence)
+    if options.head is None:
+        return TransformersSegmenter(options.folder, options.min_confidence, options.device)
+    head = LinearHead.load(options.head)
+    encoder = PatchEncoder(options.folder, head.longest_side, options.device)
+    return HeadSegmenter(encoder, head, options.min_confidence)

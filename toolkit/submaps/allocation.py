@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,36 +16,11 @@ from numpy.typing import NDArray
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.histograms import class_histogram, smoothed_kl
+from toolkit.submaps.options import AllocationOptions
 from toolkit.submaps.volume import SubmapVolume
 
-
-@dataclass(frozen=True)
-class AllocationOptions:
-    """Bounds of a submap.
-
-    Attributes:
-        rule: "places", by what is seen, or "motion", by how far the anchor is.
-        min_overlap: spatially new below this share of the view inside the submap (G: 0.5).
-        min_divergence: semantically new above this KL divergence from the anchor's classes,
-            in nats (G: 0.4, for a rich set of classes).
-        recent: newest keyframes that do not count as the submap's volume. With them the last
-            view's neighbour always would, and the paper's criterion could never fire.
-        min_keyframes: a smaller submap takes whatever comes. While a camera explores, any
-            view is new and other things are in it: only size tells a turn from a new room.
-        moved_m, turned_deg: from the anchor, either is enough for the rule of motion.
-        max_keyframes, max_gaussians, max_path_m: caps that act alone.
-    """
-
-    rule: Literal["places", "motion"] = "places"
-    min_overlap: float = 0.5
-    min_divergence: float = 0.4
-    recent: int = 10
-    min_keyframes: int = 60
-    moved_m: float = 0.5
-    turned_deg: float = 50.0
-    max_keyframes: int = 150
-    max_gaussians: int = 1_000_000
-    max_path_m: float = 30.0
+# KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
+_RICH_CLASSES = 0.4
 
 
 @dataclass(frozen=True)
@@ -92,6 +67,8 @@ class Allocation:
 
     def __init__(self, options: AllocationOptions, classes: int) -> None:
         self.options = options
+        set_divergence = options.min_divergence
+        self._min_divergence = _RICH_CLASSES if set_divergence is None else set_divergence
         self._classes = classes
         self._volume = SubmapVolume()
 
@@ -120,7 +97,7 @@ class Allocation:
 
     def _elsewhere(self, overlap: float, divergence: float) -> str:
         # Without labels the place alone decides.
-        same_things = divergence <= self.options.min_divergence
+        same_things = divergence <= self._min_divergence
         if overlap >= self.options.min_overlap or same_things:
             return ""
         return f"overlap {overlap:.2f} and divergence {divergence:.2f}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,28 +19,13 @@ from toolkit.mapping.content import MapContent
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.allocation import Allocation, AllocationVerdict
+from toolkit.submaps.options import BoundaryOptions
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
 
 # An inherited Gaussian lies on the drawn surface or so much behind it, as a share of depth.
 _BEHIND = 0.05
 _NONE = torch.zeros(0, dtype=torch.int64)
-
-
-@dataclass(frozen=True)
-class BoundaryOptions:
-    """What happens where one submap ends and the next begins.
-
-    Attributes:
-        steps: optimisation steps around the boundary before the old submap rests.
-        bundle_adjustment: of the keyframes' poses too (G: local bundle adjustment).
-        inherit: the new submap begins with copies of what its anchor sees of the old one,
-            so that tracking goes on against a settled map; fusion takes the copies out.
-    """
-
-    steps: int = 24
-    bundle_adjustment: bool = False
-    inherit: bool = True
 
 
 class Atlas:

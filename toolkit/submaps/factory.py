@@ -1,43 +1,40 @@
-"""The atlas from settings."""
+"""Build the atlas from the options of submaps."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from toolkit.mapping.mapper import Mapper
 from toolkit.semantics.labeller import Labeller
-from toolkit.settings.submaps import AllocationSettings, SubmapSettings
-from toolkit.submaps.allocation import Allocation, AllocationOptions
-from toolkit.submaps.atlas import Atlas, BoundaryOptions
+from toolkit.submaps.allocation import Allocation
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.options import AllocationOptions, SubmapOptions
 from toolkit.submaps.store import SubmapStore
 
 
 def build_atlas(
-    settings: SubmapSettings,
+    options: SubmapOptions,
     mapper: Mapper,
     labeller: Labeller | None,
     folder: Path | None = None,
 ) -> Atlas:
-    """The atlas that the settings describe.
+    """The atlas that the options describe.
 
     Args:
         labeller: None for a map without labels.
         folder: where submaps rest; None keeps them in memory.
     """
     allocation = None
-    if settings.use:
+    if options.use:
         classes = len(labeller.taxonomy) if labeller else 0
-        allocation = Allocation(allocation_options(settings.allocation, labeller), classes)
-    store = SubmapStore(folder, settings.memory_mb)
-    boundary = BoundaryOptions(**settings.boundary.model_dump())
-    return Atlas(mapper, allocation, store, boundary)
+        allocation = Allocation(allocation_options(options.allocation, labeller), classes)
+    store = SubmapStore(folder, options.memory_mb)
+    return Atlas(mapper, allocation, store, options.boundary)
 
 
-def allocation_options(
-    settings: AllocationSettings, labeller: Labeller | None
-) -> AllocationOptions:
-    """When submaps begin, by the classes of whoever labels the frames."""
-    values = settings.model_dump()
-    if labeller is not None and settings.min_divergence is None:
-        values["min_divergence"] = labeller.segmenter.place_divergence
-    return AllocationOptions(**{name: v for name, v in values.items() if v is not None})
+def allocation_options(options: AllocationOptions, labeller: Labeller | None) -> AllocationOptions:
+    """The options with the segmenter's divergence where they set none."""
+    if labeller is None or options.min_divergence is not None:
+        return options
+    return replace(options, min_divergence=labeller.segmenter.place_divergence)

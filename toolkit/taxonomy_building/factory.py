@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.options import SemanticsOptions
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import taxonomy_for, taxonomy_named
-from toolkit.settings.semantics import SemanticsSettings
 from toolkit.taxonomy_building.builder import build_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper
 
@@ -32,7 +32,7 @@ def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
 
 
 def build_labeller(
-    settings: SemanticsSettings,
+    options: SemanticsOptions,
     names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
 ) -> Labeller | None:
@@ -44,9 +44,9 @@ def build_labeller(
     Raises:
         ToolkitError: as `build_segmenter` and `choose_taxonomy`, or the tree lacks a class.
     """
-    if settings.code.kind == "none" or settings.segmenter.kind == "none":
+    if options.code.kind == "none" or options.segmenter.kind == "none":
         return None
-    segmenter = build_segmenter(settings.segmenter, names, stems)
-    taxonomy = choose_taxonomy(settings.taxonomy, segmenter.class_names)
-    ignored = [i for node in settings.ignore for i in taxonomy.find(node).class_ids]
-    return Labeller(segmenter, taxonomy, ignored, f"{settings.segmenter.kind} labels")
+    segmenter = build_segmenter(options.segmenter, names, stems)
+    taxonomy = choose_taxonomy(options.taxonomy, segmenter.class_names)
+    ignored = [i for node in options.ignore for i in taxonomy.find(node).class_ids]
+    return Labeller(segmenter, taxonomy, ignored, f"{options.segmenter.kind} labels")

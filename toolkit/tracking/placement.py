@@ -11,47 +11,24 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, ModelLevel
-from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.matching import correction_too_large
 from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.tracking.options import PlacementOptions
 
 Array = NDArray[np.float64]
 
 # Number of cached pyramids: computing one takes as long as aligning it.
 _CACHED = 12
-
-
-@dataclass(frozen=True)
-class PlacementOptions:
-    """Values of the placement.
-
-    Attributes:
-        recent: newest keyframes that are compared.
-        older: most others, spread from the oldest on: they hold the path together.
-        every: only each n-th keyframe is one of these, so that they stay the same for a while.
-        min_recent, min_older: share of the new keyframe's points that either has to show.
-        max_width: images are halved until they are no wider. 320 as 160 pixels take two
-            fifths of the time, and cost 0.1 mm on a ring of rooms, a quarter of a decibel of
-            mapped views on fr1_rpy.
-        dense: of the alignment; a tracked pose is good to a pixel or two, so few levels do.
-    """
-
-    recent: int = 2
-    older: int = 4
-    every: int = 4
-    min_recent: float = 0.2
-    min_older: float = 0.5
-    max_width: int = 400
-    dense: JointOptions = field(default_factory=lambda: JointOptions(levels=2))
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
+from toolkit.semantics.options import GeometricOptions
 from toolkit.semantics.segmenters.geometric.labelling import (
     CEILING,
     FLOOR,
@@ -28,21 +28,6 @@ CLASS_NAMES: dict[int, str] = {
     SURFACE: "surface",
     OBJECT: "object",
 }
-
-
-@dataclass(frozen=True)
-class GeometricOptions:
-    """How depth is looked at.
-
-    Attributes:
-        columns: most cells across the image on which surfaces are found, at least 16.
-        min_camera_height_m, max_camera_height_m: height of the camera above the floor. What
-            is level and nearer is a table; what is farther below is another storey.
-    """
-
-    columns: int = 160
-    min_camera_height_m: float = 0.5
-    max_camera_height_m: float = 2.5
 
 
 class GeometricSegmenter:

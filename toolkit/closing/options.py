@@ -1,0 +1,61 @@
+"""Options of loop closure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from toolkit.features.options import FeatureOptions
+from toolkit.loops.options import (
+    CandidateOptions,
+    LandmarkOptions,
+    RelocalisationOptions,
+    VerificationOptions,
+)
+from toolkit.options import Fraction, NonNegativeInt, Range
+from toolkit.pose_graph.options import PoseGraphOptions
+from toolkit.registration.options import RegistrationOptions
+
+
+@dataclass(frozen=True)
+class ClosingOptions:
+    """Which loops are closed."""
+
+    within: bool = True
+    """Close loops between keyframes of one submap."""
+    between: bool = True
+    """Close loops between submaps by registration."""
+    min_visible: Fraction = 0.4
+    """Minimum fraction of the second image of a keyframe pair that the first one explains."""
+    min_shared: Fraction = 0.3
+    """Minimum fraction of a candidate keyframe's view that the other keyframe sees after the
+    registration of their submaps."""
+    # Of many small submaps in a room, every pair overlaps, and registering all of them would take
+    # longer than the recording.
+    max_partners: NonNegativeInt = 8
+    """Maximum number of overlapping submaps that each submap is registered with at the end of a
+    run, in addition to those that a loop connects it to."""
+    # An image pair is accurate to a centimetre; a well tracked map is more accurate, and would only
+    # be disturbed.
+    drift_confidence: Annotated[float, Range(gt=0, lt=1)] = 0.99
+    """Confidence with which loops must contradict the keyframes of a submap before these are
+    moved."""
+    mapping_iterations: NonNegativeInt = 0
+    """Number of mapping iterations, at fixed poses, per keyframe that a correction inside a submap
+    has moved (GauSem-SLAM: 10)."""
+
+
+@dataclass(frozen=True)
+class LoopClosureOptions:
+    """Loop detection and closure."""
+
+    use: bool = True
+    """Detect and close loops."""
+    features: FeatureOptions = FeatureOptions()
+    candidates: CandidateOptions = CandidateOptions()
+    landmarks: LandmarkOptions = LandmarkOptions()
+    registration: RegistrationOptions = RegistrationOptions()
+    verification: VerificationOptions = VerificationOptions()
+    closing: ClosingOptions = ClosingOptions()
+    relocalisation: RelocalisationOptions = RelocalisationOptions()
+    pose_graph: PoseGraphOptions = PoseGraphOptions()

@@ -1,0 +1,30 @@
+"""Options of seeding: how pixels become Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from toolkit.options import NonNegativeFloat, PositiveFloat, Range
+
+
+@dataclass(frozen=True)
+class SeedingOptions:
+    """Creation of Gaussians from pixels."""
+
+    radius: PositiveFloat = 0.6
+    """Standard deviation of a new Gaussian, in pixels."""
+    opacity: Annotated[float, Range(gt=0, lt=1)] = 0.95
+    """Opacity of a new Gaussian."""
+    max_cell: Literal[1, 2, 4] = 2
+    """Maximum side length in pixels of a block that becomes one Gaussian, where the surface has
+    neither texture nor curvature."""
+    flat_colour: NonNegativeFloat = 0.04
+    """Maximum colour range of a block that becomes one Gaussian, for colours in [0, 1]."""
+    flat_depth: NonNegativeFloat = 0.005
+    """Maximum curvature of a block that becomes one Gaussian, as a fraction of depth."""
+    choice: Literal["cells", "uniform", "semantic"] = "cells"
+    """Selection of pixels: all, in blocks (cells), a random subset (uniform), or a subset weighted
+    by class frequency as in GauSem-SLAM (semantic)."""
+    share: Annotated[float, Range(gt=0, le=1)] = 0.5
+    """Fraction of the pixels in a random subset."""

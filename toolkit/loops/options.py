@@ -1,0 +1,102 @@
+"""Options of loop detection, loop verification and relocalisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from toolkit.options import (
+    Fraction,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+)
+
+Weighting = Literal["sqrt", "linear", "paper"]
+Counted = Literal["pixels", "gaussians"]
+
+
+@dataclass(frozen=True)
+class CandidateOptions:
+    """Selection of loop candidates by image descriptors."""
+
+    search_every: PositiveInt = 6
+    """Number of keyframes between searches for loop candidates."""
+    considered: PositiveInt = 10
+    """Number of nearest keyframes considered in a search."""
+    kept: PositiveInt = 3
+    """Maximum number of candidates passed to verification, at most one per submap before a second
+    of any (GauSem-SLAM: 1)."""
+    threshold: Literal["fixed", "adaptive"] = "fixed"
+    """Maximum descriptor distance of a candidate: the encoder's (fixed), or derived from the
+    distances within the query's submap (adaptive)."""
+    distance: Annotated[float, Range(gt=0, le=2)] | None = None
+    """Maximum Euclidean distance of two descriptors. By default, the encoder's."""
+    adaptive_quantile: Fraction = 0.5
+    """Quantile of the descriptor distances within the query's submap that becomes the adaptive
+    threshold."""
+    adaptive_limit: PositiveFloat = 1.5
+    """Maximum adaptive threshold, relative to the fixed one."""
+    min_gap_frames: PositiveInt = 30
+    """Minimum number of frames between query and match."""
+    min_gap_m: NonNegativeFloat = 0.5
+    """Minimum path length between query and match, in metres."""
+    # Nine of ten views that overlap by 60 % are nearer than 0.67 in rooms of many classes.
+    max_landmark_distance: PositiveFloat = 0.7
+    """Maximum distance of the unit landmark vectors of query and match; from 1.42 on all pass."""
+
+
+@dataclass(frozen=True)
+class LandmarkOptions:
+    """Landmark vectors: the weighted class counts of a view."""
+
+    weighting: Weighting = "sqrt"
+    """Weight of a class: the square root of its share of the view (sqrt), the share (linear), or
+    equation 7 of GauSem-SLAM as printed (paper)."""
+    min_count: NonNegativeInt = 10
+    """Minimum count for a class to be seen by a keyframe; the floor on M_c in the weighting
+    paper."""
+    counted: Counted = "pixels"
+    """What is counted per class: the labelled pixels of a keyframe (pixels) or the Gaussians that
+    it observes as in GauSem-SLAM (gaussians)."""
+
+
+@dataclass(frozen=True)
+class VerificationOptions:
+    """Requirements that the registration of two submaps must meet to become a loop."""
+
+    min_overlap: Fraction = 0.3
+    """Minimum fraction of the source's pixels that the target also shows."""
+    min_inliers: Fraction = 0.8
+    """Minimum fraction of the overlapping pixels whose surfaces agree."""
+    min_class_agreement: Fraction = 0.7
+    """Minimum fraction of the agreeing pixels that have the same class, where both have one."""
+    max_intensity_residual: PositiveFloat = 0.1
+    """Maximum robust scale of the photometric residuals, for intensities in [0, 1]."""
+    max_depth_residual_m: PositiveFloat = 0.02
+    """Maximum robust scale of the depth residuals at a depth of 1 m, in metres."""
+    min_information: NonNegativeFloat = 1e4
+    """Minimum eigenvalue of the information matrix, in 1/m^2 and 1/rad^2."""
+
+
+@dataclass(frozen=True)
+class RelocalisationOptions:
+    """Relocalisation of a lost camera."""
+
+    tries: PositiveInt = 5
+    """Number of most similar keyframes that are matched with the frame."""
+    # Of two rooms that look the same, the camera is in the one that it was in.
+    speed_m_s: NonNegativeFloat = 2.0
+    """Assumed maximum camera speed, in m/s. Until patience is exhausted, only places that the
+    camera can have reached are accepted."""
+    slack_m: NonNegativeFloat = 2.0
+    """Distance added to the reach of the camera, in metres."""
+    # More than for a tracked frame, since no neighbouring frame confirms the pose.
+    min_visible: Fraction = 0.4
+    """Minimum fraction of the frame's measured pixels that the map explains."""
+    max_intensity_residual: PositiveFloat = 0.1
+    """Maximum robust scale of the photometric residuals, for intensities in [0, 1]."""
+    patience: PositiveInt = 15
+    """Number of consecutive lost frames after which a new submap is started."""

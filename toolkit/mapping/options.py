@@ -1,0 +1,128 @@
+"""Options of mapping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from toolkit.gaussians.options import SeedingOptions
+from toolkit.losses.options import RgbdLossWeights
+from toolkit.options import (
+    Fraction,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+)
+
+
+@dataclass(frozen=True)
+class KeyframePolicy:
+    """When a tracked frame becomes a keyframe."""
+
+    interval: PositiveInt = 5
+    """Maximum number of frames between keyframes (GauSem-SLAM: d_k)."""
+    min_overlap: Fraction = 0.95
+    """Minimum overlap of a frame with the last keyframe. Below it, the frame becomes a
+    keyframe."""
+
+    def wants(self, frames_since_last: int, overlap: float) -> bool:
+        """Whether the newest frame should become a keyframe.
+
+        Args:
+            frames_since_last: since the last keyframe.
+            overlap: fraction of the last keyframe's points that the newest frame sees.
+        """
+        return frames_since_last >= self.interval or overlap < self.min_overlap
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Learning rates of the Gaussians' parameters."""
+
+    means: NonNegativeFloat = 0.04
+    """Learning rate of the centres, in radii of the Gaussian."""
+    log_radii: NonNegativeFloat = 0.01
+    """Learning rate of the logarithms of the radii."""
+    opacity_logits: NonNegativeFloat = 0.05
+    """Learning rate of the opacity logits."""
+    colours: NonNegativeFloat = 0.01
+    """Learning rate of the colours, for colours in [0, 1]."""
+    features: NonNegativeFloat = 1.0
+    """Learning rate of the semantic code, in logits."""
+    epsilon: PositiveFloat = 0.05
+    """Adam's epsilon: gradients well below it have little effect, so that a Gaussian that fits
+    stays in place."""
+    settle_steps: NonNegativeFloat = 60.0
+    """Number of iterations of a Gaussian after which its learning rates are halved."""
+
+
+@dataclass(frozen=True)
+class ConsensusOptions:
+    """Correction of a keyframe's label segments by the labels of other keyframes."""
+
+    rounds: NonNegativeInt = 2
+    """Number of rounds of correction and voting; 0 only votes."""
+    min_views: NonNegativeFloat = 1.5
+    """Minimum number of views of a pixel's Gaussians for the pixel to count as evidence."""
+    min_share: Fraction = 0.1
+    """Minimum fraction of a segment's pixels that are evidence."""
+    margin: Fraction = 0.1
+    """Minimum probability margin of the map's class over the segment's."""
+
+
+@dataclass(frozen=True)
+class MapperOptions:
+    """Mapping: seeding, optimisation and refinement of the Gaussians."""
+
+    iterations: NonNegativeInt = 12
+    """Number of optimisation iterations per keyframe during mapping."""
+    first_iterations: NonNegativeInt = 40
+    """Number of optimisation iterations on the first keyframe."""
+    final_iterations: NonNegativeInt = 10
+    """Number of optimisation iterations per keyframe in the final refinement."""
+    # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
+    final_on_surfaces: bool = True
+    """Constrain centres to their surfaces during the final refinement."""
+    final_poses: bool = False
+    """Optimise keyframe poses during the final refinement (GauSem-SLAM, stage 1)."""
+    final_feature: NonNegativeFloat = 0.0
+    """Weight of the feature loss in the final refinement (GauSem-SLAM: 0.5)."""
+    window: PositiveInt = 8
+    """Maximum number of keyframes optimised together."""
+    newest_share: Annotated[float, Range(gt=0, le=1)] = 0.4
+    """Fraction of the iterations spent on the newest keyframe."""
+    min_overlap: Fraction = 0.15
+    """Minimum overlap of a keyframe with the newest one to be optimised together with it."""
+    # At 0.5, pinholes remain that no keyframe closes: -0.5 dB and 10 % fewer Gaussians (in a room
+    # and a ring).
+    min_silhouette: Annotated[float, Range(gt=0, lt=1)] = 0.85
+    """Silhouette below which new Gaussians are seeded (Hier-SLAM++: tau_sil)."""
+    depth_floor: NonNegativeFloat = 0.03
+    """Minimum depth error that seeds new Gaussians in front of a surface, as a fraction of
+    depth."""
+    depth_factor: NonNegativeFloat = 20.0
+    """Minimum depth error that seeds new Gaussians in front of a surface, as a multiple of the
+    median depth error."""
+    fuse_depth: bool = True
+    """Keep centres at the running mean of the measured depths."""
+    centred: bool = True
+    """Fit colours at the centres of the Gaussians until the final refinement, for the dense
+    tracker."""
+    # The first keyframe stays fixed; otherwise the whole map would drift.
+    bundle_adjustment: bool = False
+    """Optimise keyframe poses together with the map."""
+    pose_translation_m: PositiveFloat = 1e-4
+    """Learning rate of keyframe translations in bundle adjustment, in metres."""
+    pose_rotation_rad: PositiveFloat = 5e-5
+    """Learning rate of keyframe rotations in bundle adjustment, in radians."""
+    min_opacity: NonNegativeFloat = 0.005
+    """Opacity below which Gaussians are pruned."""
+    max_radius_m: PositiveFloat = 0.5
+    """Radius above which Gaussians are pruned, in metres."""
+    keyframes: KeyframePolicy = KeyframePolicy()
+    seeding: SeedingOptions = SeedingOptions()
+    rates: LearningRates = LearningRates()
+    loss: RgbdLossWeights = RgbdLossWeights()
+    consensus: ConsensusOptions = ConsensusOptions()

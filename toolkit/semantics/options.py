@@ -1,0 +1,146 @@
+"""Options of semantics: source of labels, code of the classes, semantic loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from toolkit.options import (
+    Fraction,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+)
+
+CodeKind = Literal["none", "flat", "one-hot", "binary", "colour"]
+
+
+@dataclass(frozen=True)
+class LabelImageOptions:
+    """Label images in a folder, written by any program."""
+
+    folder: Path | None = None
+    """Folder with label images (STEM.png) and classes.json; required for this segmenter."""
+    pairing: Literal["stem", "number"] = "stem"
+    """How label images are assigned to frames: by the name of the frame's image (stem) or by the
+    frame's index (number)."""
+    gaps: bool = False
+    """Treat frames without a label image as unlabelled instead of an error."""
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """A segmentation model in the format of transformers."""
+
+    folder: Path | None = None
+    """Local folder with config.json, the weights and the image processor; required for this
+    segmenter."""
+    head: Path | None = None
+    """Head trained by `semsplat train-head`. The model is then used as an encoder."""
+    min_confidence: Fraction = 0.5
+    """Minimum probability of a class. Pixels below it are unlabelled."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device that runs the model."""
+
+
+@dataclass(frozen=True)
+class GeometricOptions:
+    """Labels of floor, wall, ceiling, surface and object from depth alone."""
+
+    columns: Annotated[int, Range(ge=16)] = 160
+    """Maximum number of cells across the image in which surfaces are detected."""
+    min_camera_height_m: PositiveFloat = 0.5
+    """Minimum height of the camera above the floor, in metres. Higher level surfaces are
+    furniture."""
+    max_camera_height_m: PositiveFloat = 2.5
+    """Maximum height of the camera above the floor, in metres. Lower level surfaces belong to
+    another storey."""
+
+
+@dataclass(frozen=True)
+class SegmenterOptions:
+    """Source of the labels."""
+
+    kind: Literal["auto", "recorded", "images", "geometric", "model", "none"] = "auto"
+    """Source of the labels: the dataset (recorded), label images (images), depth alone
+    (geometric), a segmentation model (model) or none. auto: recorded if available, otherwise
+    geometric."""
+    images: LabelImageOptions = LabelImageOptions()
+    model: ModelOptions = ModelOptions()
+    geometric: GeometricOptions = GeometricOptions()
+
+
+@dataclass(frozen=True)
+class CodeOptions:
+    """The code by which Gaussians store classes."""
+
+    kind: CodeKind = "one-hot"
+    """Code of the classes: one softmax over all (flat), one per level of the tree (one-hot), bits
+    per level (binary), colours as in GauSem-SLAM (colour), or no semantics (none)."""
+    start_confidence: Annotated[float, Range(gt=0.5, lt=1)] = 0.9
+    """Probability of the observed class in the code of a new Gaussian."""
+    normalise: bool = True
+    """Divide the loss of each level by that of a uniform prediction."""
+
+
+@dataclass(frozen=True)
+class SemanticLossWeights:
+    """Weights of the semantic mapping loss."""
+
+    weight: NonNegativeFloat = 0.2
+    """Weight of the semantic loss relative to the colour and depth losses (Hier-SLAM++: 0.2,
+    GauSem-SLAM: 0.5)."""
+    every: PositiveInt = 3
+    """Number of mapping iterations per iteration that includes the semantic loss."""
+    intra: NonNegativeFloat = 1.0
+    """Weight of the loss within the levels of the tree (Hier-SLAM++: omega 1)."""
+    inter: NonNegativeFloat = 5.0
+    """Weight of the loss across levels, computed by the network (Hier-SLAM++: omega 2)."""
+    inter_from: NonNegativeInt = 15
+    """First iteration of a mapping call with the loss across levels (Hier-SLAM++: eta), at the
+    latest after a quarter of the call."""
+    inter_pixels: NonNegativeInt = 2048
+    """Number of pixels per iteration that the network processes; 0 processes all."""
+    structure: Fraction = 0.0
+    """Fraction of SSIM in the loss of the colour code (GauSem-SLAM: 0.2)."""
+    min_silhouette: Annotated[float, Range(gt=0, lt=1)] = 0.5
+    """Minimum silhouette of the pixels included in the semantic loss."""
+    moves_geometry: bool = False
+    """Propagate gradients of the semantic loss to the geometry, as in Hier-SLAM++."""
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """The network that decodes codes to flat classes (Hier-SLAM++, equation 12)."""
+
+    use: bool = False
+    """Train the network, and with it the loss across levels."""
+    hidden: PositiveInt = 64
+    """Number of hidden units."""
+    learning_rate: PositiveFloat = 5e-3
+    """Learning rate of the network."""
+    replay: NonNegativeInt = 16
+    """Number of samples per class, from all submaps, that every training step repeats."""
+
+
+@dataclass(frozen=True)
+class SemanticsOptions:
+    """Semantics of the map."""
+
+    taxonomy: str = "auto"
+    """Tree of classes: a YAML file, the name of a bundled tree, or auto to select or build one
+    that contains the classes."""
+    ignore: tuple[str, ...] = ()
+    """Classes or groups excluded from tracking and mapping, for instance moving objects."""
+    reader: Literal["path", "network"] = "path"
+    """Decoder of the codes: the path through the tree (path) or the trained network (network)."""
+    min_confidence: Annotated[float, Range(ge=0.5, lt=1)] = 0.5
+    """Minimum probability of a level of the tree in the exported map. Levels below it are
+    unlabelled."""
+    segmenter: SegmenterOptions = SegmenterOptions()
+    code: CodeOptions = CodeOptions()
+    loss: SemanticLossWeights = SemanticLossWeights()
+    network: NetworkOptions = NetworkOptions()

@@ -1,1 +1,0 @@
-"""Closed, typed settings; imports no stage."""

@@ -1,0 +1,70 @@
+"""Options of submaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from toolkit.options import (
+    Fraction,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+)
+
+
+@dataclass(frozen=True)
+class AllocationOptions:
+    """When a new submap is started."""
+
+    rule: Literal["places", "motion"] = "places"
+    """Criterion for a new submap: the view leaves the submap's volume and its classes change
+    (places), or the camera's distance from the anchor (motion)."""
+    min_overlap: Fraction = 0.5
+    """Minimum fraction of the view inside the submap's volume. Below it, the view is spatially
+    new."""
+    min_divergence: NonNegativeFloat | None = None
+    """Minimum KL divergence of the classes in view from the anchor's, in nats. Above it, the view
+    is semantically new. By default, 0.4, or 0.05 for geometric labels."""
+    # The previous view always covers the newest one, so that the criterion could never fire.
+    recent: NonNegativeInt = 10
+    """Number of newest keyframes excluded from the submap's volume."""
+    # While a camera explores, every view is new: only size tells a turn from a new room.
+    min_keyframes: Annotated[int, Range(ge=2)] = 60
+    """Minimum number of keyframes of a submap."""
+    moved_m: PositiveFloat = 0.5
+    """Distance from the anchor that starts a new submap by the rule motion, in metres."""
+    turned_deg: PositiveFloat = 50.0
+    """Rotation from the anchor that starts a new submap by the rule motion, in degrees."""
+    max_keyframes: Annotated[int, Range(ge=2)] = 150
+    """Number of keyframes that starts a new submap by itself."""
+    max_gaussians: PositiveInt = 1_000_000
+    """Number of Gaussians that starts a new submap by itself."""
+    max_path_m: PositiveFloat = 30.0
+    """Path length that starts a new submap by itself, in metres."""
+
+
+@dataclass(frozen=True)
+class BoundaryOptions:
+    """The transition from one submap to the next."""
+
+    steps: NonNegativeInt = 24
+    """Number of optimisation steps around the boundary before the old submap is closed."""
+    bundle_adjustment: bool = False
+    """Optimise keyframe poses around the boundary as well."""
+    inherit: bool = True
+    """Start a submap with copies of the Gaussians that its anchor sees of the old one."""
+
+
+@dataclass(frozen=True)
+class SubmapOptions:
+    """Division of the map into submaps."""
+
+    use: bool = True
+    """Divide the map into submaps."""
+    memory_mb: NonNegativeFloat = 500.0
+    """Memory for inactive submaps, in MB. The remaining ones are stored on disk."""
+    allocation: AllocationOptions = AllocationOptions()
+    boundary: BoundaryOptions = BoundaryOptions()
