@@ -1,4 +1,4 @@
-"""Tiny recordings in every layout."""
+"""Fixtures: tiny recordings in every layout."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ WIDTH, HEIGHT = 32, 24
 
 
 def frame_rgb(index: int) -> np.ndarray:
-    """Noise of its own for every frame."""
+    """Random colour image, different for every frame."""
     return np.random.default_rng(index).uniform(size=(HEIGHT, WIDTH, 3))
 
 
 def frame_depth_m(index: int) -> np.ndarray:
-    """A tilted plane that moves away frame by frame."""
+    """Depth of a tilted plane whose distance grows with the frame number."""
     return np.tile(np.linspace(1.0, 2.0, WIDTH), (HEIGHT, 1)) + 0.1 * index
 
 
 def pose(index: int) -> np.ndarray:
-    """A path that turns and moves."""
+    """Poses with rotation and translation."""
     return se3.exp(np.array([0.1 * index, 0.0, 0.05 * index, 0.0, 0.02 * index, 0.0]))
 
 
@@ -103,7 +103,7 @@ def make_seven_scenes(tmp_path) -> Callable[..., Path]:
 
 @pytest.fixture
 def make_scannet(tmp_path) -> Callable[..., Path]:
-    """Writes exported ScanNet frames; colour is twice the size of depth, frame 1 is lost."""
+    """Writes exported ScanNet frames; colour has twice the size of depth, frame 1 has no pose."""
 
     def make(frames: int = 12) -> Path:
         folder = tmp_path / "scene0000_00"

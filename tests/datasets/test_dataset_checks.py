@@ -1,4 +1,4 @@
-"""`check-data` finds each fault that was put into a good recording, and only that."""
+"""`check-data` finds each defect that is inserted into a valid recording, and no others."""
 
 import json
 import subprocess
@@ -12,12 +12,12 @@ from toolkit.datasets.checks import check_dataset
 from toolkit.io import images
 
 
-def test_a_good_recording_has_no_faults(make_replica):
+def test_valid_recording_has_no_faults(make_replica):
     report = check_dataset("replica", make_replica(labels=True))
     assert report.good, report.faults
     assert report.summary[0].startswith("room: 4 frames over 0.1 s, 32x24, f 30.0 31.0")
     assert report.summary[1].startswith("ground truth: 4 poses")
-    assert report.summary[3] == "labels: 2 of 2 classes seen"
+    assert report.summary[3] == "labels: 2 of 2 classes occur"
 
 
 def only_fault(kind: str, folder) -> str:
@@ -45,7 +45,7 @@ def test_wrong_depth_scale(make_replica, scale, median):
     assert "1000 would give 1.65 m" in fault
 
 
-def test_poses_that_are_not_finite_or_not_rigid(make_replica):
+def test_non_finite_and_non_rigid_poses(make_replica):
     folder = make_replica()
     rows = (folder / "traj.txt").read_text().splitlines()
     rows[1] = " ".join(["nan"] * 16)
@@ -78,7 +78,7 @@ def test_empty_depth(make_replica):
     assert "1 depth image(s) are empty" in only_fault("replica", folder)
 
 
-def test_truncated_images_are_named_and_the_rest_counted(make_replica):
+def test_truncated_images_are_listed_or_counted(make_replica):
     folder = make_replica(frames=8)
     for i in range(1, 8):
         file = folder / f"results/frame{i:06d}.png"
@@ -89,7 +89,7 @@ def test_truncated_images_are_named_and_the_rest_counted(make_replica):
     assert faults[5] == "2 more frame(s) cannot be read"
 
 
-def test_a_jpeg_that_decodes_with_complaints(make_replica):
+def test_jpeg_with_decoder_warnings(make_replica):
     folder = make_replica()
     for i in range(4):
         png = folder / f"results/frame{i:06d}.png"
@@ -107,14 +107,14 @@ def test_a_jpeg_that_decodes_with_complaints(make_replica):
 def test_unknown_class_ids(make_replica):
     folder = make_replica(labels=True)
     images.write_png(folder / "labels/label000000.png", np.full((24, 32), 77, np.uint8))
-    assert only_fault("replica", folder).endswith("classes.json does not: 77")
+    assert only_fault("replica", folder).endswith("missing in classes.json: 77")
 
 
-def test_one_frame_is_too_few(make_replica):
+def test_single_frame_is_a_fault(make_replica):
     assert "only one frame" in only_fault("replica", make_replica(frames=1))
 
 
-def test_the_program_prints_lines_and_tells_by_its_status(make_replica, capsys):
+def test_program_prints_the_report_and_sets_the_exit_status(make_replica, capsys):
     folder = make_replica()
     arguments = ["--kind", "replica", "--path", str(folder), "--image-size", "16", "12"]
     assert check_data.main(arguments) == 0
@@ -124,7 +124,7 @@ def test_the_program_prints_lines_and_tells_by_its_status(make_replica, capsys):
     assert "wrong: 1 colour image(s) without depth" in capsys.readouterr().out
 
 
-def test_the_program_refuses_a_wrong_path_in_one_line(tmp_path):
+def test_program_reports_a_wrong_path_in_one_line(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "toolkit.cli.main", "check-data", "--kind", "tum", "--path", "no"],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""A tiny .sens file, written by hand, becomes frames that the ScanNet reader takes."""
+"""Export of a tiny .sens file to frames in ScanNet's layout."""
 
 import importlib.util
 import struct
@@ -21,7 +21,7 @@ SCRIPT = Path(__file__).parents[2] / "data_tools" / "export_sens.py"
 def tool():
     spec = importlib.util.spec_from_file_location("export_sens", SCRIPT)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up there
+    sys.modules[spec.name] = module  # dataclasses look up their module there
     spec.loader.exec_module(module)
     return module
 
@@ -46,7 +46,7 @@ def sens_bytes(frames: int, version: int = 4) -> bytes:
     return b"".join(parts)
 
 
-def test_exported_frames_are_read_as_scannet(tool, tmp_path):
+def test_exported_frames_are_readable_as_scannet(tool, tmp_path):
     (tmp_path / "scene.sens").write_bytes(sens_bytes(5))
     assert tool.main([str(tmp_path / "scene.sens"), str(tmp_path / "scene")]) == 0
     dataset = open_dataset("scannet", tmp_path / "scene")
@@ -72,7 +72,7 @@ def test_every_second_frame_keeps_its_number(tool, tmp_path):
     ]
 
 
-def test_a_file_that_ends_early_or_is_none_is_an_error(tool, tmp_path):
+def test_truncated_and_other_files_raise(tool, tmp_path):
     path = tmp_path / "scene.sens"
     path.write_bytes(sens_bytes(3)[:-50])
     with pytest.raises(FormatError, match=r"scene\.sens ends too early"):

@@ -1,4 +1,4 @@
-"""Each layout gives the frames, times, camera and truth that were written."""
+"""Dataset layouts: frames, timestamps, camera and ground truth are read as written."""
 
 import json
 import logging
@@ -26,7 +26,7 @@ def pose_of(index: int) -> np.ndarray:
 
 
 def check_frames(dataset, numbers: list[int]) -> None:
-    """The data set's frames are those that the fixtures made for these numbers."""
+    """Assert that the frames are those that the fixtures wrote for these numbers."""
     assert len(dataset) == len(numbers)
     times = [dataset[i].timestamp_s for i in range(len(dataset))]
     assert (np.diff(times) > 0).all()
@@ -41,7 +41,7 @@ def check_frames(dataset, numbers: list[int]) -> None:
 
 
 def check_truth(dataset, frames: list[int], numbers: list[int]) -> None:
-    """Truth stands at the times of these frames alone, with the poses of these numbers."""
+    """Assert that ground truth exists for exactly these frames, with the poses of these numbers."""
     truth = dataset.ground_truth
     times = [dataset[i].timestamp_s for i in frames]
     np.testing.assert_array_equal(truth.timestamps_s, times)
@@ -59,7 +59,7 @@ def test_replica(make_replica, kind):
     assert dataset.camera.fy == 31.0
 
 
-def test_replica_pairs_by_number_and_finds_the_camera_above(make_replica):
+def test_replica_pairs_by_number_and_finds_the_camera_in_the_parent(make_replica):
     folder = make_replica()
     (folder / "results/depth000001.png").unlink()
     (folder / "cam_params.json").rename(folder.parent / "cam_params.json")
@@ -88,7 +88,7 @@ def test_tum_associates_by_time(make_tum):
         assert dataset.camera.fx == pytest.approx(535.4 / 20)
 
 
-def test_tum_frames_without_depth_or_truth_are_left_out(make_tum):
+def test_tum_omits_frames_without_depth_and_poses_without_ground_truth(make_tum):
     folder = make_tum()
     for name in ("depth.txt", "groundtruth.txt"):
         lines = (folder / name).read_text().splitlines()
@@ -103,7 +103,7 @@ def test_tum_frames_without_depth_or_truth_are_left_out(make_tum):
     assert "without a ground-truth pose" in dataset.recording.notes[1]
 
 
-def test_tum_sorts_lists_and_says_so(make_tum):
+def test_tum_sorts_lists_and_reports_it(make_tum):
     folder = make_tum()
     lines = (folder / "rgb.txt").read_text().splitlines()
     (folder / "rgb.txt").write_text("\n".join([lines[0], lines[2], lines[1], *lines[3:]]))
@@ -112,12 +112,12 @@ def test_tum_sorts_lists_and_says_so(make_tum):
     assert dataset.recording.flaws == ("rgb.txt: timestamps out of order at 100.000000.png",)
 
 
-def test_tum_without_a_camera_in_the_name_is_an_error(make_tum):
+def test_tum_without_camera_in_the_name_raises(make_tum):
     with pytest.raises(DatasetError, match="freiburg1"):
         open_dataset("tum", make_tum(name="office"))
 
 
-def test_association_takes_the_nearest_first_and_each_once():
+def test_association_is_greedy_and_one_to_one():
     pairs = associate(np.array([0.0, 0.010, 0.5]), np.array([0.009, 0.012, 0.53]), 0.02)
     assert pairs == [(0, 1), (1, 0)]
 
@@ -135,7 +135,7 @@ def test_seven_scenes(make_seven_scenes, caplog):
     assert open_dataset("seven-scenes", folder.parent).camera.fx == 30
 
 
-def test_scannet_orders_by_number_and_infinite_poses_are_gaps(make_scannet):
+def test_scannet_sorts_by_number_and_omits_infinite_poses(make_scannet):
     dataset = open_dataset("scannet", make_scannet())
     check_frames(dataset, list(range(12)))
     gone = [0, *range(2, 12)]
@@ -144,7 +144,7 @@ def test_scannet_orders_by_number_and_infinite_poses_are_gaps(make_scannet):
     assert dataset.recording.flaws == ()
 
 
-def test_scannet_scales_the_colour_camera_where_depth_has_none(make_scannet):
+def test_scannet_scales_the_colour_camera_if_depth_has_none(make_scannet):
     folder = make_scannet()
     K = np.diag([60.0, 62.0, 1.0, 1.0])
     K[:2, 2] = 31.5, 23.5
@@ -163,7 +163,7 @@ def test_plain_folder(make_folder):
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"),
+    ("change", "message"),
     [
         ({"fx": None}, "lacks the key fx"),
         ({"focal": 3}, "unknown key 'focal'"),
@@ -173,13 +173,13 @@ def test_plain_folder(make_folder):
         ({"distortion": "[1, 2]"}, "distortion must be the 5 numbers"),
     ],
 )
-def test_wrong_intrinsics_name_file_and_key(make_folder, change, complaint):
-    with pytest.raises(DatasetError, match=complaint) as caught:
+def test_errors_in_intrinsics_name_the_file_and_the_key(make_folder, change, message):
+    with pytest.raises(DatasetError, match=message) as caught:
         open_dataset("folder", make_folder(intrinsics=change))
     assert "intrinsics.yaml" in str(caught.value)
 
 
-def test_max_frames_also_shortens_the_truth(make_replica):
+def test_max_frames_also_limits_the_ground_truth(make_replica):
     dataset = open_dataset("replica", make_replica(), max_frames=2)
     assert len(dataset) == len(dataset.ground_truth) == 2
     with pytest.raises(IndexError):
@@ -187,7 +187,7 @@ def test_max_frames_also_shortens_the_truth(make_replica):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_wrong_path_and_an_empty_folder_are_one_line(tmp_path, kind):
+def test_errors_for_wrong_paths_and_empty_folders_are_one_line(tmp_path, kind):
     for path in (tmp_path / "nowhere", tmp_path):
         with pytest.raises(DatasetError) as caught:
             open_dataset(kind, path)
@@ -195,12 +195,12 @@ def test_a_wrong_path_and_an_empty_folder_are_one_line(tmp_path, kind):
         assert "\n" not in str(caught.value)
 
 
-def test_unknown_kind_lists_the_known():
+def test_error_for_an_unknown_kind_lists_the_supported_ones():
     with pytest.raises(DatasetError, match="tum, replica, seven-scenes"):
         open_dataset("kitti", "anywhere")
 
 
-def test_empty_recording_sizes_and_blank_depth_are_errors(make_replica):
+def test_empty_recordings_wrong_sizes_and_empty_depth_raise(make_replica):
     folder = make_replica()
     camera = json.loads((folder / "cam_params.json").read_text())
     (folder / "cam_params.json").write_text(
@@ -210,32 +210,32 @@ def test_empty_recording_sizes_and_blank_depth_are_errors(make_replica):
         open_dataset("replica", folder)
     (folder / "cam_params.json").write_text(json.dumps(camera))
     images.write_png(folder / "results/depth000000.png", np.zeros((24, 32), np.uint16))
-    with pytest.raises(DatasetError, match=r"depth000000\.png holds no depth at all"):
+    with pytest.raises(DatasetError, match=r"depth000000\.png contains no valid depth"):
         open_dataset("replica", folder)
     for file in (folder / "results").iterdir():
         file.unlink()
-    with pytest.raises(DatasetError, match="holds no frame"):
+    with pytest.raises(DatasetError, match="contains no frames"):
         open_dataset("replica", folder)
 
 
-def test_a_broken_camera_file_is_named(make_replica):
+def test_error_names_the_malformed_camera_file(make_replica):
     folder = make_replica()
     (folder / "cam_params.json").write_text('{"camera": {"w": 32}}')
-    with pytest.raises(DatasetError, match=r"cam_params\.json must hold"):
+    with pytest.raises(DatasetError, match=r"cam_params\.json must contain"):
         open_dataset("replica", folder)
     (folder / "cam_params.json").unlink()
-    with pytest.raises(DatasetError, match=r"no cam_params\.json"):
+    with pytest.raises(DatasetError, match=r"neither .* contains cam_params\.json"):
         open_dataset("replica", folder)
 
 
-def test_a_broken_pose_line_is_named(make_replica):
+def test_error_names_the_malformed_pose_line(make_replica):
     folder = make_replica()
     (folder / "traj.txt").write_text("1 2 3\n")
     with pytest.raises(FormatError, match=r"traj\.txt, line 1"):
         open_dataset("replica", folder)
 
 
-def test_a_damaged_frame_is_named_when_it_is_read(make_replica):
+def test_error_names_the_damaged_frame_when_it_is_loaded(make_replica):
     folder = make_replica()
     file = folder / "results/frame000002.png"
     file.write_bytes(file.read_bytes()[:-20])

@@ -1,4 +1,4 @@
-"""Frames read ahead are the same frames, and no thread stays behind."""
+"""Prefetching yields the same frames and ends its thread."""
 
 import threading
 import time
@@ -15,7 +15,7 @@ CAMERA = Camera(10, 10, 2, 2, 4, 4)
 
 
 class CountingDataset:
-    """Hands out blank frames, remembers which, and fails at one of them."""
+    """Dataset of blank frames that records accesses and fails at one of them."""
 
     def __init__(self, broken: int | None = None) -> None:
         self.read: list[int] = []
@@ -33,24 +33,24 @@ def readers() -> int:
     return sum(thread.name == "prefetch" for thread in threading.enumerate())
 
 
-def test_frames_come_in_the_order_asked_for():
+def test_frames_are_in_the_requested_order():
     frames = prefetched(CountingDataset(), [3, 1, 4, 1, 5])
     assert [frame.index for frame in frames] == [3, 1, 4, 1, 5]
     assert readers() == 0
 
 
-def test_no_more_than_asked_is_read_ahead():
+def test_number_of_prefetched_frames_is_limited():
     dataset = CountingDataset()
     frames = prefetched(dataset, range(100), ahead=2)
     next(frames)
     time.sleep(0.1)
-    # One handed out, two in the queue, one in the reader's hands.
+    # One yielded, two in the queue, one held by the reader.
     assert len(dataset.read) <= 4
     frames.close()
     assert readers() == 0
 
 
-def test_an_error_arrives_in_the_place_of_its_frame():
+def test_exception_is_raised_in_place_of_its_frame():
     frames = prefetched(CountingDataset(broken=2), range(10))
     assert [next(frames).index, next(frames).index] == [0, 1]
     with pytest.raises(DatasetError, match="frame 2 is corrupt"):
@@ -58,11 +58,11 @@ def test_an_error_arrives_in_the_place_of_its_frame():
     assert readers() == 0
 
 
-def test_nothing_asked_nothing_given():
+def test_no_indices_yield_no_frames():
     assert list(prefetched(CountingDataset(), [])) == []
 
 
-def test_frames_are_prepared_in_order_before_they_are_handed_over():
+def test_frames_are_prepared_in_order_before_they_are_yielded():
     prepared = []
     frames = prefetched(CountingDataset(), [3, 1, 4], prepare=prepared.append)
     for frame in frames:
@@ -70,7 +70,7 @@ def test_frames_are_prepared_in_order_before_they_are_handed_over():
     assert [frame.index for frame in prepared] == [3, 1, 4]
 
 
-def test_an_error_of_preparing_arrives_too():
+def test_exception_of_prepare_is_raised():
     def fail(frame: Frame) -> None:
         raise ValueError(f"frame {frame.index} is too small")
 

@@ -1,4 +1,4 @@
-"""The real recordings open with the frames, cameras and depths that they are known to have."""
+"""Real recordings have the expected frames, cameras and depths."""
 
 import numpy as np
 import pytest
@@ -26,8 +26,8 @@ def test_frames_camera_truth(real_data, kind, name, frames, fx):
 
 
 @pytest.mark.parametrize(("kind", "name", "frames", "fx"), RECORDINGS)
-def test_depth_carried_to_the_next_view_meets_its_depth(real_data, kind, name, frames, fx):
-    """Scale, intrinsics, resizing and the direction of the poses agree with each other."""
+def test_depth_reprojected_to_the_next_view_agrees(real_data, kind, name, frames, fx):
+    """Scale, intrinsics, resizing and direction of the poses are consistent."""
     dataset = open_dataset(kind, real_data(name), image_size=(320, 240))
     i, j = frames // 2, frames // 2 + 2
     here, there = dataset[i], dataset[j]

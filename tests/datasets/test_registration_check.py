@@ -1,4 +1,4 @@
-"""Registered images pass; shifted, mirrored and mispaired ones are told apart."""
+"""Registration check: registered, shifted, mirrored and mispaired images."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
 
 
 def scene(seed: int, offset_px: tuple[int, int] = (0, 0)) -> Frame:
-    """Coloured boxes in front of a textured wall, depth moved by an offset."""
+    """Coloured boxes in front of a textured wall, with depth shifted by an offset."""
     rng = np.random.default_rng(seed)
     texture = cv2.GaussianBlur(rng.uniform(size=(240, 320, 3)).astype(np.float32), (0, 0), 2)
     rgb, depth_m = texture, np.full((240, 320), 3.0, np.float32)
@@ -35,14 +35,14 @@ def test_registered_images_pass():
 
 
 @pytest.mark.parametrize("offset", [(6, 0), (0, -8), (-9, 9)])
-def test_a_shift_is_found_and_told(offset):
+def test_shift_is_detected_and_reported(offset):
     report = measure_registration([scene(i, offset) for i in range(5)])
     np.testing.assert_allclose(report.shift_px[0], [-offset[0], -offset[1]], atol=1)
-    assert "colour is shifted against depth by (" in report.verdict()
+    assert "colour is shifted relative to depth by (" in report.verdict()
 
 
 @pytest.mark.parametrize("zoom", [0.94, 1.05, 1.1])
-def test_another_focal_length_is_found(zoom):
+def test_wrong_focal_length_is_detected(zoom):
     M = np.float32([[zoom, 0, 160 * (1 - zoom)], [0, zoom, 120 * (1 - zoom)]])
     frames = [
         dataclasses.replace(
@@ -50,24 +50,24 @@ def test_another_focal_length_is_found(zoom):
         )
         for f in map(scene, range(6))
     ]
-    assert "at no one shift" in measure_registration(frames).verdict()
+    assert "for any shift" in measure_registration(frames).verdict()
 
 
-def test_mispaired_images_agree_nowhere():
+def test_mispaired_images_are_detected():
     pairs = [(scene(i), scene(i + 100)) for i in range(5)]
     frames = [dataclasses.replace(a, depth_m=b.depth_m) for a, b in pairs]
-    assert "agree at no one shift" in measure_registration(frames).verdict()
+    assert "do not agree for any shift" in measure_registration(frames).verdict()
 
 
-def test_an_empty_wall_says_nothing():
+def test_scene_without_edges_has_no_verdict():
     wall = dataclasses.replace(scene(0), depth_m=np.full((240, 320), 2.0, np.float32))
     assert measure_registration([wall]).verdict() is None
 
 
-def test_edges_lie_on_the_near_side_also_beside_a_shadow():
+def test_edges_are_on_the_near_side_even_next_to_missing_depth():
     depth_m = np.full((20, 30), 4.0, np.float32)
     depth_m[5:15, 10:20] = 1.0
-    depth_m[5:15, 6:10] = 0.0  # what an infrared projector cannot reach
+    depth_m[5:15, 6:10] = 0.0  # occluded from the infrared projector
     edges = depth_edges(depth_m)
     assert edges[5:15, 10].all()
     assert edges[5:15, 19].all()

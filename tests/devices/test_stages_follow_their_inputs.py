@@ -109,12 +109,12 @@ def test_tracking(walk, one_view, kind):
     assert np.allclose(found, expected[kind], atol=2e-4)
 
 
-def test_where_a_map_is_kept(monkeypatch):
+def test_device_of_the_map(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert map_device("auto", "auto") == map_device("cpu", "native") == "cpu"
-    with pytest.raises(SettingsError, match="--device cuda and --backend native"):
+    with pytest.raises(SettingsError, match="--device cuda cannot be used with --backend native"):
         map_device("cuda", "native")
-    with pytest.raises(DependencyError, match="no CUDA device is there"):
+    with pytest.raises(DependencyError, match="--device cuda needs a CUDA device"):
         map_device("cuda", "auto")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     # The package names its function like the module.

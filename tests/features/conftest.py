@@ -1,4 +1,4 @@
-"""Encoders of every kind, and pictures to describe."""
+"""Fixtures: all encoders, and images to encode."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ def encoder(request):
 
 @pytest.fixture
 def views() -> torch.Tensor:
-    """[6, 3, 60, 80]: one view each of six places."""
+    """[6, 3, 60, 80]: one view of each of six places."""
     return torch.stack([place(seed)[:, :, 10:90] for seed in range(6)])

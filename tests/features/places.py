@@ -1,4 +1,4 @@
-"""Pictures of places that never were."""
+"""Synthetic images of places."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 
 
 def place(seed: int, height: int = 60, width: int = 100) -> torch.Tensor:
-    """A picture [3, H, W] of coloured boxes, wider than a view so that views may shift."""
+    """An image [3, H, W] of coloured boxes, wider than a view so that views can be shifted."""
     generator = np.random.default_rng(seed)
     picture = np.full((height, width, 3), generator.uniform(0.3, 0.7, 3))
     for _ in range(14):

@@ -1,4 +1,4 @@
-"""Pictures of colours and of classes, settings, and models that are not there."""
+"""View describers: image sources, settings and missing models."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def offline(monkeypatch):
 
 
 @pytest.mark.parametrize("source", ["rgb", "semantic"])
-def test_one_source_is_that_pictures_descriptor(views, source):
+def test_descriptor_of_a_single_source(views, source):
     encoder = BuiltinEncoder()
     rgb, semantic = views[:2], views[2:4]
     found = ViewDescriber(encoder, source).describe(rgb, semantic)
     assert torch.equal(found, encoder.describe(rgb if source == "rgb" else semantic))
 
 
-def test_the_squared_distance_of_both_is_the_mean_of_the_sources(views):
+def test_squared_distance_of_both_sources_is_their_mean(views):
     encoder = BuiltinEncoder()
     both = ViewDescriber(encoder, "both")
     one, other = both.describe(views[0:1], views[1:2]), both.describe(views[2:3], views[3:4])
@@ -40,32 +40,32 @@ def test_the_squared_distance_of_both_is_the_mean_of_the_sources(views):
     torch.testing.assert_close((one - other).square().sum(), torch.stack(squares).mean())
 
 
-def test_a_missing_semantic_picture_is_an_error(views):
-    with pytest.raises(ValueError, match="semantic picture"):
+def test_missing_semantic_image_raises(views):
+    with pytest.raises(ValueError, match="semantic image"):
         ViewDescriber(BuiltinEncoder(), "both").describe(views)
     assert not ViewDescriber(BuiltinEncoder(), "rgb").wants_semantics
 
 
 @pytest.mark.parametrize("kind", ["builtin", "colour-histogram"])
-def test_settings_name_the_encoder(kind):
+def test_settings_select_the_encoder(kind):
     describer = build_describer(FeatureOptions(kind=kind, source="semantic"))
     assert describer.name == f"{kind}/semantic"
     assert describer.dimensions == 384
     assert describer.threshold == build_encoder(FeatureOptions(kind=kind)).threshold
 
 
-def test_a_model_from_settings(tiny_dinov2, views):
+def test_dinov2_from_settings(tiny_dinov2, views):
     settings = Dinov2Options(folder=tiny_dinov2, pooling="mean", longest_side=40, device="cpu")
     encoder = build_encoder(FeatureOptions(kind="dinov2", dinov2=settings))
     assert encoder.describe(views).shape == (6, 16)
 
 
-def test_a_models_tokens_are_those_of_the_library(tiny_dinov2, views):
+def test_tokens_agree_with_transformers(tiny_dinov2, views):
     transformers = pytest.importorskip("transformers")
     from toolkit.features.dinov2 import Dinov2Encoder
 
     model = transformers.AutoModel.from_pretrained(tiny_dinov2)
-    images = views[:, :, :56, :80]  # whole patches: nothing is scaled
+    images = views[:, :, :56, :80]  # a multiple of the patch size, so images are not scaled
     mean, std = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
     prepared = (images - torch.tensor(mean).view(3, 1, 1)) / torch.tensor(std).view(3, 1, 1)
     with torch.no_grad():
@@ -75,12 +75,12 @@ def test_a_models_tokens_are_those_of_the_library(tiny_dinov2, views):
         torch.testing.assert_close(found, torch.nn.functional.normalize(expected, dim=1))
 
 
-def test_a_model_without_a_folder_names_the_setting():
+def test_error_for_a_missing_folder_names_the_setting():
     with pytest.raises(SettingsError, match=r"--loops\.features\.dinov2\.folder"):
         build_encoder(FeatureOptions(kind="dinov2"))
 
 
-def test_a_folder_without_weights_is_told_in_one_line(tiny_dinov2, tmp_path):
+def test_error_for_missing_weights_is_one_line(tiny_dinov2, tmp_path):
     empty = FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=tmp_path))
     with pytest.raises(FormatError, match=r"config\.json"):
         build_encoder(empty)
@@ -91,13 +91,13 @@ def test_a_folder_without_weights_is_told_in_one_line(tiny_dinov2, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_transformers_come_with_the_remedy(tiny_dinov2, monkeypatch):
+def test_error_for_missing_transformers_names_the_command(tiny_dinov2, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(DependencyError, match="pip install"):
         build_encoder(FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=tiny_dinov2)))
 
 
-def test_a_model_without_a_class_token_asks_for_the_mean(tmp_path, views):
+def test_error_for_a_missing_class_token_suggests_mean_pooling(tmp_path, views):
     transformers = pytest.importorskip("transformers")
     from toolkit.features.dinov2 import Dinov2Encoder
 

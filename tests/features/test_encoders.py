@@ -1,4 +1,4 @@
-"""What every encoder promises, and what the built-in one can tell apart."""
+"""Encoders: properties of all encoders, and discrimination of the built-in one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.colour_histogram import ColourHistogramEncoder
 
 
-def test_descriptors_have_their_length_and_are_units(encoder, views):
+def test_descriptors_are_unit_vectors_of_the_stated_dimension(encoder, views):
     descriptors = encoder.describe(views)
     assert descriptors.shape == (len(views), encoder.dimensions)
     assert descriptors.dtype == torch.float32
@@ -21,22 +21,22 @@ def test_descriptors_have_their_length_and_are_units(encoder, views):
     assert 0.0 < encoder.threshold < 2.0
 
 
-def test_the_same_picture_gives_the_same_bits(encoder, views):
+def test_descriptors_are_reproducible(encoder, views):
     assert torch.equal(encoder.describe(views), encoder.describe(views.clone()))
 
 
-def test_a_picture_is_described_alone_as_in_a_batch(encoder, views):
+def test_descriptors_do_not_depend_on_the_batch(encoder, views):
     torch.testing.assert_close(encoder.describe(views[2:3])[0], encoder.describe(views)[2])
 
 
 @pytest.mark.parametrize("size", [(24, 32), (75, 100), (120, 160), (48, 200)])
-def test_pictures_of_any_size_are_described(encoder, size):
+def test_images_of_any_size_are_accepted(encoder, size):
     image = torch.rand(1, 3, *size, generator=torch.Generator().manual_seed(0))
     assert torch.isfinite(encoder.describe(image)).all()
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
-def test_an_empty_picture_has_a_descriptor_and_a_gradient(encoder, level):
+def test_uniform_image_has_finite_descriptor_and_gradient(encoder, level):
     image = torch.full((1, 3, 40, 48), level, requires_grad=True)
     descriptor = encoder.describe(image)
     descriptor[0, 0].backward()
@@ -44,10 +44,10 @@ def test_an_empty_picture_has_a_descriptor_and_a_gradient(encoder, level):
     assert torch.isfinite(image.grad).all()
 
 
-def test_the_gradient_is_that_of_the_descriptor(encoder, views):
-    # A direction of its own for the picture and for the descriptor, against a difference.
+def test_gradient_agrees_with_finite_differences(encoder, views):
+    # Random directions in image and descriptor space, compared with a finite difference.
     generator = torch.Generator().manual_seed(1)
-    noise = 0.05 * torch.randn(views[:1].shape, generator=generator)  # away from all kinks
+    noise = 0.05 * torch.randn(views[:1].shape, generator=generator)  # avoids discontinuities
     image = (views[:1] + noise).requires_grad_(True)
     aside = torch.randn(encoder.dimensions, generator=generator)
     step = torch.randn(image.shape, generator=generator)
@@ -62,7 +62,7 @@ def test_the_gradient_is_that_of_the_descriptor(encoder, views):
     assert predicted == pytest.approx((value(h) - value(-h)) / (2 * h), rel=0.1, abs=2e-3)
 
 
-def test_descending_on_the_distance_brings_pictures_together(encoder, views):
+def test_gradient_descent_reduces_the_distance(encoder, views):
     target = encoder.describe(views[1:2])
     image = views[:1].clone().requires_grad_(True)
     before = (encoder.describe(image) - target.detach()).square().sum()
@@ -72,7 +72,7 @@ def test_descending_on_the_distance_brings_pictures_together(encoder, views):
 
 
 @pytest.mark.parametrize("shape", [(3, 40, 40), (1, 4, 40, 40), (1, 40, 40, 3)])
-def test_another_shape_is_refused(encoder, shape):
+def test_other_shapes_raise(encoder, shape):
     with pytest.raises(ValueError, match=r"shape \[B, 3, H, W\]"):
         encoder.describe(torch.zeros(shape))
     with pytest.raises(ValueError, match="floats"):
@@ -81,23 +81,23 @@ def test_another_shape_is_refused(encoder, shape):
 
 @settings(max_examples=25)
 @given(gain=st.floats(0.15, 1.3), bias=st.floats(-0.05, 0.1), seed=st.integers(0, 100))
-def test_the_builtin_encoder_does_not_see_exposure(gain, bias, seed):
+def test_builtin_encoder_is_invariant_to_exposure(gain, bias, seed):
     view = 0.1 + 0.6 * place(seed)[None]
     distance = _distances(BuiltinEncoder(), view, gain * view + bias)
     assert distance.item() < 0.02
 
 
-def test_a_white_balance_is_forgiven_more_than_another_place():
+def test_white_balance_changes_the_descriptor_less_than_another_place():
     encoder = BuiltinEncoder()
     tinted = place(0)[None] * torch.tensor([1.05, 1.0, 0.95]).view(1, 3, 1, 1)
     distance = _distances(encoder, place(0)[None], tinted)
     assert distance.item() < encoder.threshold
 
 
-def test_a_shifted_view_is_nearer_than_any_other_place():
+def test_shifted_view_is_closer_than_any_other_place():
     encoder = BuiltinEncoder()
     left = torch.stack([place(seed)[:, :, :80] for seed in range(12)])
-    # An eighth of the image: some eight degrees.
+    # An eighth of the image, about eight degrees.
     right = torch.stack([place(seed)[:, :, 10:90] for seed in range(12)])
     distances = _distances(encoder, left, right)
     assert torch.equal(distances.argmin(dim=1), torch.arange(12))
@@ -105,20 +105,20 @@ def test_a_shifted_view_is_nearer_than_any_other_place():
     assert distances.diagonal().max() < others.min()
 
 
-def test_mirrored_and_swapped_places_are_told_apart_where_the_histogram_is_blind():
+def test_builtin_encoder_discriminates_mirrored_and_swapped_places():
     view = place(3)[None]
     mirrored = view.flip(3)
     assert _distances(ColourHistogramEncoder(), view, mirrored).item() < 1e-3
     assert _distances(BuiltinEncoder(), view, mirrored).item() > BuiltinEncoder.threshold / 2
 
 
-def test_colour_counts_where_edges_are_equal():
+def test_colour_discriminates_places_with_equal_edges():
     view = place(4)[None]
     swapped = view[:, [2, 1, 0]]
     assert _distances(BuiltinEncoder(), view, swapped).item() > BuiltinEncoder.threshold
 
 
-def test_the_direction_of_edges_counts():
+def test_edge_orientation_discriminates_places():
     y, x = torch.meshgrid(torch.arange(120.0), torch.arange(160.0), indexing="ij")
     descriptors = []
     for angle in (0.0, 45.0, 90.0, 135.0):
@@ -128,12 +128,12 @@ def test_the_direction_of_edges_counts():
     assert distances[~torch.eye(4, dtype=torch.bool)].min() > BuiltinEncoder.threshold
 
 
-def test_light_and_dark_count_where_edges_and_hues_are_equal():
+def test_lightness_discriminates_places_with_equal_edges_and_hues():
     grey = place(6).mean(dim=0).expand(1, 3, -1, -1)
     assert _distances(BuiltinEncoder(), grey, 1.0 - grey).item() > BuiltinEncoder.threshold
 
 
-def test_the_histogram_counts_colours():
+def test_histogram_of_known_colours():
     red, half = torch.zeros(1, 3, 60, 80), torch.zeros(1, 3, 60, 80)
     red[:, 0], half[:, 0, :, :40] = 1.0, 1.0
     shares = ColourHistogramEncoder().describe(torch.cat([red, half])).square().view(2, 8, 8, 6)

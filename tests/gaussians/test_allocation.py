@@ -1,4 +1,4 @@
-"""How many pixels of each class seed Gaussians (G-III.A)."""
+"""Allocation of seed pixels to classes (G-III.A)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ AREAS = st.lists(st.integers(0, 5000), min_size=1, max_size=30)
 
 
 @given(AREAS, st.integers(0, 60000))
-def test_the_total_is_met_and_no_class_gives_more_than_it_has(areas, total):
+def test_total_is_reached_and_no_class_exceeds_its_area(areas, total):
     counts = pixels_per_class(np.array(areas), total)
     assert (counts >= 0).all() and (counts <= areas).all()
     assert counts.sum() == min(total, sum(areas))
 
 
 @given(AREAS, st.integers(0, 60000))
-def test_uncapped_classes_share_by_the_square_root(areas, total):
+def test_unlimited_classes_are_proportional_to_the_square_root(areas, total):
     areas = np.array(areas)
     counts = pixels_per_class(areas, total)
     open_classes = counts < areas
@@ -29,11 +29,11 @@ def test_uncapped_classes_share_by_the_square_root(areas, total):
         assert ratio.max() - ratio.min() <= 2 * spread
 
 
-def test_a_small_class_is_capped_and_the_rest_redistributed():
+def test_small_class_is_limited_and_the_remainder_redistributed():
     assert pixels_per_class(np.array([50, 10000, 40000]), 10050).tolist() == [50, 3333, 6667]
 
 
-def test_chosen_pixels_stand_for_all_masked_ones():
+def test_areas_of_the_chosen_pixels_add_up_to_the_mask():
     generator = np.random.default_rng(0)
     mask = generator.random((40, 50)) < 0.7
     ids = generator.integers(0, 4, mask.shape)
@@ -44,6 +44,6 @@ def test_chosen_pixels_stand_for_all_masked_ones():
         assert np.isclose(area[chosen & (ids == k)].sum(), (mask & (ids == k)).sum(), rtol=1e-5)
 
 
-def test_nothing_masked_gives_nothing():
+def test_empty_mask_chooses_no_pixels():
     chosen, area = choose_pixels(np.zeros((3, 4), bool), None, 0.5, np.random.default_rng(0))
     assert not chosen.any() and (area == 1).all()

@@ -1,4 +1,4 @@
-"""The Gaussian cloud: checks, conversions, selection and rigid motion."""
+"""Gaussian cloud: validation, conversions, selection and rigid motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def assert_equal(a: GaussianCloud, b: GaussianCloud) -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(radius_m=st.floats(1e-5, 50.0), opacity=st.floats(1e-4, 0.999))
-def test_radii_and_opacities_come_back(radius_m: float, opacity: float) -> None:
+def test_radii_and_opacities_round_trip(radius_m: float, opacity: float) -> None:
     cloud = GaussianCloud.from_values(
         torch.zeros(1, 3), torch.tensor([radius_m]), torch.tensor([opacity]), torch.zeros(1, 3)
     )
@@ -53,14 +53,14 @@ def test_radii_and_opacities_come_back(radius_m: float, opacity: float) -> None:
         ("features", (9, 3), r"features must have shape \[8, 3\], got \[9, 3\]"),
     ],
 )
-def test_wrong_shapes_are_named(name: str, shape: tuple[int, ...], message: str) -> None:
+def test_wrong_shapes_raise(name: str, shape: tuple[int, ...], message: str) -> None:
     cloud = random_cloud()
     parts = {n: getattr(cloud, n) for n in NAMES} | {name: torch.zeros(shape)}
     with pytest.raises(ValueError, match=message):
         GaussianCloud(**parts)
 
 
-def test_says_what_it_is() -> None:
+def test_string_representation() -> None:
     assert str(random_cloud()) == "8 Gaussians, 3 feature channels"
     assert len(GaussianCloud.empty(5)) == 0
     assert GaussianCloud.empty(5).features.shape == (0, 5)
@@ -74,7 +74,7 @@ def test_select_by_mask_and_by_index_agree() -> None:
     assert len(cloud.select(torch.zeros(8, dtype=torch.bool))) == 0
 
 
-def test_concatenate_is_undone_by_select() -> None:
+def test_select_inverts_concatenate() -> None:
     parts = [random_cloud(1, 4), GaussianCloud.empty(3), random_cloud(2, 6)]
     whole = GaussianCloud.concatenate(parts)
     assert len(whole) == 10
@@ -84,7 +84,7 @@ def test_concatenate_is_undone_by_select() -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_rigid_motion_moves_centres_alone(seed: int) -> None:
+def test_rigid_motion_changes_only_the_means(seed: int) -> None:
     cloud = random_cloud()
     T_new_old = se3.exp(np.random.default_rng(seed).normal(size=6))
     moved = cloud.transformed(T_new_old)
@@ -98,7 +98,7 @@ def test_a_rigid_motion_moves_centres_alone(seed: int) -> None:
     np.testing.assert_allclose(back.means.numpy(), cloud.means.numpy(), atol=1e-5)
 
 
-def test_gradients_pass_but_for_detached() -> None:
+def test_gradients_are_propagated_unless_detached() -> None:
     cloud = random_cloud()
     cloud.means.requires_grad_()
     moved = cloud.transformed(np.eye(4)).select(torch.tensor([1, 2]))

@@ -91,7 +91,7 @@ def qemu() -> str:
 @pytest.mark.parametrize(
     ("cpu", "available"), [("Nehalem", ["base"]), ("Haswell", ["base", "avx2"])]
 )
-def test_an_older_cpu_runs_the_best_kernels_that_it_supports(
+def test_older_cpu_uses_its_best_supported_kernels(
     qemu: str, cpu: str, available: list[str]
 ) -> None:
     result = run_program(qemu, "-cpu", cpu)
@@ -103,14 +103,14 @@ def test_an_older_cpu_runs_the_best_kernels_that_it_supports(
     ]
 
 
-def test_forcing_an_instruction_set_that_the_cpu_lacks_is_an_error(qemu: str) -> None:
+def test_forcing_an_unsupported_instruction_set_raises(qemu: str) -> None:
     result = run_program(qemu, "-cpu", "Haswell", SEMSPLAT_ISA="avx512")
     assert result.returncode == 1
     message = "SEMSPLAT_ISA=avx512: this CPU does not support avx512; supported: base, avx2"
     assert message in result.stderr.splitlines()[-1]
 
 
-def test_this_cpu_runs_the_best_kernels_that_it_supports() -> None:
+def test_this_cpu_uses_its_best_supported_kernels() -> None:
     available = native.available_instruction_sets()
     if not available:
         pytest.skip("the native kernels were not built")

@@ -1,4 +1,4 @@
-"""Choosing among the compiled variants of the kernels."""
+"""Selection of the compiled variant of the kernels."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ def test_the_best_available_instruction_set_is_the_default() -> None:
 
 
 @pytest.mark.parametrize("name", ["avx9000", "AVX2", " "])
-def test_an_unknown_instruction_set_is_an_error(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_unknown_instruction_set_raises(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.setenv(loading.ISA_VARIABLE, name)
     with pytest.raises(DependencyError, match=f"SEMSPLAT_ISA={name}: .* is unknown; choose one of"):
         loading.kernels()
 
 
 @pytest.mark.usefixtures("cpu_with_avx2")
-def test_a_variant_that_the_cpu_does_not_support_is_never_loaded(
+def test_unsupported_variant_is_never_loaded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert loading.available_instruction_sets() == ["base", "avx2"]
@@ -82,9 +82,7 @@ def test_a_variant_that_the_cpu_does_not_support_is_never_loaded(
         loading.kernels()
 
 
-def test_a_variant_that_was_not_built_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, variants: Path
-) -> None:
+def test_missing_variant_raises(monkeypatch: pytest.MonkeyPatch, variants: Path) -> None:
     assert loading.available_instruction_sets() == []
     monkeypatch.setenv(loading.ISA_VARIABLE, "avx2")
     with pytest.raises(DependencyError, match="kernels for avx2 are not built; built: none"):
@@ -92,7 +90,7 @@ def test_a_variant_that_was_not_built_is_an_error(
 
 
 @needs_kernels
-def test_a_damaged_variant_is_skipped_unless_forced(
+def test_damaged_variant_is_skipped_unless_forced(
     monkeypatch: pytest.MonkeyPatch, variants: Path
 ) -> None:
     shutil.copy(BUILT_BASE, variants)
@@ -104,7 +102,7 @@ def test_a_damaged_variant_is_skipped_unless_forced(
 
 
 @needs_kernels
-def test_a_variant_compiled_with_other_constants_is_an_error(
+def test_variant_compiled_with_other_constants_raises(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(loading, "_load", loading._load.__wrapped__)
@@ -115,6 +113,6 @@ def test_a_variant_compiled_with_other_constants_is_an_error(
 
 @needs_kernels
 @pytest.mark.parametrize("name", loading.INSTRUCTION_SETS)
-def test_no_import_finds_a_variant(name: str) -> None:
+def test_variants_cannot_be_imported(name: str) -> None:
     assert importlib.util.find_spec(f"toolkit.native.variants.{name}") is None
     assert list(pkgutil.iter_modules([str(loading._path(name).parent)])) == []

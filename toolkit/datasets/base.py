@@ -1,7 +1,7 @@
-"""What a data set offers, and the one class that loads frames from files.
+"""Dataset interface, and the class that loads frames from files.
 
-A format module only describes a recording: which files belong together, when they were
-taken and by which camera. Loading, undistortion and resizing happen here, once.
+The module of a format only describes a recording: files, timestamps and camera. Loading,
+undistortion and resizing are implemented here for all formats.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from toolkit.io import images
 
 
 class Dataset(Protocol):
-    """A sequence of RGB-D frames that are read when asked for.
+    """A sequence of RGB-D frames that are loaded on access.
 
     Attributes:
-        name: a short name for reports.
-        camera: intrinsics of every frame, after resizing.
-        ground_truth: camera-to-world poses at the frames' own timestamps; frames without
-            truth are absent. None where there is no truth at all.
-        label_names: class names by id, or None where there are no labels.
+        name: short name for reports.
+        camera: intrinsics of all frames, after resizing.
+        ground_truth: camera-to-world poses at the timestamps of the frames that have ground
+            truth, or None if there is none.
+        label_names: class names by id, or None without labels.
     """
 
     name: str
@@ -52,10 +52,10 @@ class FrameFiles:
     """The files of one frame.
 
     Attributes:
-        timestamp_s: seconds, increasing along the recording.
-        rgb: the colour image.
-        depth: the depth image.
-        labels: the image of class ids, or None.
+        timestamp_s: seconds, strictly increasing.
+        rgb: colour image.
+        depth: depth image.
+        labels: image of class ids, or None.
     """
 
     timestamp_s: float
@@ -66,20 +66,20 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a format's module found in a folder; nothing is loaded yet.
+    """Description of a recording; images are not loaded yet.
 
     Attributes:
-        name: a short name for reports.
-        camera: intrinsics of the images as they lie on disk.
-        files: one entry a frame, timestamps strictly increasing.
+        name: short name for reports.
+        camera: intrinsics of the image files.
+        files: one entry per frame, with strictly increasing timestamps.
         depth_scale: depth image values per metre.
-        ground_truth: poses at the frames' timestamps, or None.
+        ground_truth: poses at the timestamps of the frames, or None.
         label_names: class names by id, or None.
-        saturated_is_missing: whether the depth value 65535 means "no depth".
+        saturated_is_missing: whether the depth value 65535 marks missing depth.
         distortion: OpenCV's (k1, k2, p1, p2, k3) of both images, or None.
-        colour_may_be_larger: whether colour of another size is brought to the depth's.
-        flaws: one line each about what was found wrong and worked around.
-        notes: one line each about gaps that are usual in this format.
+        colour_may_be_larger: whether colour images are resized to the size of the depth images.
+        flaws: one line for each defect of the recording that was worked around.
+        notes: one line for each kind of gap that is common in this format.
     """
 
     name: str
@@ -96,15 +96,15 @@ class Recording:
 
 
 class RecordedDataset:
-    """The data set of a recording: frames loaded one by one, at the size asked for.
+    """Dataset of a recording; frames are loaded on access and resized.
 
     Args:
-        recording: the description of the files.
+        recording: description of the files.
         image_size: (width, height) in pixels, or None for the native size.
-        max_frames: keep this many frames from the start, >= 1, or None for all.
+        max_frames: maximum number of frames from the start, >= 1, or None for all.
 
     Raises:
-        DatasetError: there are no frames, or the size or number is not positive.
+        DatasetError: there are no frames, or `image_size` or `max_frames` is not positive.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class RecordedDataset:
         if max_frames is not None and max_frames < 1:
             raise DatasetError(f"max_frames must be at least 1, got {max_frames}")
         if not recording.files:
-            raise DatasetError(f"{recording.name} holds no frame; check the path and its layout")
+            raise DatasetError(f"{recording.name} contains no frames; check the path and layout")
         self.recording = recording
         self.name = recording.name
         self.label_names = recording.label_names
@@ -134,11 +134,11 @@ class RecordedDataset:
 
     @property
     def timestamps_s(self) -> NDArray[np.float64]:
-        """Times [N] of the frames in seconds."""
+        """Timestamps [N] of the frames in seconds."""
         return np.array([files.timestamp_s for files in self._files])
 
     def files(self, index: int) -> FrameFiles:
-        """The files of frame `index`."""
+        """Return the files of frame `index`."""
         return self._files[index]
 
     def __getitem__(self, index: int) -> Frame:
@@ -163,11 +163,11 @@ class RecordedDataset:
         return Frame(index, files.timestamp_s, rgb, depth_m, self.camera, labels)
 
     def __iter__(self) -> Iterator[Frame]:
-        """All frames in order, read ahead in a background thread."""
+        """Iterate over all frames in order, prefetched by a background thread."""
         return prefetched(self, range(len(self)))
 
     def _load(self, files: FrameFiles) -> tuple[NDArray, NDArray, NDArray | None]:
-        """Colour, depth and labels as they lie on disk, of the native camera's size."""
+        """Load colour, depth and labels at the native size."""
         recording = self.recording
         depth_m = images.read_depth_m(
             files.depth, recording.depth_scale, recording.saturated_is_missing
@@ -188,8 +188,8 @@ def _check_size(image: NDArray, camera: Camera, path: Path) -> None:
     height, width = image.shape[:2]
     if (width, height) != camera.size:
         raise DatasetError(
-            f"{path} is {width}x{height} but the camera of this data set is "
-            f"{camera.width}x{camera.height}; colour, depth and intrinsics must be of one size"
+            f"{path} is {width}x{height} but the camera of this dataset is "
+            f"{camera.width}x{camera.height}; colour, depth and intrinsics must have the same size"
         )
 
 

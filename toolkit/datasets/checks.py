@@ -1,4 +1,4 @@
-"""Read a whole data set and say, in plain lines, what is wrong with it."""
+"""Check all frames of a dataset and report defects."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from toolkit.datasets.registry import describe
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 
-# The median depth of an indoor recording lies well within these metres.
+# Plausible range of the median depth of an indoor recording, metres.
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.1, 30.0
-# With depth in fewer pixels than this a frame cannot be tracked.
+# Minimum fraction of pixels with valid depth that tracking needs.
 _LEAST_VALID_SHARE = 0.01
 _REGISTRATION_FRAMES = 24
-# Unreadable frames named one by one; the rest are counted.
+# Maximum number of unreadable frames that are listed; the rest are counted.
 _NAMED_FAILURES = 5
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What reading a data set brought to light.
+    """Result of a dataset check.
 
     Attributes:
-        summary: what the data set is, in a few lines.
-        faults: what is wrong, one line each; empty for a good data set.
-        notes: what is usual in this format and yet worth knowing.
+        summary: a few lines that describe the dataset.
+        faults: one line per defect; empty if there are none.
+        notes: remarks about properties that are common in this format.
     """
 
     summary: tuple[str, ...]
@@ -41,13 +41,13 @@ class CheckReport:
 
     @property
     def good(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether no defects were found."""
         return not self.faults
 
 
 @dataclass
 class _Findings:
-    """What is gathered frame by frame."""
+    """Findings accumulated over the frames."""
 
     failures: list[str] = field(default_factory=list)
     empty: list[str] = field(default_factory=list)
@@ -65,17 +65,17 @@ def check_dataset(
     image_size: tuple[int, int] | None = None,
     watch: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> CheckReport:
-    """Read every frame of a data set and report what is wrong.
+    """Read every frame of a dataset and report defects.
 
     Args:
-        kind: a kind of data set, as in `registry.KINDS`.
-        path: its folder.
-        image_size: (width, height) to resize to as a run would, or None.
-        watch: wraps the indices of the frames, to show progress.
+        kind: kind of the dataset, one of `registry.KINDS`.
+        path: folder of the dataset.
+        image_size: (width, height) in pixels to resize to, as in a run, or None.
+        watch: wraps the iterable of frame indices to show progress.
 
     Raises:
-        DatasetError: there is no such data set at all.
-        FormatError: a text file of it is not of its form.
+        DatasetError: the dataset does not exist.
+        FormatError: a text file is malformed.
     """
     dataset = RecordedDataset(describe(kind, path), image_size)
     findings = _Findings()
@@ -119,7 +119,7 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
 def _time_faults(dataset: RecordedDataset) -> list[str]:
     faults = []
     if len(dataset) == 1:
-        faults.append("there is only one frame; tracking needs at least two")
+        faults.append("the dataset has only one frame; tracking needs at least two")
     backwards = np.flatnonzero(np.diff(dataset.timestamps_s) <= 0) + 1
     if backwards.size:
         names = [dataset.files(int(i)).rgb.name for i in backwards]
@@ -133,7 +133,7 @@ def _frame_faults(findings: _Findings) -> list[str]:
     if rest > 0:
         faults.append(f"{rest} more frame(s) cannot be read")
     for names, what in (
-        (findings.damaged, "colour image(s) are corrupt (the decoder complained); copy them again"),
+        (findings.damaged, "colour image(s) are corrupt (decoder warnings); copy them again"),
         (findings.blank, "colour image(s) are blank; remove these frames"),
         (findings.empty, "depth image(s) are empty (every pixel missing); remove these frames"),
         (
@@ -153,7 +153,7 @@ def _depth_scale_faults(findings: _Findings, depth_scale: float) -> list[str]:
     median_m = float(np.median(findings.medians_m))
     if _NEAREST_MEDIAN_M <= median_m <= _FARTHEST_MEDIAN_M:
         return []
-    # The usual scales; the one whose median is nearest to that of a room is the likely one.
+    # Of the common scales, suggest the one whose median depth is closest to 2 m.
     likely = min(
         (1000.0, 5000.0, 6553.5), key=lambda s: abs(np.log(median_m * depth_scale / s / 2.0))
     )
@@ -168,7 +168,9 @@ def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str
     unknown = sorted(findings.label_ids - {0} - set(names or {}))
     if names is None or not unknown:
         return []
-    return [f"labels hold class ids that classes.json does not: {listed([*map(str, unknown)])}"]
+    return [
+        f"labels contain class ids that are missing in classes.json: {listed([*map(str, unknown)])}"
+    ]
 
 
 def _registration_faults(dataset: RecordedDataset) -> list[str]:
@@ -203,7 +205,7 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
         )
     if dataset.label_names:
         lines.append(
-            f"labels: {len(findings.label_ids - {0})} of {len(dataset.label_names)} classes seen"
+            f"labels: {len(findings.label_ids - {0})} of {len(dataset.label_names)} classes occur"
         )
     return tuple(lines)
 

@@ -1,7 +1,7 @@
-"""Hear what the JPEG decoder only mutters on stderr.
+"""Capture warnings that the JPEG decoder prints to stderr.
 
-A JPEG whose body was damaged still decodes, to wrong colours, and libjpeg tells nobody but
-the process's error stream. PNGs carry checksums and need none of this.
+A damaged JPEG decodes to wrong colours without an error; libjpeg only prints a warning to
+stderr. PNGs contain checksums, so this is not needed for them.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import cv2
 
 
 def decoder_warning(path: Path) -> str:
-    """What the decoder says about a JPEG file; empty where it is sound, or no JPEG.
+    """Return the decoder's warnings about a JPEG file; empty if there are none or it is no JPEG.
 
-    The process's stderr is diverted for the moment: for programs that check data, not for
-    threads beside others that log.
+    The stderr of the process is redirected meanwhile, so this must not be called while other
+    threads write to it.
     """
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         return ""

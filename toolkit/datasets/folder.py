@@ -1,4 +1,4 @@
-"""The toolkit's own plain layout: rgb/, depth/, intrinsics.yaml."""
+"""The toolkit's own dataset layout: rgb/, depth/, intrinsics.yaml."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """The content of `intrinsics.yaml`: camera, depth values per metre, lens, frame rate."""
+    """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate."""
 
     camera: Camera
     depth_scale: float
@@ -38,13 +38,13 @@ class Intrinsics:
 def describe(path: Path) -> Recording:
     """Describe `rgb/STEM.*`, `depth/STEM.png`, `intrinsics.yaml` and optional files.
 
-    Frames are in the order of their stems, by number where all stems are numbers; frame i
-    was taken at i / fps. Optional: `labels/STEM.png` with `labels/classes.json`, and
-    `trajectory.txt` in TUM's form with the same times.
+    Frames are sorted by stem, numerically if all stems are numbers. The timestamp of frame i is
+    i / fps. Optional files are `labels/STEM.png` with `labels/classes.json`, and
+    `trajectory.txt` in TUM format with the same timestamps.
 
     Raises:
-        DatasetError: the layout is not this one, or `intrinsics.yaml` is not of its form.
-        FormatError: `trajectory.txt` is not of its form.
+        DatasetError: the folder has a different layout, or `intrinsics.yaml` is malformed.
+        FormatError: `trajectory.txt` is malformed.
     """
     folder = folder_holding(path, ("rgb", "depth", "intrinsics.yaml"), "folder")
     intrinsics = read_intrinsics(folder / "intrinsics.yaml")
@@ -81,11 +81,14 @@ def read_intrinsics(path: Path) -> Intrinsics:
     values = _load_mapping(path)
     for key in _REQUIRED:
         if key not in values:
-            raise DatasetError(f"{path} lacks the key {key}; it needs {', '.join(_REQUIRED)}")
+            raise DatasetError(
+                f"{path} lacks the key {key}; required keys are {', '.join(_REQUIRED)}"
+            )
     for key in values:
         if key not in _REQUIRED + _OPTIONAL:
             raise DatasetError(
-                f"{path} has the unknown key {key!r}; known are {', '.join(_REQUIRED + _OPTIONAL)}"
+                f"{path} has the unknown key {key!r}; supported keys are "
+                f"{', '.join(_REQUIRED + _OPTIONAL)}"
             )
     try:
         numbers = {key: float(values[key]) for key in _REQUIRED}
@@ -100,7 +103,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
             int(numbers["height"]),
         )
     except (TypeError, ValueError, OverflowError, SettingsError) as error:
-        raise DatasetError(f"{path}: {error}; mend the value") from error
+        raise DatasetError(f"{path}: {error}; correct the value") from error
     if len(distortion) not in (0, 5) or not np.isfinite(distortion).all():
         raise DatasetError(f"{path}: distortion must be the 5 numbers [k1, k2, p1, p2, k3]")
     for key, value in (("depth_scale", numbers["depth_scale"]), ("fps", fps)):
@@ -110,7 +113,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
 
 
 def _load_mapping(path: Path) -> dict:
-    import yaml  # a GPU server may lack it, and no other layout asks for it
+    import yaml  # only this layout needs it, so it may be missing on a GPU server
 
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -118,12 +121,12 @@ def _load_mapping(path: Path) -> dict:
         reason = " ".join(str(error).split())
         raise DatasetError(f"cannot read {path}: {reason}; it must be YAML") from error
     if not isinstance(values, dict):
-        raise DatasetError(f"{path} must hold `key: value` lines: {', '.join(_REQUIRED)}")
+        raise DatasetError(f"{path} must contain `key: value` lines: {', '.join(_REQUIRED)}")
     return values
 
 
 def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Files by stem, in the order of their numbers if all are numbers, else of their names."""
+    """Return files by stem, sorted numerically if all stems are numbers, otherwise by name."""
     found = (
         {f.stem: f for f in folder.iterdir() if f.suffix.lower() in suffixes}
         if folder.is_dir()
@@ -140,7 +143,7 @@ def _is_number(text: str) -> bool:
 def _poses(
     path: Path, files: tuple[FrameFiles, ...], fps: float
 ) -> list[NDArray[np.float64] | None]:
-    """The pose of each frame: the one whose time is nearest to index / fps, if within half."""
+    """Return the pose of each frame, or None if no timestamp is within half a frame period."""
     poses = read_tum_lines(path)
     found: dict[int, NDArray[np.float64]] = {}
     for time, pose in zip(poses.timestamps_s, poses.T_world_camera, strict=True):

@@ -1,4 +1,4 @@
-"""Read frames ahead of their use, in one background thread."""
+"""Prefetch frames in a background thread."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from toolkit.datasets.base import Dataset
 
 _END = object()
-# How long a blocked reader waits before it looks whether anyone still wants frames.
+# Interval at which a blocked reader checks whether the iterator was closed.
 _POLL_S = 0.05
 
 
@@ -23,16 +23,16 @@ def prefetched(
     ahead: int = 4,
     prepare: Callable[[Frame], None] | None = None,
 ) -> Iterator[Frame]:
-    """The frames of these indices in order, up to `ahead` of them read in advance.
+    """Yield the frames with these indices in order, of which up to `ahead` are read in advance.
 
-    Errors of reading and preparing are raised here, in place of the frame. The thread ends when the
-    iterator is exhausted or closed.
+    Exceptions of reading and preparing a frame are raised in place of the frame. The thread ends
+    when the iterator is exhausted or closed.
 
     Args:
-        dataset: where the frames come from; used by the thread alone meanwhile.
-        indices: the frames wanted.
-        ahead: frames held in memory beside the one in use, >= 1.
-        prepare: called with each frame by the thread, before it is handed over.
+        dataset: source of the frames; it must not be used by other threads meanwhile.
+        indices: indices of the frames.
+        ahead: maximum number of prefetched frames in memory, >= 1.
+        prepare: called by the thread with each frame before it is yielded.
     """
     waiting: queue.Queue = queue.Queue(maxsize=ahead)
     closed = threading.Event()
@@ -54,7 +54,7 @@ def prefetched(
                     prepare(frame)
                 if not put(frame):
                     return
-        except Exception as error:  # noqa: BLE001 - the consumer raises it again
+        except Exception as error:  # noqa: BLE001 - raised again by the consumer
             put(error)
         finally:
             put(_END)

@@ -1,10 +1,9 @@
-"""Whether colour and depth images show the same thing at the same pixel.
+"""Check that depth images are registered to colour images.
 
-Where depth jumps, one object ends in front of another, and colour mostly changes as well.
-Sliding the depth edges over the colour gradients must therefore fit best at no shift at
-all. Summed over frames the best fit stands out though single frames are noisy. It is
-looked for in each quarter of the image too: a wrong focal length moves opposite sides in
-opposite directions and leaves the centre where it is.
+At depth discontinuities colour mostly changes as well. The correlation of depth edges with
+colour gradients must therefore be largest without a shift between the images. Single frames are
+noisy, so the correlation is summed over frames. It is also computed for each quarter of the
+image, because a wrong focal length shifts opposite sides in opposite directions.
 """
 
 from __future__ import annotations
@@ -18,42 +17,42 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 
-# All images are brought to about this width, so that a pixel means the same angle.
+# Images are resized to about this width, so that shifts in pixels are comparable.
 _WIDTH = 320
-# Shifts tried, in pixels of that width.
+# Maximum shift, in pixels of the resized image.
 _REACH = 16
-# A depth step over this share of the nearer depth is the edge of an object.
+# Minimum depth step of an edge, relative to the nearer depth.
 _RELATIVE_STEP = 0.08
-# Colour gradients beyond this quantile count alike: one bright lamp is one edge.
+# Colour gradients are clipped at this quantile, so that single strong edges do not dominate.
 _CLIP_QUANTILE = 0.95
 
-# Found on recordings of TUM (fr1/rpy), 7-Scenes (RedKitchen) and Replica (office 0), 3 to 30
-# frames each: registered, the whole image fits within 2 px of 640 at a prominence of 3.3 to
-# 6.9; shifted by 6 or 12 px the advantage is 0.3 to 0.95; mirrored, mispaired or with depth
-# zoomed by 1.1 the prominence falls to 1.7 to 2.8.
+# Measured on TUM (fr1/rpy), 7-Scenes (RedKitchen) and Replica (office 0) with 3 to 30 frames
+# each. Registered images: best shift within 2 px at a width of 640, prominence 3.3 to 6.9.
+# Shifted by 6 or 12 px: advantage 0.3 to 0.95. Mirrored, mispaired or with depth scaled by 1.1:
+# prominence 1.7 to 2.8.
 _CLEAR_FIT = 3.0
 _CLEAR_FIT_OF_QUARTER = 3.3
 _CLEAR_ADVANTAGE = 0.25
 _TOLERANCE = 5 / 640
 _ENOUGH_EDGE_PIXELS = 3000
-# One quarter may hold little else than a carpet's pattern.
+# Texture without depth edges may mislead a single quarter.
 _ENOUGH_QUARTERS = 2
 
 
 @dataclass(frozen=True)
 class RegistrationReport:
-    """Where depth edges fit the colour edges best.
+    """Shifts with the largest correlation of depth edges and colour gradients.
 
     Attributes:
-        shift_px: [5, 2] shifts (x, y) of colour against depth in pixels of the given
-            images: the whole image, then its quarters (top left, top right, bottom left,
+        shift_px: [5, 2] shifts (x, y) of colour relative to depth in pixels of the original
+            images: for the whole image and its quarters (top left, top right, bottom left,
             bottom right).
-        prominence: [5] height of that best fit over the mean of all shifts, in standard
-            deviations of them.
-        advantage: [5] how much better the best shift fits than none, as a share of the
-            best one's height; 0 where no shift is best.
-        edge_pixels: number of depth-edge pixels that were used.
-        width: of the given images, in pixels.
+        prominence: [5] correlation at the best shift above the mean over all shifts, in standard
+            deviations.
+        advantage: [5] decrease of the correlation from the best shift to zero shift, relative to
+            the best; 0 if zero shift is the best.
+        edge_pixels: number of depth edge pixels.
+        width: width of the original images in pixels.
     """
 
     shift_px: NDArray[np.float64]
@@ -63,16 +62,16 @@ class RegistrationReport:
     width: int
 
     def verdict(self) -> str | None:
-        """What is wrong, in one line; None where the edges agree or there are too few."""
+        """Return a one-line description of the defect, or None if edges agree or are too few."""
         if self.edge_pixels < _ENOUGH_EDGE_PIXELS:
             return None
-        remedy = "register depth to colour, and check that the files pair rightly"
+        remedy = "register depth to colour, and check that the files are paired correctly"
         if self.prominence[0] >= _CLEAR_FIT and self._shifted(0):
             x, y = self.shift_px[0]
-            return f"colour is shifted against depth by ({x:+.0f}, {y:+.0f}) px; {remedy}"
+            return f"colour is shifted relative to depth by ({x:+.0f}, {y:+.0f}) px; {remedy}"
         quarters = sum(self._shifted(i) for i in range(1, 5))
         if self.prominence[0] < _CLEAR_FIT or quarters >= _ENOUGH_QUARTERS:
-            return f"edges of colour and depth agree at no one shift; {remedy}"
+            return f"edges of colour and depth do not agree for any shift; {remedy}"
         return None
 
     def _shifted(self, part: int) -> bool:
@@ -85,7 +84,7 @@ class RegistrationReport:
 
 
 def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
-    """Fit depth edges to colour edges over some frames of one camera."""
+    """Correlate depth edges with colour gradients over frames of one camera."""
     total = np.zeros((5, 2 * _REACH + 1, 2 * _REACH + 1))
     edge_pixels, width = 0, _WIDTH
     for frame in frames:
@@ -104,10 +103,10 @@ def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
 
 
 def depth_edges(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """1 at the near side of depth steps [H, W], 0 elsewhere.
+    """Return an edge image [H, W]: 1 on the near side of depth steps, 0 at other pixels.
 
-    Missing depth beside an object is the sensor's shadow on what lies behind it, so a hole
-    takes the farther depth of its ends.
+    Missing depth beside an object is usually the sensor's shadow on the background, so holes are
+    filled with the larger depth of their ends.
     """
     edges = np.zeros(depth_m.shape, dtype=bool)
     for axis in (0, 1):
@@ -116,14 +115,14 @@ def depth_edges(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
             neighbour = np.roll(filled, step, axis=axis)
             valid = (depth_m > 0) & (neighbour > 0)
             edges |= valid & (neighbour - depth_m > _RELATIVE_STEP * depth_m)
-    # np.roll wraps around; the border has no neighbour.
+    # np.roll wraps around, so the border is invalid.
     edges[[0, -1], :] = False
     edges[:, [0, -1]] = False
     return edges.astype(np.float32)
 
 
 def _filled_with_farther(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Holes within each row [H, W] take the larger of the depths at both their ends."""
+    """Fill holes within each row of an image [H, W] with the larger depth of their ends."""
     columns = np.arange(depth_m.shape[1])
     valid = depth_m > 0
     left = np.maximum.accumulate(np.where(valid, columns, 0), axis=1)
@@ -136,7 +135,7 @@ def _filled_with_farther(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _colour_gradient(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Strength of the colour edges [H, W], clipped, with mean 0."""
+    """Return clipped colour gradient magnitudes [H, W] with mean 0."""
     smooth = cv2.GaussianBlur(rgb, (0, 0), 1.0)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
@@ -160,7 +159,7 @@ def _quarters(shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
 
 
 def _correlation(edges: NDArray[np.float32], gradient: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Sum of edges(p) * gradient(p + shift) for each shift (y, x) within the reach."""
+    """Return the sum of edges(p) * gradient(p + shift) for all shifts (y, x)."""
     padded = np.pad(gradient, _REACH)
     rows, columns = np.nonzero(edges)
     result = np.empty((2 * _REACH + 1, 2 * _REACH + 1))

@@ -1,4 +1,4 @@
-"""Open a data set by the name of its kind."""
+"""Open datasets by kind."""
 
 from __future__ import annotations
 
@@ -29,27 +29,26 @@ def open_dataset(
     image_size: tuple[int, int] | None = None,
     max_frames: int | None = None,
 ) -> RecordedDataset:
-    """Open a data set; frames are read when they are asked for.
+    """Open a dataset; frames are loaded on access.
 
-    The first frame is loaded at once, so that a wrong path, size or scale is told before
-    any work begins.
+    The first frame is loaded immediately to detect a wrong path, image size or scale early.
 
     Args:
-        kind: one of `KINDS`; synthetic rooms are written in Replica's layout.
-        path: its folder.
-        image_size: (width, height) in pixels to scale and crop to, or None for native size.
-        max_frames: keep this many frames from the start, or None for all.
+        kind: one of `KINDS`; synthetic rooms use the layout of Replica.
+        path: folder of the dataset.
+        image_size: (width, height) in pixels to scale and crop to, or None for the native size.
+        max_frames: maximum number of frames from the start, or None for all.
 
     Raises:
-        DatasetError: the kind is unknown, or the data set is missing or inconsistent.
-        FormatError: a text file of it is not of its form.
+        DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
+        FormatError: a text file is malformed.
     """
     dataset = RecordedDataset(describe(kind, path), image_size, max_frames)
     first = dataset[0]
     if not first.depth_m.any():
         raise DatasetError(
-            f"{dataset.files(0).depth} holds no depth at all; remove the first frame or "
-            f"check how its depth was saved"
+            f"{dataset.files(0).depth} contains no valid depth; remove the first frame or check "
+            f"how its depth was saved"
         )
     for flaw in dataset.recording.flaws:
         _log.warning("%s: %s", dataset.name, flaw)
@@ -62,9 +61,9 @@ def describe(kind: str, path: str | os.PathLike[str]) -> Recording:
     """Describe the recording in a folder without loading its frames.
 
     Raises:
-        DatasetError: the kind is unknown, or the data set is missing or inconsistent.
-        FormatError: a text file of it is not of its form.
+        DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
+        FormatError: a text file is malformed.
     """
     if kind not in KINDS:
-        raise DatasetError(f"unknown data set kind {kind!r}; known are {', '.join(KINDS)}")
+        raise DatasetError(f"unknown dataset kind {kind!r}; supported are {', '.join(KINDS)}")
     return KINDS[kind](Path(path))

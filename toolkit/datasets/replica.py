@@ -1,4 +1,4 @@
-"""Replica in the NICE-SLAM layout; the synthetic rooms are written in it too."""
+"""Replica in the layout of NICE-SLAM, which is also used for synthetic rooms."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
 from toolkit.io.trajectories import read_matrix_lines
 
-# The layout has no times; its videos are shown at this rate.
+# Frame rate; the layout has no timestamps.
 FPS = 30.0
 DEFAULT_DEPTH_SCALE = 6553.5
 
@@ -26,11 +26,11 @@ DEFAULT_DEPTH_SCALE = 6553.5
 def describe(path: Path) -> Recording:
     """Describe `results/frameN.jpg|png`, `results/depthN.png`, `traj.txt`, `cam_params.json`.
 
-    Frame N has line N of `traj.txt`, counted from 0. `cam_params.json` lies in the folder or
-    above it; `labels/labelN.png` with `labels/classes.json` are optional.
+    The pose of frame N is line N of `traj.txt`, counted from 0. `cam_params.json` is in the folder
+    or its parent; `labels/labelN.png` with `labels/classes.json` are optional.
 
     Raises:
-        DatasetError: the layout is not this one, or a file of it is not of its form.
+        DatasetError: the folder has a different layout, or a file is malformed.
     """
     folder = folder_holding(path, ("results",), "Replica")
     rgb = numbered(folder / "results", r"frame(\d+)\.(?:jpg|png)")
@@ -40,7 +40,7 @@ def describe(path: Path) -> Recording:
     camera_file = _in_folder_or_above(folder, "cam_params.json")
     if camera_file is None:
         raise DatasetError(
-            f"{folder} has no cam_params.json, nor has the folder above; put the data set's there"
+            f"neither {folder} nor its parent contains cam_params.json; copy it from the dataset"
         )
     camera, depth_scale = read_camera(camera_file)
     trajectory, flaws = None, pairing_flaws(rgb, depth, labels)
@@ -64,10 +64,10 @@ def describe(path: Path) -> Recording:
 
 
 def read_camera(path: Path) -> tuple[Camera, float]:
-    """The camera and the depth scale of a `cam_params.json`.
+    """Read the camera and the depth scale of a `cam_params.json`.
 
     Raises:
-        DatasetError: the file is not of its form or a value is out of range.
+        DatasetError: the file is malformed or a value is out of range.
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))["camera"]
@@ -82,7 +82,7 @@ def read_camera(path: Path) -> tuple[Camera, float]:
         depth_scale = float(values.get("scale", DEFAULT_DEPTH_SCALE))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
         raise DatasetError(
-            f'{path} must hold {{"camera": {{w, h, fx, fy, cx, cy, scale}}}}: {error!r}'
+            f'{path} must contain {{"camera": {{w, h, fx, fy, cx, cy, scale}}}}: {error!r}'
         ) from error
     if not 0 < depth_scale < float("inf"):
         raise DatasetError(f"{path}: scale must be positive (depth values per metre)")

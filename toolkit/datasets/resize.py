@@ -1,4 +1,4 @@
-"""Bring images to another size: one uniform scale, then the centre."""
+"""Resizing of images: uniform scaling, then a centre crop."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 
-# Source pixels that differ by less (share of inverse depth) from the one in the middle show its
-# surface.
+# Maximum relative difference in inverse depth of source pixels on the surface of the centre.
 _EDGE = 0.05
 
 
 def resize_colour(rgb: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-    """A colour image [H, W, 3] averaged over areas to (width, height), or enlarged linearly."""
+    """Resize a colour image [H, W, 3] to (width, height) by area averaging or linear upsampling."""
     width, height = size
     smaller = width < rgb.shape[1] or height < rgb.shape[0]
     method = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
@@ -23,19 +22,19 @@ def resize_colour(rgb: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np
 
 
 class ImageGrid:
-    """The pixels that images of one camera are resampled to.
+    """Pixel grid to which the images of one camera are resampled.
 
-    All images share one grid, c' = (c + 0.5) s - 0.5. Colour is averaged over each pixel's
-    area; so is inverse depth, which is linear on a plane, over the surface in the middle of it
-    alone. Labels take the source pixel that holds the new pixel's centre: where images are made
-    half as large that is off by a quarter of a new pixel, always to one side.
+    All images share one grid, c' = (c + 0.5) s - 0.5. Colour is averaged over the area of each
+    pixel. Inverse depth, which is linear on planes, is averaged over the part of the area that
+    belongs to the surface at its centre. Labels are those of the source pixel that contains the
+    centre; at half resolution this is a shift of a quarter of a pixel in a constant direction.
 
     Args:
-        source: the camera of the images as they are.
-        size: (width, height) wanted, in pixels.
+        source: camera of the source images.
+        size: target (width, height) in pixels.
 
     Raises:
-        DatasetError: a size below one pixel.
+        DatasetError: the target size is less than one pixel.
     """
 
     def __init__(self, source: Camera, size: tuple[int, int]) -> None:
@@ -46,7 +45,7 @@ class ImageGrid:
         scaled_width = max(width, round(source.width * scale))
         scaled_height = max(height, round(source.height * scale))
         left, top = (scaled_width - width) // 2, (scaled_height - height) // 2
-        # Whole pixels make the two factors differ a little; the camera is told the truth.
+        # The factors differ slightly because sizes are integers; the camera uses the exact ones.
         scale_x, scale_y = scaled_width / source.width, scaled_height / source.height
 
         self.camera = source.scaled(scale_x, scale_y, scaled_width, scaled_height).cropped(
@@ -61,11 +60,11 @@ class ImageGrid:
         self._columns = _covered(np.arange(left, left + width), scale_x, source.width)
 
     def colour(self, rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A colour image [H, W, 3] on this grid."""
+        """Resample a colour image [H, W, 3] to this grid."""
         return np.ascontiguousarray(resize_colour(rgb, self._scaled_size)[self._crop])
 
     def depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A depth image [H, W] (m, 0 missing) on this grid; surfaces are not mixed."""
+        """Resample a depth image [H, W] (m, 0 where missing) without mixing surfaces."""
         inverse = np.where(depth_m > 0, 1.0 / np.where(depth_m > 0, depth_m, 1.0), 0.0)
         middle = inverse[self._source_pixels]
         total, area = np.zeros_like(middle), np.zeros_like(middle)
@@ -80,14 +79,14 @@ class ImageGrid:
         return np.where(known, area / np.where(known, total, 1.0), 0.0).astype(np.float32)
 
     def nearest(self, image: NDArray) -> NDArray:
-        """A label image [H, W] on this grid, values unmixed."""
+        """Resample a label image [H, W] to this grid by nearest neighbour."""
         return image[self._source_pixels]
 
 
 def _covered(
     pixels: NDArray[np.int64], scale: float, count: int
 ) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Source pixels that new ones cover along one axis, each with how much of it they do."""
+    """Return the source pixels that target pixels cover along one axis, with their coverage."""
     first, last = pixels / scale, (pixels + 1) / scale
     parts = []
     for step in range(int(np.ceil(1.0 / scale)) + 1):

@@ -27,14 +27,14 @@ DEPTH_SCALE = 1000.0
 def describe(path: Path) -> Recording:
     """Describe `color/N.jpg`, `depth/N.png`, `pose/N.txt`, `intrinsic/intrinsic_depth.txt`.
 
-    Without the depth camera's matrix `intrinsic/intrinsic_color.txt` is scaled to the depth
-    image, which ScanNet registers to colour; colour is brought to the depth's size. Poses
-    that are not finite are gaps in the truth. `labels/N.png` with `labels/classes.json`
-    are optional.
+    Without the matrix of the depth camera, `intrinsic/intrinsic_color.txt` is scaled to the depth
+    image, which ScanNet registers to colour. Colour images are resized to the depth images.
+    Non-finite poses are omitted from the ground truth. `labels/N.png` with
+    `labels/classes.json` are optional.
 
     Raises:
-        DatasetError: the layout is not this one.
-        FormatError: a pose or the intrinsics are not a matrix.
+        DatasetError: the folder has a different layout.
+        FormatError: the file of a pose or of the intrinsics does not contain a matrix.
     """
     folder = folder_holding(path, ("color", "depth"), "ScanNet")
     rgb = numbered(folder / "color", r"(\d+)\.(?:jpg|png)")
@@ -43,7 +43,9 @@ def describe(path: Path) -> Recording:
     pose_files = numbered(folder / "pose", r"(\d+)\.txt")
     files = pair_numbered(rgb, depth, labels, FPS)
     if not files:
-        raise DatasetError(f"{folder} holds no color/N.jpg with its depth/N.png; export them again")
+        raise DatasetError(
+            f"{folder} contains no color/N.jpg with depth/N.png; export the frames again"
+        )
     poses = [read_matrix(pose_files[n]) if n in pose_files else None for n in rgb if n in depth]
     truth = attach_poses(files, poses) if pose_files else Truth(None)
     return Recording(
@@ -54,13 +56,13 @@ def describe(path: Path) -> Recording:
         ground_truth=truth.trajectory,
         label_names=read_class_names(folder / "labels" / "classes.json") if labels else None,
         colour_may_be_larger=True,
-        flaws=pairing_flaws(rgb, depth, labels) + truth.missing + truth.bent,
+        flaws=pairing_flaws(rgb, depth, labels) + truth.missing + truth.not_rigid,
         notes=truth.infinite,
     )
 
 
 def _camera(folder: Path, rgb_file: Path, depth_file: Path) -> Camera:
-    """The depth image's camera."""
+    """Return the camera of the depth images."""
     height, width = read_depth_m(depth_file, DEPTH_SCALE).shape
     own, colours = (
         folder / "intrinsic" / name for name in ("intrinsic_depth.txt", "intrinsic_color.txt")

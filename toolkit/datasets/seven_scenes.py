@@ -1,4 +1,4 @@
-"""7-Scenes: one sequence folder of colour, depth and pose files."""
+"""7-Scenes: a sequence folder with colour, depth and pose files."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ _log = logging.getLogger(__name__)
 def describe(path: Path) -> Recording:
     """Describe `frame-N.color.png|jpg`, `frame-N.depth.png`, `frame-N.pose.txt`.
 
-    The camera is that of `camera-intrinsics.txt` (a 3x3 matrix) where present, else the
-    standard 585 pixels, with a warning. Depth 0 and 65535 are missing.
+    The camera is read from `camera-intrinsics.txt` (a 3x3 matrix). Without that file the standard
+    focal length of 585 pixels is used, with a warning. Depth values 0 and 65535 are missing.
 
     Raises:
-        DatasetError: the layout is not this one.
-        FormatError: the intrinsics are not a matrix.
+        DatasetError: the folder has a different layout.
+        FormatError: the file of the intrinsics does not contain a matrix.
     """
     if not path.is_dir():
-        raise DatasetError(f"{path} is not a folder; give the folder of a 7-Scenes sequence")
+        raise DatasetError(f"{path} is not a folder; specify the folder of a 7-Scenes sequence")
     folder = _sequence_folder(path)
     rgb = numbered(folder, r"frame-(\d+)\.color\.(?:png|jpg)")
     depth = numbered(folder, r"frame-(\d+)\.depth\.png")
@@ -48,8 +48,8 @@ def describe(path: Path) -> Recording:
     files = pair_numbered(rgb, depth, {}, FPS)
     if not files:
         raise DatasetError(
-            f"{folder} holds no frame-N.color.png (or .jpg) with its frame-N.depth.png; "
-            f"check the path and the data set's kind"
+            f"{folder} contains no frame-N.color.png (or .jpg) with frame-N.depth.png; "
+            f"check the path and the kind of the dataset"
         )
     flaws = pairing_flaws(rgb, depth, {})
     height, width = read_rgb(files[0].rgb).shape[:2]
@@ -67,13 +67,13 @@ def describe(path: Path) -> Recording:
 
 
 def _sequence_folder(path: Path) -> Path:
-    """`path`, or its only child with frames."""
+    """Return `path`, or its only child folder with frames."""
     if any(path.glob("frame-*.color.*")):
         return path
     children = [c for c in sorted(path.iterdir()) if c.is_dir() and any(c.glob("frame-*.color.*"))]
     if len(children) > 1:
         raise DatasetError(
-            f"{path} holds {len(children)} sequences; give the path of one, for example "
+            f"{path} contains {len(children)} sequences; specify the path of one, for example "
             f"{children[0]}"
         )
     return children[0] if children else path
@@ -83,7 +83,7 @@ def _camera(folder: Path, width: int, height: int) -> Camera:
     file = folder / "camera-intrinsics.txt"
     if not file.exists():
         _log.warning(
-            "%s has no camera-intrinsics.txt: taking 7-Scenes' standard focal length %g",
+            "%s has no camera-intrinsics.txt: using the standard focal length of 7-Scenes, %g px",
             folder,
             _STANDARD_FOCAL,
         )

@@ -1,4 +1,4 @@
-"""TUM RGB-D: colour, depth and motion capture, each with times of its own."""
+"""TUM RGB-D: colour, depth and motion capture with separate timestamps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 from toolkit.io.trajectories import read_tum_lines, text_lines
 
-# The benchmark's own association tool allows this much between images of one frame.
+# Maximum time difference of associated images, as in the benchmark's own tool.
 MAX_DIFFERENCE_S = 0.02
 DEPTH_SCALE = 5000.0
 
@@ -40,14 +40,14 @@ CALIBRATIONS = {
 
 
 def describe(path: Path) -> Recording:
-    """Describe a sequence folder, or the folder whose only child it is.
+    """Describe a sequence folder or the only sequence in a folder.
 
-    Colour and depth are paired one to one by the smallest difference in time, at most
-    20 ms; a frame has the time of its colour image and the nearest pose in time.
+    Colour and depth images are associated one to one by the smallest time difference, at most
+    20 ms. A frame has the timestamp of its colour image and the pose nearest in time.
 
     Raises:
-        DatasetError: the layout is not TUM's or the camera is not told by the name.
-        FormatError: a list file holds a line that is not of its form.
+        DatasetError: the folder has a different layout, or its name does not identify the camera.
+        FormatError: a line of a list file is malformed.
     """
     folder = folder_holding(path, ("rgb.txt", "depth.txt"), "TUM")
     calibration = _calibration(folder, path)
@@ -66,7 +66,7 @@ def describe(path: Path) -> Recording:
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
         distortion=calibration.distortion,
-        flaws=rgb_flaws + depth_flaws + truth.infinite + truth.bent,
+        flaws=rgb_flaws + depth_flaws + truth.infinite + truth.not_rigid,
         notes=unpaired(
             "colour image(s) without depth within 20 ms", [rgb.files[i].name for i in alone]
         )
@@ -77,9 +77,14 @@ def describe(path: Path) -> Recording:
 def associate(
     times_a: NDArray[np.float64], times_b: NDArray[np.float64], max_difference: float
 ) -> list[tuple[int, int]]:
-    """Index pairs (a, b), one to one, the smallest differences first, ordered by a.
+    """Associate timestamps one to one, greedily by the smallest difference.
 
-    Both arrays are ascending.
+    Args:
+        times_a, times_b: ascending timestamps.
+        max_difference: maximum difference of a pair, in the same unit.
+
+    Returns:
+        Index pairs (a, b), ordered by a.
     """
     candidates = []
     for i, time in enumerate(times_a):
@@ -103,7 +108,7 @@ class _ImageList:
 
 
 def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
-    """The `time file` lines of rgb.txt or depth.txt in order of time, and flaws found."""
+    """Read the `time file` lines of rgb.txt or depth.txt, sorted by time, and their defects."""
     entries = []
     for number, line in text_lines(path):
         words = line.split(maxsplit=1)
@@ -125,7 +130,7 @@ def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
 
 
 def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.float64] | None]:
-    """The pose nearest in time to each frame, None beyond 20 ms."""
+    """Return the pose nearest in time to each frame, or None beyond 20 ms."""
     poses = read_tum_lines(path)
     if len(poses.timestamps_s) == 0:
         return [None] * len(files)
@@ -146,6 +151,7 @@ def _calibration(folder: Path, path: Path) -> _Calibration:
         if match and int(match.group(1)) in CALIBRATIONS:
             return CALIBRATIONS[int(match.group(1))]
     raise DatasetError(
-        f"{folder}: the folder's name does not tell the camera; name it as TUM does "
-        f"(...freiburg1..., 2 or 3), or lay it out as a `folder` data set with intrinsics.yaml"
+        f"{folder}: the camera cannot be determined from the folder's name; include freiburg1, "
+        f"freiburg2 or freiburg3 in the name, or convert it to a `folder` dataset with "
+        f"intrinsics.yaml"
     )

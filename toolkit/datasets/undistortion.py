@@ -1,4 +1,4 @@
-"""Take the lens distortion out of colour, depth and labels alike."""
+"""Removal of lens distortion from colour, depth and label images."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from toolkit.geometry.camera import Camera
 
 
 class Undistortion:
-    """Resampling of images with a distorting lens to a pinhole of the same intrinsics.
+    """Resamples distorted images to a pinhole camera with the same intrinsics.
 
-    Depth registered to a distorted colour image is distorted with it.
+    Depth that is registered to a distorted colour image has the same distortion.
 
     Args:
-        camera: intrinsics of the images, before and after.
+        camera: intrinsics of the distorted and undistorted images.
         distortion: OpenCV's (k1, k2, p1, p2, k3).
     """
 
@@ -30,9 +30,9 @@ class Undistortion:
         )
 
     def colour(self, rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A colour image [H, W, 3], bilinear.
+        """Undistort a colour image [H, W, 3] with bilinear interpolation.
 
-        Beyond the source its border is repeated: black would be an edge that is not there.
+        The border is replicated outside the source image, to avoid artificial edges.
         """
         result = cv2.remap(
             rgb, self._map_x, self._map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -40,7 +40,7 @@ class Undistortion:
         return np.asarray(result, dtype=np.float32)
 
     def nearest(self, image: NDArray) -> NDArray:
-        """A depth or label image [H, W]: nearest value, 0 beyond the source."""
+        """Undistort a depth or label image [H, W] by nearest neighbour, 0 outside the source."""
         result = cv2.remap(
             image.astype(np.float32),
             self._map_x,

@@ -1,1 +1,1 @@
-"""Image descriptors: one vector a view, by which places are recognised."""
+"""Global image descriptors for place recognition: one vector per view."""

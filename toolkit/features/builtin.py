@@ -1,15 +1,15 @@
-"""The built-in encoder: edges, hues and lightness over a pyramid of windows, without weights.
+"""Built-in encoder without learned weights: edges, hues and lightness in a pyramid of windows.
 
-In the spirit of HOG (Dalal and Triggs 2005) and GIST (Oliva and Torralba 2001): three groups of
-eight maps each, summed up in sixteen soft windows, 3 x 8 x 16 = 384 numbers.
+Similar to HOG (Dalal and Triggs 2005) and GIST (Oliva and Torralba 2001): three groups of eight
+maps, each summed in sixteen soft windows, which gives 3 x 8 x 16 = 384 numbers.
 
-- edges: strength of the gradient of lightness in eight orientations,
-- hues: strength of colour in eight directions of an opponent plane,
-- lightness: membership in eight levels.
+- edges: gradient magnitude of lightness in eight orientations,
+- hues: colour magnitude in eight directions of the opponent colour plane,
+- lightness: soft assignment to eight levels.
 
-All is measured on a picture whose lightness was brought to mean 0 and deviation 1, so gain and
-bias of the exposure leave it as it is. A wide window forgives a shift: indoor cameras turn about
-the vertical most, so windows are finer from top to bottom than from side to side.
+The lightness of the image is normalised to mean 0 and standard deviation 1, so the descriptor is
+invariant to gain and bias of the exposure. Wide windows are robust to shifts. Indoor cameras
+mostly rotate about the vertical axis, so windows are narrower vertically than horizontally.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from torch.nn import functional
 from toolkit.features.encoder import check_images, unit_length
 
 _ROWS, _COLUMNS = 120, 160  # of the picture that edges are measured in; hues in half of it
-_MAPS = 8  # a group
+_MAPS = 8  # maps per group
 _WINDOWS = ((6, 2), (2, 2))  # rows and columns at each level of the pyramid
 _WINDOW_WIDTH = 0.6  # standard deviation of a window, in units of their distance
-_LIGHTNESS_WEIGHT = 0.5  # light falls differently on every visit
-_DARKEST, _LIGHTEST = -1.75, 1.75  # middles of the outer levels, in deviations
-# Below these, in deviations squared, gradients and colours are noise.
+_LIGHTNESS_WEIGHT = 0.5  # illumination differs between visits
+_DARKEST, _LIGHTEST = -1.75, 1.75  # centres of the outer levels, in standard deviations
+# Squared gradients and colours below these (in standard deviations squared) are noise.
 _FLAT, _GREY = 1e-6, 1e-4
-_LEAST_VARIANCE = 1e-6  # keeps a black picture finite
+_MIN_VARIANCE = 1e-6  # avoids division by zero for uniform images
 
 
 class BuiltinEncoder:
-    """Three groups of eight maps in sixteen windows; see the module.
+    """Encoder of three groups of eight maps in sixteen windows; see the module docstring.
 
-    Below its threshold lie 1 % of the pairs of views of one recording that hardly overlap
-    (under 10 %), and 88 % of those within 0.3 m and 15 degrees, measured with random exposure
-    on five recordings of rooms, two of them real. It holds for pictures of classes as well.
+    The threshold accepts 1 % of the pairs of views with less than 10 % overlap and 88 % of the
+    pairs within 0.3 m and 15 degrees, measured with random exposure on five recordings of rooms,
+    two of them real. The same threshold is valid for semantic images.
     """
 
     name = "builtin"
@@ -60,36 +60,36 @@ class BuiltinEncoder:
         return unit_length(torch.cat([edges, hues, _LIGHTNESS_WEIGHT * levels], dim=1))
 
     def _in_windows(self, maps: Tensor) -> Tensor:
-        """What non-negative maps [B, 8, H, W] sum up to in the windows, [B, 128] of length 1.
+        """Sum non-negative maps [B, 8, H, W] in the windows and normalise to unit norm, [B, 128].
 
-        The square root keeps a few strong edges from outshouting the rest.
+        The square root reduces the influence of a few strong edges.
         """
         sums = maps.flatten(2) @ self._windows.to(maps.device)
         return unit_length((sums + _FLAT).sqrt().flatten(1))
 
 
 def _standardised(images: Tensor) -> tuple[Tensor, Tensor]:
-    """Lightness [B, 1, H, W] and opponent colour [B, 2, H, W] without gain and bias."""
+    """Return lightness [B, 1, H, W] and opponent colour [B, 2, H, W], invariant to exposure."""
     lightness = images.mean(dim=1, keepdim=True)
     variance, mean = torch.var_mean(lightness, dim=(2, 3), keepdim=True)
     red, green, blue = images.split(1, dim=1)
-    # Differences of channels have no bias.
+    # Differences of channels are invariant to bias.
     colour = torch.cat([red - green, (red + green) / 2.0 - blue], dim=1)
-    deviation = (variance + _LEAST_VARIANCE).sqrt()
+    deviation = (variance + _MIN_VARIANCE).sqrt()
     return (lightness - mean) / deviation, colour / deviation
 
 
 def _edges(lightness: Tensor) -> Tensor:
-    """Gradient strength [B, 8, H, W] by orientation, of lightness [B, 1, H, W]."""
+    """Return gradient magnitudes [B, 8, H, W] by orientation, of lightness [B, 1, H, W]."""
     padded = functional.pad(lightness, (1, 1, 1, 1), mode="replicate")
     x = (padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2]) / 2.0
     y = (padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1]) / 2.0
-    # The doubled angle is the same for a gradient and its opposite.
+    # Doubling the angle makes a gradient and its opposite equal.
     return _by_direction(x * x - y * y, 2.0 * x * y, x * x + y * y + _FLAT)
 
 
 def _hues(colour: Tensor) -> Tensor:
-    """Colour strength [B, 8, H, W] by direction in the opponent plane [B, 2, H, W]."""
+    """Return colour magnitudes [B, 8, H, W] by direction in the opponent plane [B, 2, H, W]."""
     a, b = colour.split(1, dim=1)
     squares = a * a + b * b + _GREY
     root = squares.sqrt()
@@ -97,11 +97,11 @@ def _hues(colour: Tensor) -> Tensor:
 
 
 def _by_direction(x: Tensor, y: Tensor, squares: Tensor) -> Tensor:
-    """Length sqrt(squares) [B, 8, H, W], shared out by the direction of (x, y).
+    """Distribute magnitudes sqrt(squares) over eight directions of (x, y), [B, 8, H, W].
 
     Args:
-        x, y: [B, 1, H, W], at most `squares` long.
-        squares: [B, 1, H, W], positive.
+        x, y: [B, 1, H, W], vectors of norm at most `squares`.
+        squares: [B, 1, H, W], squared magnitudes, positive.
     """
     angles = torch.arange(_MAPS, device=x.device) * (2.0 * math.pi / _MAPS)
     cosine, sine = (f(angles).to(x).view(1, -1, 1, 1) for f in (torch.cos, torch.sin))
@@ -110,7 +110,7 @@ def _by_direction(x: Tensor, y: Tensor, squares: Tensor) -> Tensor:
 
 
 def _levels(lightness: Tensor) -> Tensor:
-    """Membership [B, 8, H, W] in eight levels of lightness [B, 1, H, W], linear between them."""
+    """Return linear soft assignments [B, 8, H, W] of lightness [B, 1, H, W] to eight levels."""
     middles = torch.linspace(_DARKEST, _LIGHTEST, _MAPS, device=lightness.device)
     step = (_LIGHTEST - _DARKEST) / (_MAPS - 1)
     distance = (lightness.clamp(_DARKEST, _LIGHTEST) - middles.view(1, -1, 1, 1)).abs()
@@ -122,7 +122,7 @@ def _halved(maps: Tensor) -> Tensor:
 
 
 def _pyramid(rows: int, columns: int) -> Tensor:
-    """Weights [rows * columns, 16] of the windows, each with sum 1."""
+    """Return the weights [rows * columns, 16] of the windows, each with sum 1."""
     windows = []
     for down, across in _WINDOWS:
         vertical, horizontal = _bells(rows, down), _bells(columns, across)
@@ -131,7 +131,7 @@ def _pyramid(rows: int, columns: int) -> Tensor:
 
 
 def _bells(pixels: int, count: int) -> np.ndarray:
-    """Gaussian weights [pixels, count] about evenly spaced middles, each with sum 1."""
+    """Return Gaussian weights [pixels, count] around equidistant centres, each with sum 1."""
     spacing = pixels / count
     middles = (np.arange(count) + 0.5) * spacing
     offsets = (np.arange(pixels)[:, None] + 0.5 - middles) / (_WINDOW_WIDTH * spacing)

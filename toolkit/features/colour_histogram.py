@@ -1,4 +1,4 @@
-"""The baseline encoder: which colours a picture has, not where."""
+"""Baseline encoder: global colour histogram."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from torch.nn import functional
 
 from toolkit.features.encoder import check_images, unit_length
 
-_ROWS, _COLUMNS = 60, 80  # of the picture whose colours are counted
-_BINS = (8, 8, 6)  # of red, green and blue; 384 together
-# Gradients of the square root stay finite at empty bins.
-_LEAST_SHARE = 1e-4
+_ROWS, _COLUMNS = 60, 80  # size of the downscaled image
+_BINS = (8, 8, 6)  # number of bins of red, green and blue; 384 in total
+# Added to all bins, so that gradients of the square root are finite at empty bins.
+_MIN_SHARE = 1e-4
 
 
 class ColourHistogramEncoder:
-    """Square roots of the shares of 8 x 8 x 6 colours, linear between neighbouring bins.
+    """Square root of a histogram of 8 x 8 x 6 colours with linear interpolation between bins.
 
-    The distance of two such descriptors is sqrt(2) times Hellinger's. The threshold is
-    measured like `BuiltinEncoder`'s.
+    The distance of two descriptors is sqrt(2) times the Hellinger distance. The threshold was
+    measured like that of `BuiltinEncoder`.
     """
 
     name = "colour-histogram"
@@ -35,11 +35,11 @@ class ColourHistogramEncoder:
         )
         shares = torch.einsum("bpi,bpj,bpk->bijk", red, green, blue).flatten(1)
         shares = shares / (_ROWS * _COLUMNS)
-        return unit_length((shares + _LEAST_SHARE).sqrt())
+        return unit_length((shares + _MIN_SHARE).sqrt())
 
 
 def _memberships(values: Tensor, bins: int) -> Tensor:
-    """Of values [B, P] in [0, 1] in evenly spaced bins, [B, P, bins] with sum 1."""
+    """Return the linear weights [B, P, bins] of values [B, P] in [0, 1], with sum 1."""
     middles = (torch.arange(bins, device=values.device) + 0.5) / bins
     inside = values.clamp(0.5 / bins, 1.0 - 0.5 / bins)
     return (1.0 - (inside[..., None] - middles).abs() * bins).clamp_min(0.0)

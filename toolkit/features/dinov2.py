@@ -1,4 +1,4 @@
-"""Descriptors by DINOv2, or another vision transformer, from a local folder (G-III.C)."""
+"""Descriptors by DINOv2 or another vision transformer from a local folder (G-III.C)."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from toolkit.errors import FormatError
 from toolkit.features.encoder import check_images, unit_length
 from toolkit.pretrained.vision_transformer import VisionTransformer
 
-# G's 0.20, read as the square that FAISS returns: a cosine of 0.90.
+# G's threshold of 0.20, interpreted as the squared distance that FAISS returns: a cosine of 0.90.
 _THRESHOLD = math.sqrt(0.20)
 
 Pooling = Literal["class", "mean"]
 
 
 class Dinov2Encoder:
-    """The class token, or the mean of the patches' tokens, as a unit vector.
+    """The class token, or the mean of the patch tokens, as a unit vector.
 
-    The threshold is the paper's; it was not measured here.
+    The threshold is the paper's and was not verified.
 
     Args:
-        folder: config.json and weights; nothing is downloaded.
-        pooling: "class" for the class token, "mean" for the patches' mean.
-        longest_side: images are scaled to about so many pixels.
+        folder: local folder with config.json and weights; nothing is downloaded.
+        pooling: "class" for the class token, "mean" for the mean of the patch tokens.
+        longest_side: approximate length in pixels to which the longer image side is scaled.
         device: "cpu", "cuda", or "auto".
 
     Attributes:
-        dimensions: the model's width, 384 for ViT-S/14.
+        dimensions: embedding dimension of the model, 384 for ViT-S/14.
 
     Raises:
-        DependencyError: transformers cannot be loaded, or the device is not there.
-        FormatError: the folder is missing or is not what it should be.
+        DependencyError: transformers cannot be loaded, or the device is not available.
+        FormatError: the folder is missing or does not contain a supported model.
     """
 
     name = "dinov2"
@@ -55,7 +55,7 @@ class Dinov2Encoder:
         """Descriptors [B, D] of images [B, 3, H, W]; see `Encoder.describe`.
 
         Raises:
-            FormatError: the model has no class token, and `pooling` asks for it.
+            FormatError: `pooling` is "class", but the model has no class token.
         """
         check_images(images)
         tokens = self._model.tokens(images.float())
@@ -64,5 +64,5 @@ class Dinov2Encoder:
         elif tokens.whole is not None:
             chosen = tokens.whole
         else:
-            raise FormatError(f"{self._folder}: the model has no class token; take pooling mean")
+            raise FormatError(f"{self._folder}: the model has no class token; use pooling mean")
         return unit_length(chosen).to(images.device)

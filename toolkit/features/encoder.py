@@ -1,4 +1,4 @@
-"""What turns pictures into descriptors, and what every such encoder keeps to."""
+"""Interface of the image encoders."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from torch import Tensor
 
 
 class Encoder(Protocol):
-    """Describes pictures by vectors that are near for views of one place.
+    """Computes image descriptors whose distance is small for views of the same place.
 
     Attributes:
-        name: for logs and checkpoints.
-        dimensions: length D of a descriptor.
-        threshold: Euclidean distance of two descriptors (not its square) below which they may
-            show the same place; of unit vectors, so cosine = 1 - threshold^2 / 2.
+        name: name for logs and checkpoints.
+        dimensions: descriptor dimension D.
+        threshold: maximum Euclidean distance (not squared) of descriptors of the same place.
+            Descriptors are unit vectors, so the cosine is 1 - threshold^2 / 2.
     """
 
     name: str
@@ -22,24 +22,24 @@ class Encoder(Protocol):
     threshold: float
 
     def describe(self, images: Tensor) -> Tensor:
-        """Descriptors [B, D] float32 of unit length, differentiable in the images.
+        """Compute descriptors [B, D] float32 of unit norm, differentiable in the images.
 
-        The same images give the same bits on a CPU.
+        Results are reproducible on a CPU.
 
         Args:
             images: [B, 3, H, W] float32, RGB in [0, 1], of any size.
 
         Raises:
-            ValueError: the shape is another.
+            ValueError: the images have a different shape.
         """
         ...
 
 
 def check_images(images: Tensor) -> None:
-    """See that images are a batch [B, 3, H, W] of floating-point numbers.
+    """Check that images are a floating-point batch [B, 3, H, W].
 
     Raises:
-        ValueError: they are not.
+        ValueError: the shape or dtype is wrong.
     """
     if images.ndim != 4 or images.shape[1] != 3 or not images.is_floating_point():
         raise ValueError(
@@ -48,5 +48,5 @@ def check_images(images: Tensor) -> None:
 
 
 def unit_length(vectors: Tensor) -> Tensor:
-    """Vectors [..., D] scaled to length 1; zeros stay zeros."""
+    """Normalise vectors [..., D] to unit norm; zero vectors are unchanged."""
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp_min(1e-12)

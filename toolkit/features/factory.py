@@ -1,4 +1,4 @@
-"""The describer of views from settings."""
+"""Construction of encoders from settings."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from toolkit.features.sources import ViewDescriber
 
 
 def build_encoder(settings: FeatureOptions) -> Encoder:
-    """The encoder that the settings name.
+    """Create the encoder selected by the settings.
 
     Raises:
-        SettingsError: a folder that the kind needs is not set.
-        DependencyError: transformers cannot be loaded, or the device is not there.
-        FormatError: a model's folder is not what it should be.
+        SettingsError: the model's folder is required but not set.
+        DependencyError: transformers cannot be loaded, or the device is not available.
+        FormatError: the model's folder does not contain a supported model.
     """
     if settings.kind == "colour-histogram":
         return ColourHistogramEncoder()
@@ -26,14 +26,14 @@ def build_encoder(settings: FeatureOptions) -> Encoder:
     if model.folder is None:
         raise SettingsError(
             "--loops.features.kind dinov2 needs --loops.features.dinov2.folder DIR with a "
-            "downloaded model, or take --loops.features.kind builtin"
+            "downloaded model; set it, or use --loops.features.kind builtin"
         )
-    # Not before it is asked for: transformers takes seconds to load.
+    # Imported on demand, because transformers takes seconds to load.
     from toolkit.features.dinov2 import Dinov2Encoder
 
     return Dinov2Encoder(model.folder, model.pooling, model.longest_side, model.device)
 
 
 def build_describer(settings: FeatureOptions) -> ViewDescriber:
-    """Encoder and source of pictures that the settings name; errors as `build_encoder`."""
+    """Create the encoder and image source selected by the settings; raises as `build_encoder`."""
     return ViewDescriber(build_encoder(settings), settings.source)

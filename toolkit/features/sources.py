@@ -1,4 +1,4 @@
-"""Which picture of a view is described: its colours, its classes, or both."""
+"""Descriptors of a view's colour image, semantic image, or both."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ Source = Literal["rgb", "semantic", "both"]
 
 
 class ViewDescriber:
-    """Describes views by an encoder (G describes the semantic picture).
+    """Computes descriptors of views with an encoder (G encodes the semantic image).
 
-    Of both pictures, the descriptor is one behind the other: its squared distance is the mean
-    of theirs.
+    If both images are used, their descriptors are concatenated; the squared distance is then the
+    mean of both squared distances.
 
     Args:
-        encoder: of single pictures.
-        source: which pictures.
+        encoder: encoder of single images.
+        source: images to encode.
 
     Attributes:
-        name: of encoder and source.
-        dimensions: length D of a descriptor.
-        threshold: as `Encoder.threshold`.
+        name: name of encoder and source.
+        dimensions: descriptor dimension D.
+        threshold: see `Encoder.threshold`.
     """
 
     def __init__(self, encoder: Encoder, source: Source = "rgb") -> None:
@@ -36,23 +36,23 @@ class ViewDescriber:
 
     @property
     def wants_semantics(self) -> bool:
-        """Whether `describe` needs the semantic picture."""
+        """Whether `describe` needs the semantic image."""
         return self.source != "rgb"
 
     def describe(self, rgb: Tensor, semantic: Tensor | None = None) -> Tensor:
-        """Descriptors [B, D] float32 of unit length, differentiable in the pictures.
+        """Compute descriptors [B, D] float32 of unit norm, differentiable in the images.
 
         Args:
             rgb: [B, 3, H, W] float32 in [0, 1].
-            semantic: the classes in their palette's colours, likewise; see `wants_semantics`.
+            semantic: class colours [B, 3, H, W] float32 in [0, 1]; see `wants_semantics`.
 
         Raises:
-            ValueError: a shape is wrong, or the semantic picture is missing.
+            ValueError: a shape is wrong, or the semantic image is missing.
         """
         if self.source == "rgb":
             return self._encoder.describe(rgb)
         if semantic is None:
-            raise ValueError(f"image source '{self.source}' needs a semantic picture")
+            raise ValueError(f"image source '{self.source}' needs a semantic image")
         if self.source == "semantic":
             return self._encoder.describe(semantic)
         both = [self._encoder.describe(picture) for picture in (rgb, semantic)]

@@ -1,4 +1,4 @@
-"""How many of a frame's pixels each class may seed (G-III.A)."""
+"""Allocation of seed pixels to classes (G-III.A)."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from numpy.typing import NDArray
 
 
 def pixels_per_class(areas: NDArray[np.integer], total: int) -> NDArray[np.int64]:
-    """Shares of `total` in proportion to the square root of areas, whole numbers.
+    """Distribute a number of pixels over classes in proportion to the square root of their areas.
 
-    No class gets more pixels than it has; what is left over goes to the others in the same
-    proportion (uncapped, a class of 50 pixels would be asked for 1,900).
+    No class gets more pixels than it has; the remainder is distributed over the other classes in
+    the same proportion. Without this limit, a class of 50 pixels could be assigned 1,900.
 
     Args:
-        areas: [C] pixels of each class.
-        total: pixels to choose, at most as many as there are.
+        areas: [C] number of pixels of each class.
+        total: number of pixels to choose; limited to the sum of the areas.
+
+    Returns:
+        Number of pixels to choose per class, [C].
     """
     areas = np.asarray(areas, np.int64)
     counts = np.zeros_like(areas)
@@ -25,12 +28,12 @@ def pixels_per_class(areas: NDArray[np.integer], total: int) -> NDArray[np.int64
         wanted = left * share / share.sum()
         room = areas[open_classes] - counts[open_classes]
         full = wanted >= room
-        if full.any():  # these are settled; the rest shares what they leave
+        if full.any():  # these classes are complete; distribute the remainder over the others
             counts[open_classes[full]] += room[full]
             left -= int(room[full].sum())
             continue
         given = np.floor(wanted).astype(np.int64)
-        # The largest remainders get the pixels that rounding left.
+        # Largest-remainder rounding.
         order = np.argsort(given - wanted, kind="stable")
         given[order[: left - int(given.sum())]] += 1
         counts[open_classes] += given
@@ -44,15 +47,18 @@ def choose_pixels(
     share: float,
     generator: np.random.Generator,
 ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """A random part of the masked pixels, and how much area each of them stands for.
+    """Choose a random subset of the masked pixels.
 
     Args:
-        class_ids: [H, W] for as many of each class as `pixels_per_class` says, or None for
-            the same share everywhere.
-        share: of the masked pixels to choose, in (0, 1].
+        mask: [H, W] pixels to choose from.
+        class_ids: [H, W] class ids, to choose as many pixels per class as `pixels_per_class`
+            returns, or None for uniform sampling.
+        share: fraction of the masked pixels to choose, in (0, 1].
+        generator: source of randomness.
 
     Returns:
-        Chosen pixels [H, W], and masked pixels per chosen one [H, W], 1 where nothing is.
+        Mask of the chosen pixels [H, W], and the number of masked pixels that each chosen pixel
+        represents [H, W], 1 at other pixels.
     """
     pixels = np.flatnonzero(mask)
     total = int(np.ceil(share * len(pixels)))
@@ -62,7 +68,7 @@ def choose_pixels(
     chosen = np.zeros(mask.size, bool)
     area = np.ones(mask.size, np.float32)
     shuffled = generator.permutation(len(pixels))
-    # Within the shuffled order, the first so many of each class.
+    # The first pixels of each class in the shuffled order.
     by_class = shuffled[np.argsort(place[shuffled], kind="stable")]
     begin = np.cumsum(areas) - areas
     for k in range(len(classes)):

@@ -1,4 +1,4 @@
-"""A set of isotropic Gaussians (H-18): the map and every part of it."""
+"""Sets of isotropic Gaussians (H-18), used for maps and parts of maps."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from torch import Tensor
 class GaussianCloud:
     """N isotropic Gaussians with view-independent colour and S semantic channels.
 
-    Radius and opacity are stored as logarithm and logit, so that any real value is
-    valid and optimisation needs no bounds.
+    Radius and opacity are stored as logarithm and logit, so that any real value is valid and
+    optimisation is unconstrained.
 
     Attributes:
         means: [N, 3] float32, centres in the map's frame, metres.
         log_radii: [N] float32, natural logarithm of the standard deviation in metres.
         opacity_logits: [N] float32.
-        colours: [N, 3] float32, RGB in [0, 1] (clamped only when shown or saved).
+        colours: [N, 3] float32, RGB in [0, 1] (clamped only for display and export).
         features: [N, S] float32, S >= 0.
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: shapes do not match.
     """
 
     means: Tensor
@@ -65,7 +65,7 @@ class GaussianCloud:
 
     @classmethod
     def empty(cls, feature_channels: int = 0, device: str | torch.device = "cpu") -> GaussianCloud:
-        """A cloud without Gaussians."""
+        """Create a cloud without Gaussians."""
         return cls.from_values(
             means=torch.zeros(0, 3, device=device),
             radii_m=torch.zeros(0, device=device),
@@ -83,24 +83,24 @@ class GaussianCloud:
         colours: Tensor,
         features: Tensor | None = None,
     ) -> GaussianCloud:
-        """A cloud from radii in metres (> 0) and opacities in (0, 1)."""
+        """Create a cloud from radii in metres (> 0) and opacities in (0, 1)."""
         if features is None:
             features = means.new_zeros(means.shape[0], 0)
         return cls(means, radii_m.log(), torch.logit(opacities), colours, features)
 
     @classmethod
     def concatenate(cls, clouds: list[GaussianCloud]) -> GaussianCloud:
-        """All Gaussians of several clouds, in order."""
+        """Concatenate several clouds in order."""
         return cls(*(torch.cat([getattr(c, f.name) for c in clouds]) for f in fields(cls)))
 
     def select(self, index: Tensor) -> GaussianCloud:
-        """The Gaussians of a boolean mask [N] or of integer indices [M]."""
+        """Select Gaussians by a boolean mask [N] or integer indices [M]."""
         if index.dtype == torch.bool:
             index = index.nonzero().squeeze(1)
         return GaussianCloud(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
 
     def transformed(self, T_new_old: np.ndarray) -> GaussianCloud:
-        """The cloud moved rigidly by a motion [4, 4]; isotropy spares the shapes."""
+        """Return the cloud transformed by a rigid motion [4, 4]; radii do not change."""
         R = torch.as_tensor(T_new_old[:3, :3], dtype=self.means.dtype, device=self.means.device)
         t = torch.as_tensor(T_new_old[:3, 3], dtype=self.means.dtype, device=self.means.device)
         return GaussianCloud(
@@ -112,11 +112,11 @@ class GaussianCloud:
         )
 
     def to(self, device: str | torch.device) -> GaussianCloud:
-        """The same Gaussians on a device; this very cloud if it is there."""
+        """Return the cloud on a device; the same object if it is already there."""
         if self.means.device == torch.device(device):
             return self
         return GaussianCloud(*(getattr(self, f.name).to(device) for f in fields(self)))
 
     def detached(self) -> GaussianCloud:
-        """The same values without gradient history."""
+        """Return the cloud detached from the autograd graph."""
         return GaussianCloud(*(getattr(self, f.name).detach() for f in fields(self)))

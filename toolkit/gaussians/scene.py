@@ -1,4 +1,4 @@
-"""A finished map that need not be in memory as a whole."""
+"""Finished maps that are accessed in parts, so that they need not be in memory as a whole."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from toolkit.geometry.camera import Camera
 
 
 class GaussianScene(Protocol):
-    """Gaussians of one frame that come in parts."""
+    """Gaussians in one coordinate frame that are accessed in parts."""
 
     def __len__(self) -> int:
-        """How many Gaussians there are."""
+        """Return the number of Gaussians."""
         ...
 
     def parts(self) -> Iterator[GaussianCloud]:
-        """All of them, one part after another."""
+        """Yield all Gaussians part by part."""
         ...
 
     def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
-        """At least those that a view [4, 4] shows, in the order in which they come."""
+        """Return a superset of the Gaussians visible from a pose [4, 4], in map order."""
         ...
 
 
 class WholeScene:
-    """A map in memory, as a scene of one part."""
+    """A map in memory, represented as a scene of one part."""
 
     def __init__(self, gaussians: GaussianCloud) -> None:
         self.gaussians = gaussians
@@ -39,16 +39,16 @@ class WholeScene:
         return len(self.gaussians)
 
     def parts(self) -> Iterator[GaussianCloud]:
-        """The map."""
+        """Yield the map."""
         yield self.gaussians
 
     def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
-        """The map."""
+        """Return the map."""
         return self.gaussians
 
 
 class RoundedScene:
-    """A scene with features in half precision, as a run's folder keeps them."""
+    """A scene whose features are rounded to half precision, as stored in run folders."""
 
     def __init__(self, scene: GaussianScene) -> None:
         self._scene = scene
@@ -57,11 +57,11 @@ class RoundedScene:
         return len(self._scene)
 
     def parts(self) -> Iterator[GaussianCloud]:
-        """All Gaussians, one part after another."""
+        """Yield all Gaussians part by part."""
         return (_rounded(part) for part in self._scene.parts())
 
     def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
-        """At least those that a view shows."""
+        """Return a superset of the Gaussians visible from a pose [4, 4]."""
         return _rounded(self._scene.seen_from(camera, T_map_camera))
 
 

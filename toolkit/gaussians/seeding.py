@@ -1,7 +1,8 @@
-"""New Gaussians from the pixels of an RGB-D frame.
+"""Seeding of Gaussians from the pixels of an RGB-D frame.
 
-Measured on one Replica view, one Gaussian a pixel, before any optimisation: radius `d / f`
-with opacity 0.5 (the papers') renders it at 32 dB, `0.6 d / f` with 0.95 at 38 dB.
+On a Replica view with one Gaussian per pixel and before any optimisation, radius `d / f` with
+opacity 0.5 (the papers' values) yields a PSNR of 32 dB, and `0.6 d / f` with opacity 0.95 yields
+38 dB.
 """
 
 from __future__ import annotations
@@ -27,13 +28,16 @@ def seed(
     start_values: torch.Tensor | None = None,
     generator: np.random.Generator | None = None,
 ) -> GaussianCloud:
-    """Gaussians in the map's frame for the masked pixels that have depth.
+    """Create Gaussians in the map's frame for the masked pixels with valid depth.
 
     Args:
-        mask: [H, W] pixels that the map lacks.
-        start_values: [C + 1, S] features by the class id of the frame's labels; row 0 is for
-            void, and for all of a frame without labels. None for S = 0.
-        generator: chooses the pixels where the options ask for a random share.
+        frame: RGB-D frame.
+        T_map_camera: [4, 4] pose of the frame.
+        mask: [H, W] pixels that the map does not cover.
+        options: parameters of seeding.
+        start_values: [C + 1, S] initial features by class id; row 0 is used for void and for
+            frames without labels. None for S = 0.
+        generator: source of randomness if pixels are sampled.
     """
     wanted = mask & (frame.depth_m > 0)
     if options.choice != "cells":
@@ -55,7 +59,7 @@ def seed(
 
 
 def _blocks(image: NDArray, cell: int) -> NDArray:
-    """Whole cells [rows, columns, cell * cell, ...] of an image; rests are cut off."""
+    """Split an image into cells [rows, columns, cell * cell, ...]; incomplete cells are dropped."""
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
     cut = image[: rows * cell, : columns * cell]
     cut = cut.reshape(rows, cell, columns, cell, *image.shape[2:]).swapaxes(1, 2)
@@ -65,12 +69,12 @@ def _blocks(image: NDArray, cell: int) -> NDArray:
 def _plain_cells(
     frame: Frame, wanted: NDArray[np.bool_], cell: int, options: SeedingOptions
 ) -> NDArray[np.bool_]:
-    """Pixels of cells wholly wanted, of one colour and one plane, [H, W]."""
+    """Return a mask [H, W] of complete cells with uniform colour and planar depth."""
     colour = _blocks(frame.rgb, cell)
     depth = _blocks(frame.depth_m, cell)
     full = _blocks(wanted, cell).all(axis=2)
     plain = (colour.max(axis=2) - colour.min(axis=2)).max(axis=-1) < options.flat_colour
-    # Inverse depth is linear on a plane: its residual after a linear fit is the bend.
+    # Inverse depth is linear on a plane, so the residual of a linear fit measures curvature.
     inverse = 1.0 / np.where(depth > 0, depth, 1.0)
     offset = np.arange(cell) - (cell - 1) / 2
     x, y = np.tile(offset, cell), np.repeat(offset, cell)
@@ -78,7 +82,7 @@ def _plain_cells(
     slope_x = (inverse * x).sum(axis=2, keepdims=True) / (x**2).sum()
     slope_y = (inverse * y).sum(axis=2, keepdims=True) / (y**2).sum()
     bend = abs(inverse - mean - slope_x * x - slope_y * y).max(axis=2)
-    # A steep plane would leave gaps between large round Gaussians.
+    # On a steep plane there would be gaps between large isotropic Gaussians.
     steep = cell * np.hypot(slope_x[..., 0], slope_y[..., 0]) > 0.05 * mean[..., 0]
     if frame.labels is not None:
         labels = _blocks(frame.labels, cell)
@@ -98,9 +102,9 @@ def _seed_cells(
     options: SeedingOptions,
     start_values: torch.Tensor | None,
 ) -> GaussianCloud:
-    """One Gaussian for each chosen cell, at its mean ray, depth and colour."""
+    """Create one Gaussian per chosen cell, at its mean ray, depth and colour."""
     rows, columns = np.nonzero(_blocks(chosen, cell).all(axis=2))
-    # The harmonic mean of depths is the depth of a plane at the cell's centre.
+    # On a plane, the depth at the cell's centre is the harmonic mean of the depths.
     inverse = 1.0 / _blocks(frame.depth_m, cell)[rows, columns]
     depth = 1.0 / inverse.mean(axis=1)
     colour = _blocks(frame.rgb, cell)[rows, columns].mean(axis=1)
@@ -113,7 +117,7 @@ def _seed_cells(
     features = None
     if start_values is not None:
         ids = np.zeros(len(rows), np.int64)
-        if frame.labels is not None:  # a plain cell has one label
+        if frame.labels is not None:  # all pixels of a cell have the same label
             ids = frame.labels[rows * cell, columns * cell].astype(np.int64)
         features = start_values.index_select(0, torch.from_numpy(ids))
     return GaussianCloud.from_values(

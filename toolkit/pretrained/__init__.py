@@ -1,1 +1,1 @@
-"""Models of the `transformers` library from local folders, and its one door."""
+"""Loading of `transformers` models from local folders."""

@@ -1,4 +1,4 @@
-"""Models of the `transformers` library from a folder on disk: nothing is ever downloaded."""
+"""Loading of `transformers` models from local folders; nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ import torch
 
 from toolkit.errors import DependencyError, FormatError
 
-_MEND = "pip install 'semsplat[semantics]'"
-_LONGEST_REASON = 200
+_REMEDY = "pip install 'semsplat[semantics]'"
+_MAX_REASON_LENGTH = 200
 
 
 def transformers() -> ModuleType:
-    """The transformers module.
+    """Import transformers.
 
     Raises:
-        DependencyError: it cannot be loaded.
+        DependencyError: transformers cannot be loaded.
     """
     try:
         import transformers as module
     except (ImportError, OSError) as error:
         raise DependencyError(
-            f"transformers cannot be loaded ({error}); fix it with: {_MEND}"
+            f"transformers cannot be loaded ({error}); fix it with: {_REMEDY}"
         ) from error
     return module
 
 
 def load_model(auto_class: str, folder: Path, may_be_new: tuple[str, ...] = ()) -> Any:
-    """A model with its weights, ready to infer.
+    """Load a model with its weights in evaluation mode.
 
     Args:
-        auto_class: name of the class of `transformers` that reads the folder.
-        folder: holds `config.json` and the weights.
-        may_be_new: prefixes of parameters that the weights may lack.
+        auto_class: name of the `transformers` auto class, such as "AutoModel".
+        folder: folder with `config.json` and the weights.
+        may_be_new: prefixes of parameters that may be missing in the weights.
 
     Raises:
         DependencyError: transformers cannot be loaded.
-        FormatError: the folder is missing, is of another kind, or its weights are missing,
-            damaged or of another model.
+        FormatError: the folder is missing or does not contain such a model, or its weights are
+            missing, damaged or of another model.
     """
     library = transformers()
     check_folder(folder)
@@ -50,7 +50,7 @@ def load_model(auto_class: str, folder: Path, may_be_new: tuple[str, ...] = ()) 
         model, found = getattr(library, auto_class).from_pretrained(
             folder, local_files_only=True, output_loading_info=True, dtype=torch.float32
         )
-    # transformers fills what the weights lack with random numbers.
+    # transformers initialises missing parameters randomly.
     missing = sorted(name for name in found["missing_keys"] if not name.startswith(may_be_new))
     if missing:
         raise FormatError(
@@ -62,11 +62,11 @@ def load_model(auto_class: str, folder: Path, may_be_new: tuple[str, ...] = ()) 
 
 
 def load_image_processor(folder: Path) -> Any:
-    """The model's own preparation of images, by the variant that works without torchvision.
+    """Load the model's image processor (the variant that does not need torchvision).
 
     Raises:
         DependencyError: transformers cannot be loaded.
-        FormatError: the folder has none, or not of a known kind.
+        FormatError: the folder contains no supported image processor.
     """
     library = transformers()
     check_folder(folder)
@@ -77,10 +77,10 @@ def load_image_processor(folder: Path) -> Any:
 
 
 def check_folder(folder: Path) -> None:
-    """See that a folder looks like a model's.
+    """Check that a folder contains a model.
 
     Raises:
-        FormatError: it does not.
+        FormatError: the folder has no config.json.
     """
     if not (folder / "config.json").is_file():
         raise FormatError(
@@ -90,21 +90,21 @@ def check_folder(folder: Path) -> None:
 
 
 def device_of(name: str) -> torch.device:
-    """The device called "cpu" or "cuda"; "auto" is a GPU where there is one.
+    """Return the device "cpu" or "cuda"; "auto" selects a GPU if available.
 
     Raises:
-        DependencyError: there is no such device.
+        DependencyError: the device is not available.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if name == "cuda" and not torch.cuda.is_available():
-        raise DependencyError("no CUDA device is there; choose device cpu")
+        raise DependencyError("no CUDA device is available; choose device cpu")
     return torch.device(name)
 
 
 @contextlib.contextmanager
 def _quiet(library: ModuleType) -> Iterator[None]:
-    """Without the library's own bars and tables: a fault becomes our one line."""
+    """Disable the library's progress bars and tables."""
     log = library.utils.logging
     verbosity, bars = log.get_verbosity(), log.is_progress_bar_enabled()
     log.set_verbosity_error()
@@ -119,7 +119,7 @@ def _quiet(library: ModuleType) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _as_format_error(folder: Path, what: str) -> Iterator[None]:
-    """Turn what the library raises over a wrong folder into one line."""
+    """Convert exceptions of the library for invalid folders to a one-line FormatError."""
     from safetensors import SafetensorError
 
     faults = (OSError, ValueError, KeyError, RuntimeError, AttributeError, SafetensorError)
@@ -135,4 +135,4 @@ def _as_format_error(folder: Path, what: str) -> Iterator[None]:
 
 def _short(error: Exception) -> str:
     text = " ".join(str(error).split())
-    return text if len(text) <= _LONGEST_REASON else text[:_LONGEST_REASON] + " ..."
+    return text if len(text) <= _MAX_REASON_LENGTH else text[:_MAX_REASON_LENGTH] + " ..."

@@ -1,4 +1,4 @@
-"""A vision transformer of any kind, DINOv2 above all: a vector for each patch of a picture."""
+"""Vision transformers such as DINOv2: tokens of image patches."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from torch import Tensor
 from toolkit.errors import FormatError
 from toolkit.pretrained.loading import device_of, load_model
 
-# Of ImageNet, for models that bring no preprocessor_config.json.
+# ImageNet statistics, for models without preprocessor_config.json.
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True)
 class PatchTokens:
-    """What a vision transformer makes of a batch of pictures.
+    """Tokens of a batch of images.
 
     Attributes:
-        whole: [B, D] float32, the class token, or None for a model without one.
+        whole: [B, D] float32, the class token, or None if the model has none.
         patches: [B, rows, columns, D] float32.
     """
 
@@ -33,21 +33,21 @@ class PatchTokens:
 
 
 class VisionTransformer:
-    """The model of a local folder, its weights frozen.
+    """A model from a local folder with frozen weights.
 
     Args:
-        folder: a vision transformer that `AutoModel` reads.
-        longest_side: images are scaled to about so many pixels, whole patches; small ones are
-            enlarged, for finer features.
+        folder: folder of a vision transformer that `AutoModel` supports.
+        longest_side: approximate length in pixels to which the longer image side is scaled, a
+            multiple of the patch size; small images are enlarged for finer features.
         device: "cpu", "cuda", or "auto".
 
     Attributes:
-        channels: length D of a token.
-        longest_side: as given.
+        channels: token dimension D.
+        longest_side: see the argument.
 
     Raises:
-        DependencyError: transformers cannot be loaded, or the device is not there.
-        FormatError: the folder is not what it should be, or the model has no patches.
+        DependencyError: transformers cannot be loaded, or the device is not available.
+        FormatError: the folder does not contain a supported model.
     """
 
     def __init__(self, folder: Path, longest_side: int = 518, device: str = "auto") -> None:
@@ -59,13 +59,13 @@ class VisionTransformer:
         patch, channels = getattr(config, "patch_size", None), getattr(config, "hidden_size", None)
         if not isinstance(patch, int) or not isinstance(channels, int):
             raise FormatError(
-                f"{folder}: a {config.model_type} model has no patches of one size; give a "
-                "vision transformer such as DINOv2"
+                f"{folder}: a {config.model_type} model has no fixed patch size; use a vision "
+                "transformer such as DINOv2"
             )
         self.channels = channels
         self.longest_side, self._patch = longest_side, patch
         self._mean, self._std = _normalisation(folder)
-        # Models made for one size stretch their positions only if told so.
+        # Models trained at a fixed size need this option to interpolate position embeddings.
         parameters = inspect.signature(self._model.forward).parameters
         self._options = (
             {"interpolate_pos_encoding": True} if "interpolate_pos_encoding" in parameters else {}
@@ -73,7 +73,7 @@ class VisionTransformer:
 
     @functools.cached_property
     def digest(self) -> str:
-        """SHA-256 of the weights: what was learned on one model's tokens fits no other."""
+        """SHA-256 of the weights, to detect heads that were trained on another model's tokens."""
         digest = hashlib.sha256()
         for name, tensor in sorted(self._model.state_dict().items()):
             digest.update(name.encode())
@@ -81,11 +81,11 @@ class VisionTransformer:
         return digest.hexdigest()
 
     def tokens(self, images: Tensor) -> PatchTokens:
-        """Tokens of images, on the model's device and differentiable in the images.
+        """Compute tokens of images on the model's device, differentiable in the images.
 
         Args:
-            images: [B, 3, H, W] float32, RGB in [0, 1]; they are scaled as a whole, so that
-                patches cover all of them.
+            images: [B, 3, H, W] float32, RGB in [0, 1]; they are scaled to a multiple of the patch
+                size without cropping.
         """
         images = images.to(self._device)
         height, width = images.shape[2:]
@@ -102,8 +102,8 @@ class VisionTransformer:
         tokens = self._model((images - mean) / std, **self._options).last_hidden_state
         if tokens.ndim != 3 or tokens.shape[1] < rows * columns:
             raise FormatError(
-                f"the encoder gave {list(tokens.shape[1:])} for {rows}x{columns} patches; give a "
-                "vision transformer such as DINOv2"
+                f"the encoder returned {list(tokens.shape[1:])} for {rows}x{columns} patches; use "
+                "a vision transformer such as DINOv2"
             )
         # Class and register tokens come first.
         extra = tokens.shape[1] - rows * columns
@@ -112,7 +112,7 @@ class VisionTransformer:
 
 
 def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Mean and deviation of colour that the model was trained with."""
+    """Read the colour mean and standard deviation of the model's preprocessing."""
     file = folder / "preprocessor_config.json"
     if not file.is_file():
         return _MEAN, _STD
