@@ -36,7 +36,7 @@ IMAGE |= {"other size": damage.image(COLOUR[:20])}
 TARGETS = [
     (
         "data/intrinsics.yaml",
-        ["run", "check-data"],
+        ["run", "check-data", "check-data"],
         damage.TEXT_FILE
         | {
             "a list": damage.text("[1]"),
@@ -58,7 +58,7 @@ TARGETS = [
         {"other size": damage.edit("width: 64", "width: 32")},
     ),
     ("data/rgb/0000.png", ["run"], IMAGE),
-    ("data/rgb/0003.png", ["run"], IMAGE),
+    ("data/rgb/0003.png", ["run"], {n: IMAGE[n] for n in ("empty", "truncated", "other size")}),
     (
         "data/depth/0000.png",
         ["run"],
@@ -68,11 +68,11 @@ TARGETS = [
             "colour": damage.image(COLOUR),
         },
     ),
-    ("data/depth/0004.png", ["run"], IMAGE),
+    ("data/depth/0004.png", ["run"], {n: IMAGE[n] for n in ("garbage", "directory")}),
     ("data/labels/0000.png", ["run"], IMAGE | {"colour": damage.image(COLOUR)}),
     (
         "data/labels/classes.json",
-        ["run"],
+        ["check-data", "run"],
         damage.JSON_FILE
         | {
             "negative id": damage.text('{"void": 0, "classes": {"-1": "wall"}}'),

@@ -6,14 +6,16 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.frame import Frame
-from toolkit.runs.execution import run
 from toolkit.runs.settings import RunSettings, load_settings
+
+if TYPE_CHECKING:
+    from toolkit.frame import Frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +43,9 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: bad settings, data or output folder.
     """
     program = _parse(list(argv))
+    # Loads torch, which takes seconds: only after the options were accepted.
+    from toolkit.runs.execution import run
+
     run(program.settings, program.out, program.resume, _with_progress)
     return 0
 
