@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -49,7 +48,9 @@ def profile_table(plan: Plan) -> None:
     mapper.add_keyframe(Keyframe.from_frame(frames[0], np.eye(4)))
     _profiled("One tracked frame", lambda: tracker.track(frames[1], mapper.gaussians))
     mapper.add_keyframe(Keyframe.from_frame(frames[1], pose_of(1)))
-    mapper.options = replace(mapper.options, iterations=10)
+    longer = MapperOptions(iterations=10)
+    content, mapper = mapper.content, Mapper(longer, None, "cuda", None, semantics, plan.device)
+    mapper.take(content)
     _profiled(
         "A keyframe of ten steps",
         lambda: mapper.add_keyframe(Keyframe.from_frame(frames[2], pose_of(2))),

@@ -18,6 +18,7 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.optimisation import Objective
 from toolkit.options import validated
 from toolkit.rendering import backend
 from toolkit.runs.settings import RunSettings
@@ -100,7 +101,9 @@ class MappedView:
         times["renderer"] = times["forward"] + times["backward"]
         del drawn
         start = time.perf_counter()
-        mapper._step(keyframe, (0, 4))  # the first step of a call includes semantics
+        mapper.step(
+            keyframe, (0, 4), Objective(False)
+        )  # the first step of a call includes semantics
         times["step"] = time.perf_counter() - start
         return times
 

@@ -244,14 +244,14 @@ class TestWithin:
         before = dict(atlas.keyframe_poses(0))
         corrected: dict[int, np.ndarray] = {}
         stepped: list[int] = []
-        step = Mapper._step
+        step = Mapper.step
 
         def counted(mapper, keyframe, *arguments, **options):
             stepped.append(keyframe.index)
             corrected.setdefault(keyframe.index, keyframe.T_map_camera.copy())
             return step(mapper, keyframe, *arguments, **options)
 
-        monkeypatch.setattr(Mapper, "_step", counted)
+        monkeypatch.setattr(Mapper, "step", counted)
         assert closer.close_within(atlas)
         after = atlas.keyframe_poses(0)
         moved = [index for index, T in before.items() if not np.array_equal(T, after[index])]

@@ -72,7 +72,7 @@ def test_mapping(walk, mapped_here):
     mapper = mapped(GPU, walk)
     for field in fields(GaussianCloud):
         assert getattr(mapper.gaussians, field.name).is_cuda, field.name
-    assert mapper.seeded_by.is_cuda and mapper.optimiser.steps.is_cuda
+    assert mapper.map.seeded_by.is_cuda and mapper.map.optimiser.steps.is_cuda
     assert len(mapper.gaussians) == pytest.approx(len(mapped_here.gaussians), rel=0.01)
     for actual, expected in zip(shown(mapper), shown(mapped_here), strict=True):
         errors = (actual - expected).abs()

@@ -129,10 +129,10 @@ def test_gaussians_measured_anew_belong_to_the_newest_keyframe(room):
     nearer[2, 3] = 1.0
     mapper = Mapper(MapperOptions(first_iterations=0, iterations=0))
     mapper.add_keyframe(Keyframe.from_frame(frame, np.eye(4)))
-    assert (mapper.seeded_by == frame.index).all()
+    assert (mapper.map.seeded_by == frame.index).all()
     closer = replace(frame, index=9, depth_m=np.maximum(frame.depth_m - 1.0, 0.0))
     count = len(mapper.gaussians)
     mapper.add_keyframe(Keyframe.from_frame(closer, nearer))
-    seeded_by = mapper.seeded_by[:count]
+    seeded_by = mapper.map.seeded_by[:count]
     assert (seeded_by == 9).any()
     assert (seeded_by == frame.index).any()

@@ -122,7 +122,7 @@ def test_useless_gaussians_are_pruned(room):
     mapper.refine()
     assert len(mapper.gaussians) == count - 3
     assert torch.equal(mapper.gaussians.means, expected)
-    assert len(mapper.optimiser.steps) == count - 3
+    assert len(mapper.map.optimiser.steps) == count - 3
 
 
 def test_the_newest_frame_is_wanted_as_the_policy_says(room):

@@ -301,7 +301,7 @@ class TestAtlas:
         keyframe = slam.mapper.keyframes[0]
         shown = render(slam.mapper.gaussians, frame.camera, se3.inverse(keyframe.T_map_camera))
         assert float(shown.silhouette.mean()) > 0.9
-        assert set(slam.mapper.seeded_by.tolist()) == {frame.index}
+        assert set(slam.mapper.map.seeded_by.tolist()) == {frame.index}
 
     def test_without_inheritance_the_anchor_alone_seeds(self, room):
         slam = cut_slam(room, inherit=False)

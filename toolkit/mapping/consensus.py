@@ -26,14 +26,14 @@ from toolkit.rendering import SurfaceView
 Draw = Callable[[GaussianCloud, Keyframe], SurfaceView]
 
 
-def agree(
+def label_consensus(
     gaussians: GaussianCloud,
     keyframes: list[Keyframe],
     semantics: SemanticMapping,
     draw: Draw,
     options: ConsensusOptions,
 ) -> GaussianCloud:
-    """The Gaussians with features that all labelled keyframes vote for.
+    """Return the Gaussians with the features that all labelled keyframes vote for.
 
     Corrects `class_ids` of keyframes in place.
 

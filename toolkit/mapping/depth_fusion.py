@@ -20,6 +20,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.gaussian_map import GaussianMap
 
 # Of the way, seen from as far as before: a mean over the last ten, or nearly.
 _SHARE = 0.2
@@ -47,6 +48,20 @@ class MeasuredCentres:
     places: Tensor
     centres: Tensor
     anew: Tensor
+
+
+def fuse_depth(gaussian_map: GaussianMap, depth_m: Tensor) -> None:
+    """Move the centres that the newest keyframe of a map measures.
+
+    Args:
+        depth_m: [H, W] of that keyframe, on the map's device.
+    """
+    keyframes = gaussian_map.keyframes
+    found = measured_centres(gaussian_map.gaussians, gaussian_map.seeded_by, keyframes, depth_m)
+    gaussian_map.move(gaussian_map.gaussians.means.index_copy(0, found.places, found.centres))
+    gaussian_map.seeded_by = gaussian_map.seeded_by.index_fill(
+        0, found.places[found.anew], keyframes[-1].index
+    )
 
 
 def measured_centres(

@@ -15,7 +15,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.content import MapContent
+from toolkit.mapping.gaussian_map import MapContent
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.allocation import Allocation, AllocationVerdict

@@ -13,7 +13,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.content import MapContent
+from toolkit.mapping.gaussian_map import MapContent
 from toolkit.mapping.sparse_adam import PARAMETERS
 
 

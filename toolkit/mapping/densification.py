@@ -1,0 +1,91 @@
+"""Densification: Gaussians are seeded where the map lacks them, and useless ones are pruned."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.seeding import seed
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.gaussian_map import GaussianMap
+from toolkit.mapping.options import MapperOptions
+from toolkit.rendering import SurfaceView
+
+
+class Densification:
+    """Adds and removes Gaussians of a map.
+
+    Args:
+        start_values: features [C + 1, S] of new Gaussians by class id.
+        generator: chooses pixels if the options seed a random share of them.
+    """
+
+    def __init__(
+        self, options: MapperOptions, start_values: Tensor, generator: np.random.Generator
+    ) -> None:
+        self._options, self._start_values, self._generator = options, start_values, generator
+
+    def seed(
+        self, gaussian_map: GaussianMap, keyframe: Keyframe, view: SurfaceView, depth_m: Tensor
+    ) -> int:
+        """Seed Gaussians at the pixels that the map does not explain; return how many.
+
+        Args:
+            view: the map from the keyframe. depth_m: [H, W] of the keyframe on the map's device.
+        """
+        options = self._options
+        mask = uncovered_pixels(
+            view, depth_m, options.min_silhouette, options.depth_floor, options.depth_factor
+        )
+        seeds = seed(
+            keyframe.as_frame(),
+            keyframe.T_map_camera,
+            mask.cpu().numpy(),
+            options.seeding,
+            self._start_values,
+            self._generator,
+        )
+        if len(seeds):
+            gaussian_map.append(seeds, keyframe)
+        return len(seeds)
+
+    def prune(self, gaussian_map: GaussianMap) -> int:
+        """Remove useless Gaussians; return how many."""
+        options = self._options
+        mask = prune_mask(gaussian_map.gaussians, options.min_opacity, options.max_radius_m)
+        count = int(mask.sum())
+        if count:
+            gaussian_map.keep(~mask)
+        return count
+
+
+def uncovered_pixels(
+    view: SurfaceView, depth_m: Tensor, min_silhouette: float, floor: float, factor: float
+) -> Tensor:
+    """Mask [H, W] of the measured pixels that a map does not explain (H, densification).
+
+    Args:
+        view: the rendered map.
+        depth_m: [H, W] measured depth, 0 where missing.
+        min_silhouette: pixels below it are uncovered.
+        floor: pixels are uncovered if the map lies behind the measured depth by more than this
+            share of it,
+        factor: and by more than this multiple of the median depth error.
+    """
+    measured = depth_m > 0
+    thin = view.output.silhouette < min_silhouette
+    behind = torch.where(measured & ~thin, view.depth_m - depth_m, torch.zeros_like(depth_m))
+    errors = behind.abs()[measured & ~thin]
+    median = float(errors.median()) if errors.numel() else 0.0
+    threshold = (floor * depth_m).clamp(min=factor * median)
+    return measured & (thin | (behind > threshold))
+
+
+def prune_mask(gaussians: GaussianCloud, min_opacity: float, max_radius_m: float) -> Tensor:
+    """Mask [N] of the Gaussians that are transparent, far too large or not finite."""
+    mask = gaussians.opacities < min_opacity
+    mask |= gaussians.radii_m > max_radius_m
+    mask |= ~torch.isfinite(gaussians.means).all(dim=1)
+    return mask

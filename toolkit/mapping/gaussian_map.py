@@ -1,0 +1,114 @@
+"""A map under optimisation: Gaussians, keyframes and the state of the optimiser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.options import LearningRates
+from toolkit.mapping.sparse_adam import PARAMETERS, SparseAdam
+
+
+@dataclass(frozen=True)
+class MapContent:
+    """A map without the moments of its optimiser, on the CPU.
+
+    Attributes:
+        gaussians: N Gaussians.
+        keyframes: in order.
+        seeded_by: [N] int32, frame index of the keyframe that seeded each Gaussian, or that has
+            since measured its centre from much nearer.
+        steps: [N] int32, optimisation steps of each Gaussian.
+    """
+
+    gaussians: GaussianCloud
+    keyframes: list[Keyframe]
+    seeded_by: Tensor
+    steps: Tensor
+
+
+class GaussianMap:
+    """Keeps Gaussians, their origin and the state of their optimiser in step.
+
+    Args:
+        rates: learning rates of the optimiser.
+        feature_channels: S of the Gaussians.
+        device: where the Gaussians are.
+
+    Attributes:
+        gaussians: N Gaussians.
+        keyframes: in order; their images are on the CPU.
+        optimiser: moments and step counts of the N Gaussians.
+        seeded_by: [N] int32, as in `MapContent`.
+    """
+
+    def __init__(self, rates: LearningRates, feature_channels: int, device: torch.device) -> None:
+        self.device = device
+        self.gaussians = GaussianCloud.empty(feature_channels, device)
+        self.keyframes: list[Keyframe] = []
+        self.optimiser = SparseAdam(rates, feature_channels, device)
+        self.seeded_by = torch.zeros(0, dtype=torch.int32, device=device)
+
+    @property
+    def content(self) -> MapContent:
+        """The content: shared if the map is on the CPU, otherwise a copy."""
+        seeded_by, steps = self.seeded_by.cpu(), self.optimiser.steps.cpu()
+        return MapContent(self.gaussians.to("cpu"), self.keyframes, seeded_by, steps)
+
+    def replace_content(self, content: MapContent) -> None:
+        """Replace everything; of the optimiser's state only the step counts are known."""
+        self.gaussians, self.keyframes = content.gaussians.to(self.device), content.keyframes
+        self.seeded_by = content.seeded_by.to(self.device)
+        channels = self.gaussians.features.shape[1]
+        self.optimiser = SparseAdam(self.optimiser.rates, channels, self.device)
+        self.optimiser.extend(len(self.gaussians))
+        self.optimiser.steps = content.steps.to(self.device, copy=True)
+
+    def append(self, seeds: GaussianCloud, keyframe: Keyframe) -> None:
+        """Add Gaussians that a keyframe seeded."""
+        self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds.to(self.device)])
+        self.optimiser.extend(len(seeds))
+        origin = self.seeded_by.new_full((len(seeds),), keyframe.index)
+        self.seeded_by = torch.cat([self.seeded_by, origin])
+
+    def keep(self, mask: Tensor) -> None:
+        """Remove the Gaussians outside a mask [N]."""
+        self.gaussians = self.gaussians.select(mask)
+        self.optimiser.keep(mask)
+        self.seeded_by = self.seeded_by[mask]
+
+    def move(self, means: Tensor) -> None:
+        """Replace the centres [N, 3]."""
+        self.gaussians = replace(self.gaussians, means=means)
+
+    def state(self) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        arrays = {
+            f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS
+        }
+        arrays |= {f"optimiser/{name}": a for name, a in self.optimiser.state().items()}
+        arrays["seeded_by"] = self.seeded_by.cpu().numpy()
+        # Copies: the next optimisation step changes the map in place.
+        arrays = {name: array.copy() for name, array in arrays.items()}
+        for number, keyframe in enumerate(self.keyframes):
+            arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
+        return arrays, [keyframe.values() for keyframe in self.keyframes]
+
+    def restore(self, arrays: dict[str, NDArray], keyframes: list[dict[str, Any]]) -> None:
+        """Restore an earlier `state`."""
+        tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
+        self.gaussians = GaussianCloud(**tensors).to(self.device)
+        self.optimiser.restore(arrays_below(arrays, "optimiser/"))
+        self.seeded_by = torch.from_numpy(np.array(arrays["seeded_by"])).to(self.device)
+        self.keyframes = [
+            Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), values)
+            for number, values in enumerate(keyframes)
+        ]

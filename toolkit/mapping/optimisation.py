@@ -1,0 +1,122 @@
+"""One optimisation step of a map on one keyframe (H-24)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
+from toolkit.frame import Recorder
+from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
+from toolkit.losses.features import FeatureLoss
+from toolkit.losses.photometric import rgbd_loss
+from toolkit.mapping.gaussian_map import GaussianMap
+from toolkit.mapping.observations import Observations
+from toolkit.mapping.options import MapperOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.native.constants import BASE_CHANNELS
+from toolkit.rendering import DrawOptions, draw_surface
+from toolkit.rendering.backend import Backend
+from toolkit.rendering.output import COLOUR
+from toolkit.rendering.texture import resample_at_centres
+
+_GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What a step optimises.
+
+    Attributes:
+        centred_colours: fit colours at the centres of the Gaussians, for tracking; otherwise at
+            the pixels, for rendering (`rendering/texture.py`).
+        adjust_poses: optimise the poses of keyframes too, except the first keyframe's.
+        feature: an additional term on the whole image.
+    """
+
+    centred_colours: bool
+    adjust_poses: bool = False
+    feature: FeatureLoss | None = None
+
+
+class MapOptimisation:
+    """Optimises a map, one keyframe at a time.
+
+    Args:
+        observations: the images of keyframes on the map's device.
+    """
+
+    def __init__(
+        self,
+        options: MapperOptions,
+        semantics: SemanticMapping,
+        backend: Backend,
+        observations: Observations,
+        recorder: Recorder,
+    ) -> None:
+        self._options, self._semantics = options, semantics
+        self._backend, self._observations, self._recorder = backend, observations, recorder
+
+    def step(
+        self,
+        gaussian_map: GaussianMap,
+        keyframe: Keyframe,
+        progress: tuple[int, int],
+        objective: Objective,
+    ) -> float:
+        """Take one step on one keyframe; return its loss.
+
+        Args:
+            progress: number of this step and total number of steps of the call.
+        """
+        T_camera_map = se3.inverse(keyframe.T_map_camera)
+        rgb, depth_m, labels = keyframe.observed(self._observations.of(keyframe))
+        if not self._semantics.takes_part(progress[0]):
+            labels = None
+        with self._recorder.timed("map forward"):
+            options = DrawOptions(features=labels is not None)
+            view = draw_surface(
+                self._backend, gaussian_map.gaussians, keyframe.camera, T_camera_map, options
+            )
+        with self._recorder.timed("map loss"):
+            rgb = resample_at_centres(rgb, view) if objective.centred_colours else rgb
+            images = view.drawn.images
+            by_images = images.new_empty(len(images) - 3, *images.shape[1:])
+            loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, by_images[:BASE_CHANNELS])
+            if objective.feature is not None:
+                feature_loss, by_colour = objective.feature.gradient(images[COLOUR], rgb)
+                by_images[COLOUR] += by_colour
+                loss += feature_loss
+        with self._recorder.timed("map semantic loss"):
+            semantic, by_images, detached = self._semantics.gradient(
+                view, labels, progress, by_images
+            )
+        with self._recorder.timed("map backward"):
+            gradients = view.drawn.backward(by_images, detached=detached)
+        with self._recorder.timed("map update"):
+            with_features = len(by_images) > BASE_CHANNELS
+            names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
+            named = {name: getattr(gradients, name) for name in names}
+            gaussian_map.optimiser.step(gaussian_map.gaussians, named, gradients.ids)
+            if objective.adjust_poses and keyframe is not gaussian_map.keyframes[0]:
+                self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
+        return loss + semantic
+
+    def _adjust_pose(self, keyframe: Keyframe, by_matrix: NDArray[np.float64]) -> None:
+        """Take one step on a keyframe's pose.
+
+        Args:
+            by_matrix: [3, 4] derivative of the loss by the entries of T_camera_map.
+        """
+        adam = PoseAdam(
+            self._options.pose_translation_m,
+            self._options.pose_rotation_rad,
+            keyframe.pose_moments,
+        )
+        keyframe.pose_moments = adam.moments
+        T_camera_map = se3.inverse(keyframe.T_map_camera)
+        step = adam.step(pose_gradient(by_matrix, T_camera_map))
+        keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))
