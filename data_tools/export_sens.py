@@ -1,10 +1,10 @@
-"""Export the frames of a ScanNet `.sens` file, one after the other.
+"""Export the frames of a ScanNet `.sens` file.
 
     python data_tools/export_sens.py scene0000_00.sens scene0000_00
 
 writes color/N.jpg, depth/N.png (millimetres), pose/N.txt and intrinsic/*.txt, which
-`--dataset.kind scannet` reads. Colour keeps its compressed bytes. The format is that of
-ScanNet's own SensReader (https://github.com/ScanNet/ScanNet), version 4.
+`--dataset.kind scannet` reads. Colour images are copied without recompression. The format is
+version 4 of ScanNet's SensReader (https://github.com/ScanNet/ScanNet).
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from toolkit.io.images import write_depth_png, write_png
 
 VERSION = 4
 DEPTH_VALUES_PER_METRE = 1000.0
-# Compression of colour: number in the file -> suffix of the image that it is.
+# Suffix of the image file by colour compression type; None for raw.
 _COLOUR_SUFFIXES = {0: None, 1: ".png", 2: ".jpg"}
 _RAW_DEPTH, _ZLIB_DEPTH = 0, 1
 
 
 @dataclass(frozen=True)
 class SensHeader:
-    """What stands before the frames.
+    """Header of a `.sens` file.
 
     Attributes:
-        sensor: the name of the device.
-        intrinsics: 4x4 matrices by name: intrinsic and extrinsic of colour and depth.
-        colour_compression, depth_compression: numbers as in the file.
+        sensor: name of the device.
+        intrinsics: 4x4 matrices by name: intrinsics and extrinsics of colour and depth.
+        colour_compression, depth_compression: compression types as stored in the file.
         colour_size, depth_size: (width, height) in pixels.
         depth_scale: depth values per metre.
         frames: number of frames.
@@ -59,7 +59,7 @@ class SensHeader:
 
 @dataclass(frozen=True)
 class SensFrame:
-    """One frame: pose [4, 4] camera to world, and both images as they lie in the file."""
+    """One frame: pose [4, 4] camera to world, and the compressed bytes of both images."""
 
     T_world_camera: NDArray[np.float32]
     colour: bytes
@@ -67,14 +67,14 @@ class SensFrame:
 
 
 class SensFile:
-    """A `.sens` file that is read from front to back, one frame in memory at a time.
+    """A `.sens` file that is read sequentially with one frame in memory at a time.
 
     Args:
         stream: the opened file.
-        name: how errors name it.
+        name: name of the file for error messages.
 
     Raises:
-        FormatError: it is no `.sens` file of a kind that can be exported.
+        FormatError: the file is not a `.sens` file of a supported version and compression.
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -83,7 +83,7 @@ class SensFile:
         self.header = self._read_header()
 
     def frames(self) -> Iterator[SensFrame]:
-        """All frames in order.
+        """Yield all frames in order.
 
         Raises:
             FormatError: the file ends before its last frame.
@@ -139,10 +139,10 @@ class SensFile:
 
 
 def depth_values(header: SensHeader, frame: SensFrame) -> NDArray[np.uint16]:
-    """The depth image [H, W] of a frame, as it was measured.
+    """Decompress the depth image [H, W] of a frame.
 
     Raises:
-        FormatError: its bytes do not unpack to an image of the header's size.
+        FormatError: the data are not an image of the size in the header.
     """
     width, height = header.depth_size
     try:
@@ -179,18 +179,18 @@ class ExportOptions:
     sens: tyro.conf.Positional[Path]
     """The .sens file."""
     out: tyro.conf.Positional[Path]
-    """The folder to write; made if it is not there."""
+    """Output folder; created if it does not exist."""
     every: int = 1
-    """Keep every so-many-th frame; the others are skipped, numbers stay."""
+    """Export every n-th frame; frames keep their numbers."""
     max_frames: int | None = None
-    """Stop after this many frames written."""
+    """Maximum number of frames to export."""
 
 
 def export(options: ExportOptions) -> int:
     """Export a file and return the number of frames written.
 
     Raises:
-        FormatError: the file is damaged or not known.
+        FormatError: the file is damaged or not supported.
         RunFolderError: the frames cannot be written.
     """
     for name in ("color", "depth", "pose", "intrinsic"):

@@ -1,6 +1,6 @@
-"""Build the class trees that are shipped: `python data_tools/make_trees.py [--out DIR]`.
+"""Build the class trees of the package: `python data_tools/make_trees.py [--out DIR]`.
 
-The offline rules alone decide; running it again gives the same files, byte for byte.
+Only the offline rules are used; the output is byte-for-byte reproducible.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from toolkit.taxonomy_building.rules import RuleGrouper
 
 TREES = Path(shipped.__file__).parent
 
-# Names as the data sets write them, in the order of their ids.
+# Class names of the datasets in the order of their ids.
 NYU40 = """
 wall, floor, cabinet, bed, chair, sofa, table, door, window, bookshelf, picture, counter, blinds,
 desk, shelves, curtain, dresser, pillow, mirror, floor mat, clothes, ceiling, books, refridgerator,
@@ -35,7 +35,7 @@ GEOMETRIC = "floor, wall, ceiling, surface, object"
 
 
 def trees() -> list[Taxonomy]:
-    """Every tree that is shipped."""
+    """Build all trees of the package."""
 
     def built(name: str, classes: Sequence[str], options: BuildOptions | None = None) -> Taxonomy:
         return build_taxonomy(classes, RuleGrouper(), options=options or BuildOptions(name=name))
@@ -54,7 +54,7 @@ def _names(text: str) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write one YAML file a tree."""
+    """Write one YAML file per tree."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=TREES)
     out = parser.parse_args(arguments).out

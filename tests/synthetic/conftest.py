@@ -1,4 +1,4 @@
-"""Scenes are made once: making one costs most of a second."""
+"""Fixtures: scenes are created once, because this takes most of a second."""
 
 import pytest
 

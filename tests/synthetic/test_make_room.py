@@ -1,4 +1,4 @@
-"""A room on disk: its layout, its determinism, and what is refused."""
+"""Rooms on disk: layout, reproducibility and invalid arguments."""
 
 import json
 import subprocess
@@ -31,7 +31,7 @@ def _bytes(path):
     return {file.relative_to(path): file.read_bytes() for file in path.rglob("*") if file.is_file()}
 
 
-def test_the_folder_has_replicas_layout(made):
+def test_folder_has_replicas_layout(made):
     for folder, count in ((made, 6), (made / "unseen", 2)):
         for index in range(count):
             for name in (f"results/frame{index:06d}", f"results/depth{index:06d}",
@@ -45,11 +45,11 @@ def test_the_folder_has_replicas_layout(made):
         assert classes["classes"]["93"] == "wall"
 
 
-def test_the_reader_gives_back_what_was_made(made):
+def test_dataset_reader_round_trip(made):
     dataset = open_dataset("synthetic", made)
     frames, truth = tiny_room(6, 64, 48)
     assert len(dataset) == 6
-    # The tiny room walks 6/300 of the way, the made one a tenth: they share their start.
+    # The tiny room covers 6/300 of the path, the written one a tenth; both start equally.
     read = dataset[0]
     assert np.abs(read.rgb - frames[0].rgb).max() < 0.6 / 255
     assert np.abs(read.depth_m - frames[0].depth_m).max() < 0.6 / 6553.5
@@ -59,7 +59,7 @@ def test_the_reader_gives_back_what_was_made(made):
     )
 
 
-def test_the_mesh_is_the_surface_that_depth_shows(made):
+def test_mesh_agrees_with_depth(made):
     mesh = open3d().t.io.read_triangle_mesh(str(made / "mesh.ply"))
     casting = open3d().t.geometry.RaycastingScene()
     casting.add_triangles(mesh)
@@ -70,7 +70,7 @@ def test_the_mesh_is_the_surface_that_depth_shows(made):
     assert distance.max() < 1e-4
 
 
-def test_another_process_writes_the_same_bytes(made, tmp_path):
+def test_output_is_reproducible_across_processes(made, tmp_path):
     out = tmp_path / "again"
     subprocess.run(
         [sys.executable, LAUNCHER, "--out", out, "--frames", "6", "--share", "0.1",
@@ -82,14 +82,14 @@ def test_another_process_writes_the_same_bytes(made, tmp_path):
     assert [name for name in first if first[name] != second[name]] == []
 
 
-def test_a_room_may_be_made_again_and_nothing_old_remains(made, tmp_path):
+def test_recreating_a_room_removes_old_files(made, tmp_path):
     make_room(tmp_path, RoomSettings(frames=3, share=0.1, width=32, height=24, unseen=1))
     make_room(tmp_path, RoomSettings(frames=2, share=0.1, width=32, height=24, unseen=0))
     assert len(list((tmp_path / "results").glob("*.png"))) == 4
     assert not list((tmp_path / "unseen" / "results").glob("*.png"))
 
 
-def test_progress_sees_every_frame_of_the_walk(tmp_path):
+def test_progress_wraps_every_frame(tmp_path):
     seen = []
 
     def watched(frames, total):
@@ -103,14 +103,14 @@ def test_progress_sees_every_frame_of_the_walk(tmp_path):
     assert len(list((tmp_path / "results").glob("*.png"))) == 6
 
 
-def test_a_folder_with_other_things_is_left_alone(tmp_path):
+def test_folder_with_other_files_is_not_changed(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
     with pytest.raises(DatasetError, match="not empty and not a synthetic room"):
         make_room(tmp_path, TINY)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_a_file_in_the_way_is_told(tmp_path):
+def test_path_of_a_file_raises(tmp_path):
     (tmp_path / "room").write_text("")
     with pytest.raises(DatasetError, match="is a file"):
         make_room(tmp_path / "room", TINY)
@@ -126,12 +126,12 @@ def test_a_file_in_the_way_is_told(tmp_path):
         ({"seed": -1}, "must not be negative"),
     ],
 )
-def test_values_out_of_range_are_refused(values, message):
+def test_values_out_of_range_raise(values, message):
     with pytest.raises(SettingsError, match=message):
         RoomSettings(**values)
 
 
-def test_the_program_says_in_one_line_what_is_wrong(tmp_path):
+def test_program_reports_errors_in_one_line(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
     done = subprocess.run(
         [sys.executable, LAUNCHER, "--out", tmp_path], capture_output=True, text=True
@@ -151,7 +151,7 @@ def test_tiny_rooms_differ_by_seed_and_by_sensor():
     np.testing.assert_array_equal(truth.T_world_camera, same.T_world_camera)
 
 
-def test_unseen_views_are_off_the_path_but_show_what_it_shows(scene):
+def test_unseen_views_are_off_the_path_and_show_known_surfaces(scene):
     camera = Camera(32.0, 32.0, 19.5, 14.5, 40, 30)
     path = tiny_room(40, 32, 24)[1].T_world_camera
     poses = poses_off_the_path(scene, camera, path, 3, np.random.default_rng(0))

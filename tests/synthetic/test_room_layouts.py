@@ -1,4 +1,4 @@
-"""Rooms are furnished sensibly, and paths are those of a careful person."""
+"""Room layouts: placement of furniture and smoothness of camera paths."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def _points(parts):
 
 
 def _distances_m(parts, points):
-    """Distance of points to the parts' surfaces, without painting or lighting them."""
+    """Distance of points to the parts' surfaces, without textures and lighting."""
     tensor = open3d().core.Tensor.from_numpy
     casting = open3d().t.geometry.RaycastingScene()
     for patch in (p for part in parts for p in part.patches):
@@ -29,7 +29,7 @@ def _distances_m(parts, points):
     return casting.compute_distance(tensor(points.astype(np.float32))).numpy()
 
 
-def test_vocabulary_is_replicas():
+def test_vocabulary_is_that_of_replica():
     assert (len(CLASS_NAMES), len(set(CLASS_NAMES))) == (101, 101)
     assert (CLASS_IDS["backpack"], CLASS_IDS["sofa"], CLASS_IDS["set-of-clothing"]) == (1, 76, 101)
 
@@ -43,7 +43,7 @@ def test_one_room_has_at_least_twenty_classes(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_furniture_stays_within_the_walls(seed):
+def test_furniture_is_within_the_walls(seed):
     plan = single_room().rooms[0]
     points = _points(furnish(plan, Workshop(np.random.default_rng(seed))))
     x0, y0, x1, y1 = plan.bounds_m
@@ -66,7 +66,7 @@ def test_large_pieces_do_not_overlap():
             assert (low > high - 1e-6).any(), (first, second)
 
 
-def test_every_group_stands_on_the_floor_with_its_back_to_the_wall():
+def test_groups_are_on_the_floor_with_their_back_to_the_wall():
     for group in {group for groups in STYLES.values() for group in groups}:
         low, high = bounds(group(Workshop(np.random.default_rng(0))))
         assert abs(low[2]) < 1e-6
@@ -75,25 +75,25 @@ def test_every_group_stands_on_the_floor_with_its_back_to_the_wall():
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_the_camera_walks_smoothly_and_keeps_its_distance(name):
+def test_camera_path_is_smooth_and_keeps_its_distance(name):
     layout = LAYOUTS[name]()
     frames = 300 if name == "room" else None
     T = hand_held_path(layout.way, frames, 1.0, np.random.default_rng(5))
     motion = se3.inverse(T[:-1]) @ T[1:]
     assert np.linalg.norm(motion[:, :3, 3], axis=1).max() < 0.5 / 30 * 1.1
     assert np.degrees(se3.rotation_angle_rad(motion[:, :3, :3])).max() < 1.5
-    # With steps of 2 cm, this distance also means that no wall is walked through.
+    # With steps of 2 cm, this distance also excludes paths through walls.
     assert _distances_m(build_parts(layout, 0), T[:, :3, 3]).min() > 0.4
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_other_seeds_leave_the_way_free_as_well(seed):
+def test_camera_path_is_free_for_other_seeds(seed):
     layout = single_room()
     T = hand_held_path(layout.way, 60, 1.0, np.random.default_rng(seed))
     assert _distances_m(build_parts(layout, seed), T[:, :3, 3]).min() > 0.4
 
 
-def test_the_walk_in_one_room_comes_back():
+def test_path_in_one_room_returns_to_its_start():
     T = hand_held_path(single_room().way, 300, 1.0, np.random.default_rng(0))
     assert np.linalg.norm(T[0, :3, 3] - T[-1, :3, 3]) < 0.25
     assert T[0, :3, 2] @ T[-1, :3, 2] > 0.95
@@ -102,31 +102,31 @@ def test_the_walk_in_one_room_comes_back():
     assert len(directions) == 12
 
 
-def test_the_ring_passes_four_rooms_and_closes():
+def test_ring_visits_four_rooms_and_closes():
     layout = LAYOUTS["ring"]()
     T = hand_held_path(layout.way, 800, 1.0, np.random.default_rng(0))
     centres = np.array([plan.centre_m for plan in layout.rooms])
     nearest = np.argmin(np.linalg.norm(T[:, None, :2, 3] - centres, axis=2), axis=1)
     visits = nearest[np.concatenate([[True], np.diff(nearest) != 0])]
     assert visits.tolist() == [0, 1, 2, 3, 0]
-    # The first view is seen again in the last room visit.
+    # The first view is revisited in the last room.
     again = T[nearest.size * 3 // 4 :]
     close = np.linalg.norm(again[:, :3, 3] - T[0, :3, 3], axis=1) < 0.4
     assert (close & (again[:, :3, 2] @ T[0, :3, 2] > 0.95)).any()
 
 
-def test_a_shorter_walk_is_the_start_of_a_longer_one():
+def test_shorter_path_is_the_start_of_a_longer_one():
     way = single_room().way
     whole = hand_held_path(way, 301, 1.0, np.random.default_rng(0))
     start = hand_held_path(way, 31, 0.1, np.random.default_rng(0))
     np.testing.assert_allclose(start, whole[:31], atol=1e-9)
 
 
-def test_the_hall_is_four_times_the_rooms():
+def test_hall_is_four_times_rooms():
     rooms, hall = LAYOUTS["rooms"](), LAYOUTS["hall"]()
     assert len(hall.rooms) == 4 * len(rooms.rooms)
     assert len(set(hall.looks)) == len(hall.rooms)
-    # The way never leaves the rooms but through doors.
+    # The path leaves rooms only through doors.
     T = hand_held_path(hall.way, 400, 1.0, np.random.default_rng(0))
     inside = np.zeros(len(T), bool)
     for plan in hall.rooms:
@@ -136,7 +136,7 @@ def test_the_hall_is_four_times_the_rooms():
     assert inside.all()
 
 
-def test_twin_rooms_are_identical_but_for_their_place():
+def test_twin_rooms_are_identical_except_for_their_position():
     layout = LAYOUTS["twins"]()
     first, _, third, _ = layout.rooms
     assert layout.looks[0] == layout.looks[2] != layout.looks[1]

@@ -24,7 +24,7 @@ def _part(name, patches, texture=None):
 
 @pytest.fixture(scope="module")
 def wall_and_box():
-    """A wall on y = 2, a box before it."""
+    """A wall at y = 2 and a box in front of it."""
     wall = plate((-4, 2, 3), (8, 0, 0), (0, 0, -6))
     return Scene(
         [_part("wall", [wall]), _part("box", box((0.6, 0.4, 0.6), (0.19, 1.0, -0.3)))],
@@ -34,14 +34,14 @@ def wall_and_box():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, -0.6])
-def test_written_depth_lies_on_the_wall_to_within_a_millimetre(wall_and_box, yaw):
+def test_depth_of_the_wall_is_accurate_to_a_millimetre(wall_and_box, yaw):
     T = look_at(np.array([0.1, 0.0, 0.2]), np.array([0.1 + np.sin(yaw), np.cos(yaw), 0.1]))
     view = wall_and_box.render(CAMERA, T)
     written = np.round(view.depth_m * DEPTH_SCALE) / DEPTH_SCALE
     points = se3.transform_points(T, CAMERA.unproject(written))
     on_wall = view.labels == CLASS_IDS["wall"]
     assert on_wall.sum() > 1000
-    # Half a pixel of offset, or ray length for z-depth, would give centimetres here.
+    # A half-pixel offset or ray length instead of z-depth would cause errors of centimetres.
     assert np.abs(points[on_wall, 1] - 2.0).max() < 1e-3
 
 
@@ -52,7 +52,7 @@ def test_labels_change_where_depth_changes(wall_and_box):
     assert view.depth_m[view.labels == CLASS_IDS["wall"]].min() > 1.95
 
 
-def test_a_corner_of_the_box_is_seen_where_it_projects_to(wall_and_box):
+def test_corner_of_the_box_is_at_its_projection(wall_and_box):
     T = look_at(np.zeros(3), np.array([0.0, 1.0, 0.0]))
     box_columns = np.flatnonzero((wall_and_box.render(CAMERA, T).labels == CLASS_IDS["box"])[48])
     corners = np.array([[-0.11, 0.8, 0.0], [0.49, 0.8, 0.0]])
@@ -61,7 +61,7 @@ def test_a_corner_of_the_box_is_seen_where_it_projects_to(wall_and_box):
     assert box_columns[-1] == np.floor(right)
 
 
-def test_nothing_is_void_inside_a_room(scene, layout):
+def test_views_inside_a_room_have_no_void(scene, layout):
     for T in hand_held_path(layout.way, 5, 1.0, np.random.default_rng(0)):
         view = scene.render(CAMERA, T)
         assert (view.labels > 0).all()
@@ -77,7 +77,7 @@ def test_two_views_agree_on_the_colour_of_a_surface(scene, layout):
     place = CAMERA.project(points).astype(np.float32)
     moved = cv2.remap(other.rgb, place, None, cv2.INTER_LINEAR)
     depth = cv2.remap(other.depth_m, place, None, cv2.INTER_LINEAR)
-    # Away from edges, where both see the same surface.
+    # Excludes edges, so that both views show the same surface.
     same = np.abs(depth - points[..., 2]) < 0.01
     assert same.mean() > 0.6
     assert np.abs(moved - seen.rgb)[same].mean() < 0.015
@@ -93,12 +93,12 @@ def test_colour_is_averaged_over_pixels_but_labels_are_not_mixed(wall_and_box):
     assert np.abs(coarse.rgb - fine.rgb).max() > 0.01
 
 
-def test_a_texture_lies_where_its_chart_says():
+def test_texture_position_follows_its_chart():
     def halves(canvas):
         u, _ = canvas.coordinates()
         return canvas.flat((0.1, 0.1, 0.1)) + canvas.inside(u - 1.0)[..., None] * 0.7
 
-    # Seen from the front, the left metre of the plate is dark and the right one bright.
+    # From the front, the left metre of the plate is dark and the right metre bright.
     front = plate((-1, 2, 1), (2, 0, 0), (0, 0, -2))
     scene = Scene([_part("picture", [front], halves)], NO_LAMPS, 0.004)
     view = scene.render(CAMERA, look_at(np.zeros(3), np.array([0.0, 1.0, 0.0])))

@@ -1,4 +1,4 @@
-"""Each effect of the sensor does what it says, alone, and the same way each time."""
+"""Sensor effects: each one separately, and reproducibility."""
 
 from dataclasses import fields
 
@@ -41,7 +41,7 @@ def _turning(degrees):
     return np.stack([np.eye(4), turn, turn @ turn])
 
 
-def test_without_effects_the_view_is_untouched():
+def test_view_without_effects_is_unchanged():
     view = _view()
     seen = _observe(_only(), view, poses=_turning(2.0))
     np.testing.assert_array_equal(seen.rgb, view.rgb)
@@ -57,7 +57,7 @@ def test_axial_noise_grows_with_the_square_of_depth(depth_m):
     assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
 
 
-def test_quantised_depth_takes_few_values_near_the_truth():
+def test_quantised_depth_has_few_values_near_the_true_depth():
     view = _view()
     view.depth_m[:] = np.linspace(2.0, 2.5, CAMERA.width, dtype=np.float32)
     depth = _observe(_only("quantisation"), view).depth_m
@@ -66,7 +66,7 @@ def test_quantised_depth_takes_few_values_near_the_truth():
     assert 0.004 < np.abs(depth - view.depth_m).max() < 0.01
 
 
-def test_holes_lie_at_edges_and_at_grazing_angles_only():
+def test_holes_are_only_at_edges_and_grazing_angles():
     view = _view()
     view.depth_m[:, 80:] = 3.0
     depth = _observe(_only("holes"), view).depth_m
@@ -96,7 +96,7 @@ def test_exposure_drifts_slowly():
     assert np.abs(np.diff(gains)).max() < 0.012
 
 
-def test_label_noise_changes_some_labels_and_invents_none():
+def test_label_noise_changes_some_labels_and_adds_no_classes():
     view = _view()
     changed = [
         np.mean(_observe(_only("label_noise"), view, seed=seed).labels != view.labels)
@@ -106,7 +106,7 @@ def test_label_noise_changes_some_labels_and_invents_none():
     assert set(np.unique(_observe(_only("label_noise"), view).labels)) <= {40, 93}
 
 
-def test_the_same_seed_gives_the_same_bits_in_any_order():
+def test_results_are_reproducible_in_any_order():
     view, poses = _view(), _turning(1.0)
     first = Sensor(SensorModel(), CAMERA, poses, np.random.default_rng(7))
     second = Sensor(SensorModel(), CAMERA, poses, np.random.default_rng(7))

@@ -1,4 +1,4 @@
-"""Synthetic rooms: furnished, textured, with exact poses, depth, labels and mesh."""
+"""Synthetic rooms with furniture, textures and exact poses, depth, labels and mesh."""
 
 from toolkit.datasets.synthetic.layouts import LAYOUTS
 from toolkit.datasets.synthetic.room import RoomSettings, make_room, tiny_room

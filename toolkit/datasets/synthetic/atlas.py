@@ -1,4 +1,4 @@
-"""All charts of a scene, painted once and packed into one image with its mip levels."""
+"""Texture atlas: all charts of a scene, packed into one image with mip levels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from toolkit.datasets.synthetic.canvas import Canvas
 from toolkit.datasets.synthetic.parts import Part
 
-# Charts repeat their border this many texels, so that MIP_LEVELS - 1 halvings stay clean.
+# The border of each chart is replicated by this many texels, so that charts do not bleed into
+# each other at any mip level.
 _MARGIN = 8
 MIP_LEVELS = 4
 _WIDTH = 4096
@@ -20,10 +21,10 @@ _WIDTH = 4096
 
 @dataclass(frozen=True)
 class Atlas:
-    """Painted charts.
+    """Texture atlas.
 
     Attributes:
-        image: [rows, 4096, 3] uint8 RGB; mip level 0 above, the smaller ones below it.
+        image: [rows, 4096, 3] uint8 RGB; mip level 0 at the top, smaller levels below.
         texel_m: edge of a texel of level 0, metres.
         level_origin: [MIP_LEVELS, 2] float32, (x, y) of each level's first texel.
     """
@@ -33,11 +34,11 @@ class Atlas:
     level_origin: NDArray[np.float32]
 
     def sample(self, xy: NDArray[np.float32], level: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Colours [N, 3] in [0, 255], filtered linearly within and between levels.
+        """Sample colours [N, 3] in [0, 255] with trilinear filtering.
 
         Args:
             xy: [N, 2] texel coordinates on level 0, texel centres at integers.
-            level: [N] mip level; clipped to those there are.
+            level: [N] mip level, clipped to the valid range.
         """
         level = np.clip(level, 0.0, MIP_LEVELS - 1.001)
         lower = level.astype(np.int32)
@@ -48,7 +49,7 @@ class Atlas:
     def _sample_level(self, xy: NDArray, level: NDArray[np.int32]) -> NDArray[np.float32]:
         scale = np.exp2(-level.astype(np.float32))[:, None]
         place = (xy + np.float32(0.5)) * scale - np.float32(0.5) + self.level_origin[level]
-        # OpenCV limits the sides of what it maps to 32767.
+        # OpenCV limits the sides of the maps to 32767.
         columns = 512
         rows = math.ceil(len(place) / columns)
         padded = np.zeros((rows * columns, 2), dtype=np.float32)
@@ -61,10 +62,10 @@ class Atlas:
 
 
 def paint_atlas(parts: list[Part], texel_m: float) -> tuple[Atlas, list[NDArray[np.float32]]]:
-    """Paint every patch of the parts.
+    """Paint the textures of all patches.
 
     Returns:
-        the atlas, and for each patch in order its texel coordinates [R, C, 2].
+        The atlas, and the texel coordinates [R, C, 2] of each patch.
     """
     patches = [(part, patch) for part in parts for patch in part.patches]
     sizes = [_texels(patch.chart_size_m, texel_m) for _, patch in patches]
@@ -88,7 +89,7 @@ def _texels(size_m: tuple[float, float], texel_m: float) -> tuple[int, int]:
 
 
 def _pack(sizes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
-    """Place rectangles in shelves, highest first; their corners and the height used."""
+    """Pack rectangles in shelves by decreasing height; return their corners and the height."""
     corners = [(0, 0)] * len(sizes)
     left, top, shelf = 0, 0, 0
     for number in sorted(range(len(sizes)), key=lambda i: (-sizes[i][1], i)):

@@ -1,4 +1,4 @@
-"""Puts furniture into a room: groups of pieces find free places along the walls."""
+"""Placement of furniture in a room: groups of pieces are placed along the walls."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _boxes_group(shop: Workshop) -> list[Part]:
 
 
 def _standing(piece: Group, reach_m: float) -> Group:
-    """A centred piece as a group with its back on y = 0."""
+    """Return a group of one piece, shifted so that its back is at y = 0."""
     return lambda shop: moved(piece(shop), placement(0.0, -reach_m))
 
 
@@ -93,7 +93,7 @@ _PLANT = _standing(small.plant, 0.48)
 _BIN = _standing(small.bin_, 0.18)
 _BALL = _standing(small.ball, 0.3)
 
-# Large groups first: they need the long free stretches of wall.
+# Large groups first, because they need long free sections of a wall.
 STYLES: dict[str, tuple[Group, ...]] = {
     "studio": (
         _bed_group, _sofa_group, _desk_group, _television_group, big.wardrobe, big.shelf,
@@ -108,10 +108,10 @@ STYLES: dict[str, tuple[Group, ...]] = {
 
 
 def furnish(plan: RoomPlan, shop: Workshop) -> list[Part]:
-    """Furniture along the walls, then pictures on what is left of them.
+    """Place furniture along the walls and pictures in the remaining space.
 
-    Some orders of placing leave no room for the last pieces, so several are tried and
-    the first that fits everything is kept, else the one that fits most.
+    Several random arrangements are tried. The first one that places all pieces is used, otherwise
+    the one that places most.
     """
     pieces = [group(shop) for group in STYLES[plan.style]]
     best: list[list[Part]] = []
@@ -128,7 +128,7 @@ def furnish(plan: RoomPlan, shop: Workshop) -> list[Part]:
 def _arrange(
     plan: RoomPlan, pieces: list[list[Part]], rng: np.random.Generator
 ) -> list[list[Part]]:
-    """The pieces in the world; those without a free place are left out."""
+    """Place the pieces in the world; pieces without a free place are omitted."""
     taken = _kept_clear(plan)
     placed = []
     for piece in pieces:
@@ -140,13 +140,13 @@ def _arrange(
 
 
 def _blocks(parts: list[Part]) -> list[Box]:
-    """What parts occupy; rugs can be stood on and block nothing."""
+    """Return the bounding boxes of the parts, except flat ones such as rugs."""
     boxes = [bounds([part]) for part in parts]
     return [b for b in boxes if b[1, 2] - b[0, 2] > _FLAT_M]
 
 
 def _kept_clear(plan: RoomPlan) -> list[Box]:
-    """Boxes before doors and windows, and the way of the camera in the middle."""
+    """Return the boxes in front of doors and windows and around the camera path."""
     clear = []
     for opening in plan.openings:
         left, low, right, high = opening.extent_m
@@ -165,17 +165,17 @@ def _kept_clear(plan: RoomPlan) -> list[Box]:
 
 
 def _half_way(plan: RoomPlan, opening: Opening) -> float:
-    """Distance from a wall to the middle of the room, metres."""
+    """Return the distance from a wall to the centre of the room, metres."""
     return plan.size_m[1 if opening.side in ("north", "south") else 0] / 2
 
 
 def path_reach_m(plan: RoomPlan) -> NDArray[np.float64]:
-    """Half axes [2] of the loop that the camera walks in a room, metres."""
+    """Return the semi-axes [2] of the camera's loop in a room, metres."""
     return np.clip(np.array(plan.size_m) / 2 - 1.75, 0.2, 0.8)
 
 
 def _moved_box(T: NDArray, box_m: Box) -> Box:
-    """The box about a box turned by a multiple of a right angle, and shifted."""
+    """Transform an axis-aligned box by a translation and a rotation by a multiple of 90 degrees."""
     world = box_m @ T[:3, :3].T + T[:3, 3]
     return np.stack([world.min(axis=0), world.max(axis=0)])
 
@@ -183,14 +183,14 @@ def _moved_box(T: NDArray, box_m: Box) -> Box:
 def _free_place(
     plan: RoomPlan, extent: Box, blocks: list[Box], taken: list[Box], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """A motion [4, 4] to a free place along a wall, or None where there is none.
+    """Find a rigid motion [4, 4] to a free place along a wall; None if there is none.
 
     Args:
         plan: the room.
-        extent: about the whole piece; must lie inside the room.
-        blocks: about its parts; must not meet those that are taken.
-        taken: boxes in the room.
-        rng: for the order in which places are tried.
+        extent: bounding box of the piece, which must be inside the room.
+        blocks: bounding boxes of its parts, which must not intersect `taken`.
+        taken: occupied boxes in the room.
+        rng: source of randomness for the order of the tested places.
     """
     lowest, highest = extent
     others = np.stack(taken)
@@ -221,7 +221,7 @@ def _is_apart(box_m: Box, others: NDArray[np.float64]) -> bool:
 
 
 def _wall_hangings(plan: RoomPlan, shop: Workshop, taken: list[Box]) -> list[Part]:
-    """Pictures and a clock at eye height, a switch beside each door."""
+    """Place pictures and a clock at eye height, and a switch beside each door."""
     parts: list[Part] = []
     for opening in plan.openings:
         if opening.kind != "window":
@@ -235,9 +235,9 @@ def _wall_hangings(plan: RoomPlan, shop: Workshop, taken: list[Box]) -> list[Par
         lambda s: small.picture(s, 0.4, 0.4),
     ]
     for group in hangings:
-        # The gap is taken back: what hangs touches the wall.
+        # Undo the gap, so that the piece touches the wall.
         piece = moved(group(shop), placement(0.0, _GAP_M, 1.65))
-        # Nothing may stand before it either.
+        # The space in front of it must be free as well.
         around = bounds(piece) + np.array([[-0.12, -0.35, -0.05], [0.12, -_GAP_M, 0.05]])
         place = _free_place(plan, around, [around], taken, shop.rng)
         if place is not None:

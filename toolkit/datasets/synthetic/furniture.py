@@ -1,4 +1,4 @@
-"""Large furniture. Each piece stands on z = 0, its back on y = 0, its front towards -y."""
+"""Large furniture. Each piece has its base at z = 0, its back at y = 0 and its front towards -y."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ DARK: Colour = (0.2, 0.2, 0.22)
 
 
 class Workshop:
-    """Makes parts; each gets a random stream of its own."""
+    """Creates parts, each with its own random stream."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
 
     def part(self, name: str, patches: list[Patch], texture: Texture, glow: float = 0.0) -> Part:
-        """A part of the class `name`."""
+        """Create a part of the class `name`."""
         return Part(name, patches, texture, self.rng.spawn(1)[0], glow)
 
     def pick(self, choices: tuple[Colour, ...]) -> Colour:
-        """One of the colours, a little varied."""
+        """Choose one of the colours with a small random variation."""
         base = np.array(choices[self.rng.integers(len(choices))])
         varied = np.clip(base * self.rng.normal(1.0, 0.06, 3), 0.05, 0.95)
         return float(varied[0]), float(varied[1]), float(varied[2])
 
 
 def _legs(width: float, depth: float, height: float, thickness: float) -> list[Patch]:
-    """Four square legs under a rectangle whose back lies on y = 0."""
+    """Create four square legs under a rectangle whose back is at y = 0."""
     x = width / 2 - thickness
     corners = [(sx, y) for sx in (-x, x) for y in (-thickness, thickness - depth)]
     return [p for sx, y in corners for p in box((thickness, thickness, height), (sx, y, 0.0))]
@@ -99,7 +99,7 @@ def sofa(shop: Workshop) -> list[Part]:
 
 
 def _leaning(patch: Patch, x: float, yaw_rad: float) -> Patch:
-    """A lying cushion set upright on the sofa's seat against its back."""
+    """Rotate a horizontal cushion so that it leans against the back of the sofa."""
     upright = se3.exp_so3(np.array([0.0, 0.0, yaw_rad])) @ se3.exp_so3(np.array([1.15, 0.0, 0.0]))
     place = np.array([x, -0.36, 0.66])
     return patch.transformed(se3.from_rotation_translation(upright, place))
@@ -118,7 +118,7 @@ def wardrobe(shop: Workshop) -> list[Part]:
 
 
 def desk(shop: Workshop) -> list[Part]:
-    """A desk, 1.3 x 0.65 m, 0.74 m high, without what stands on it."""
+    """A desk, 1.3 x 0.65 m, 0.74 m high, without objects on it."""
     top = box((1.3, 0.65, 0.04), (0.0, -0.325, 0.7))
     body = _legs(1.3, 0.65, 0.7, 0.05) + box((0.36, 0.5, 0.4), (0.42, -0.3, 0.3))
     return [
@@ -130,7 +130,7 @@ def desk(shop: Workshop) -> list[Part]:
 def table(
     shop: Workshop, width: float = 1.2, depth: float = 0.8, height: float = 0.74
 ) -> list[Part]:
-    """A table, its back edge on y = 0."""
+    """A table with its back edge at y = 0."""
     top = box((width, depth, 0.035), (0.0, -depth / 2, height - 0.035))
     legs = _legs(width, depth, height - 0.035, 0.06)
     colour = shop.pick(WOODS)
@@ -138,7 +138,7 @@ def table(
 
 
 def round_table(shop: Workshop, radius: float = 0.45, height: float = 0.45) -> list[Part]:
-    """A round table, its edge on y = 0."""
+    """A round table with its edge at y = 0."""
     x, y = 0.0, -radius
     patches = cylinder(radius, 0.03, (x, y, height - 0.03))
     patches += cylinder(0.035, height - 0.05, (x, y, 0.02)) + cylinder(0.22, 0.02, (x, y, 0.0))
@@ -146,7 +146,7 @@ def round_table(shop: Workshop, radius: float = 0.45, height: float = 0.45) -> l
 
 
 def chair(shop: Workshop) -> list[Part]:
-    """A wooden chair, 0.45 m wide, 0.9 m high; its back side on y = 0."""
+    """A wooden chair, 0.45 m wide, 0.9 m high, with its back at y = 0."""
     wood = _legs(0.45, 0.45, 0.43, 0.04)
     for x in (-0.205, 0.205):
         wood += box((0.035, 0.035, 0.47), (x, -0.02, 0.45))
@@ -183,7 +183,7 @@ def shelf(shop: Workshop, width: float = 0.9, height: float = 1.85) -> list[Part
 
 
 def _book_row(shop: Workshop, length: float, z: float) -> list[Part]:
-    """Books side by side from the left until a random place."""
+    """Create a row of books from the left that ends at a random position."""
     parts: list[Part] = []
     x = -length / 2
     end = x + length * shop.rng.uniform(0.55, 1.0)
@@ -257,7 +257,7 @@ def _shade_cloth(shop: Workshop) -> Texture:
 
 
 def curtain(shop: Workshop, width: float, height: float) -> list[Part]:
-    """A hanging curtain in folds; its back on y = 0, its foot on z = 0."""
+    """A curtain with folds, its back at y = 0 and its lower edge at z = 0."""
     flat = fine_plate((-width / 2, -0.06, height), (width, 0, 0), (0, 0, -height), (40, 8))
     phase = shop.rng.uniform(0, 2 * np.pi)
 

@@ -1,4 +1,4 @@
-"""Floor plans, and the way a camera takes through them."""
+"""Floor plans and the camera paths through them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from toolkit.datasets.synthetic.shell import WALL_HALF_M, Opening, RoomPlan, roo
 _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
 _CORRIDOR_DEPTH_M = 1.9
-_NORTH_OF_MIDDLE_M = 0.1  # where the camera walks in a corridor
+_NORTH_OF_MIDDLE_M = 0.1  # offset of the camera path from the middle of a corridor
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Rooms and the way through them.
+    """Rooms and the camera path through them.
 
     Attributes:
         rooms: floor plans.
-        looks: for each room the number that decides what is in it; rooms with the same
-            number, size and openings are identical.
-        way: what the camera passes and looks at.
+        looks: random seed of the content of each room; rooms with the same seed, size and
+            openings are identical.
+        way: way points of the camera path.
     """
 
     rooms: tuple[RoomPlan, ...]
@@ -40,18 +40,18 @@ class Layout:
 
 
 def single_room() -> Layout:
-    """One furnished room, 5.4 x 4.6 m; the camera walks a loop and looks around."""
+    """One furnished room, 5.4 x 4.6 m, in which the camera moves along a loop."""
     openings = (Opening("north", 4.2, "window"), Opening("south", 4.4, "door"))
     plan = RoomPlan((0.0, 0.0), (5.4, 4.6), openings, "studio")
     return Layout((plan,), (0,), tuple(_look_around(plan, 0.0, math.radians(368))))
 
 
 def ring_of_rooms() -> Layout:
-    """Four rooms, each joined to two others; the camera comes back to the first one."""
+    """Four rooms connected in a ring; the camera returns to the first one."""
     size = (4.0, 4.0)
     pitch = (size[0] + _WALL_M) / 2
     middle = size[0] / 2
-    # Counter-clockwise from the south-west; each room's door to the next comes last.
+    # Counter-clockwise from the south-west; the second opening leads to the next room.
     plans = [
         RoomPlan((sx * pitch, sy * pitch), size, openings, style)
         for sx, sy, style, openings in (
@@ -61,7 +61,7 @@ def ring_of_rooms() -> Layout:
             (-1, 1, "dining", _ring_openings("east", "south", "west", middle)),
         )
     ]
-    # Turning the long way round shows the whole of each room.
+    # Rotating the long way around shows each room completely.
     turn = math.radians(-270)
     way: list[WayPoint] = []
     for number in (0, 1, 2, 3, 0):
@@ -85,15 +85,15 @@ def rooms_with_corridor() -> Layout:
 
 
 def hall_of_rooms() -> Layout:
-    """Twelve different rooms on four corridors in a row: four times `rooms_with_corridor`."""
+    """Twelve different rooms on four corridors in a row (four times `rooms_with_corridor`)."""
     styles = ("office", "bedroom", "dining", "living")
     return _corridor_layout(styles * 3, tuple(range(21, 33)), tuple(range(12)))
 
 
 def twin_rooms() -> Layout:
-    """Two identical rooms beside a third, on one corridor: what looks equal is not.
+    """Two identical rooms and a third one on a corridor, to test for perceptual aliasing.
 
-    The camera comes back to the first of the two, where both a true loop and a false one offer.
+    The camera returns to the first of the two, so there is a true and a false loop candidate.
     """
     return _corridor_layout(("office", "living", "office"), (1, 2, 1), (0, 1, 2, 0))
 
@@ -101,7 +101,7 @@ def twin_rooms() -> Layout:
 def _corridor_layout(
     styles: tuple[str, ...], looks: tuple[int, ...], visits: tuple[int, ...]
 ) -> Layout:
-    """Rooms in a row along x, each with a door to a corridor in the south; three share one."""
+    """Create rooms in a row along x; three at a time share a corridor in the south."""
     size = (4.2, 4.0)
     pitch = size[0] + _WALL_M
     door = size[0] / 2
@@ -126,12 +126,13 @@ def _corridor_layout(
 
 
 def _corridor(rooms: list[RoomPlan], west: bool, east: bool) -> RoomPlan:
-    """South of some rooms in a row, with a door to each, and open to the corridors beside it."""
+    """Create the corridor south of a row of rooms, open to the corridors in the west and east."""
     width, depth = rooms[0].size_m
     left, right = rooms[0].centre_m[0], rooms[-1].centre_m[0]
     centre = ((left + right) / 2, -(depth + _CORRIDOR_DEPTH_M) / 2 - _WALL_M)
     openings = [Opening("north", room.centre_m[0] - left + width / 2, "passage") for room in rooms]
-    # In line with the way. A wall's left end, seen from inside: in the west it is the south.
+    # On the camera path. Positions are measured from a wall's left end as seen from inside, which
+    # is the southern end in the west.
     if west:
         openings.append(Opening("west", _CORRIDOR_DEPTH_M / 2 + _NORTH_OF_MIDDLE_M, "passage"))
     if east:
@@ -141,7 +142,7 @@ def _corridor(rooms: list[RoomPlan], west: bool, east: bool) -> RoomPlan:
 
 
 def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[WayPoint]:
-    """Way points in the corridor from one room's door towards the next one's."""
+    """Return the way points in the corridor from one room's door to the next."""
     y = corridor.centre_m[1] + _NORTH_OF_MIDDLE_M
     x0, x1 = start.centre_m[0], end.centre_m[0]
     east = x1 > x0
@@ -154,7 +155,7 @@ def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[W
 def _visit(
     plan: RoomPlan, entry: Opening | None, leave: Opening, heading_rad: float, turn_rad: float
 ) -> list[WayPoint]:
-    """Through the entry, around the room by a turn, and out by another door."""
+    """Return the way points through the entry, around the room and out of another door."""
     way: list[WayPoint] = []
     if entry is not None:
         sill, _ = plan.door_way(entry)
@@ -172,21 +173,21 @@ def _heading(plan: RoomPlan, door: Opening, inward: bool) -> float:
 
 
 def _looking(stand: NDArray | tuple[float, float], heading_rad: float) -> WayPoint:
-    """Straight ahead and a little down."""
+    """Return a way point that looks straight ahead and slightly down."""
     x, y = stand
     ahead = (x + 2 * math.cos(heading_rad), y + 2 * math.sin(heading_rad), _EYE_M - 0.25)
     return WayPoint((float(x), float(y), _EYE_M), ahead)
 
 
 def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayPoint]:
-    """A loop about the middle of a room, looking across at what stands by the walls."""
+    """Return a loop around the centre of a room that looks across at the opposite walls."""
     count = max(2, round(abs(turn_rad) / math.radians(30))) + 1
     centre, reach = np.array(plan.centre_m), path_reach_m(plan)
     wall = np.array(plan.size_m) / 2
     points = []
     for number, angle in enumerate(np.linspace(start_rad, start_rad + turn_rad, count)):
         direction = np.array([math.cos(angle), math.sin(angle)])
-        # Standing on the far side of the loop, the camera sees the most of the wall.
+        # From the far side of the loop, the camera sees the largest part of the wall.
         x, y = centre - reach * direction
         target_x, target_y = centre + wall * direction
         height = _EYE_M + 0.1 * math.sin(2.3 * number)
@@ -196,10 +197,10 @@ def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayP
 
 
 def build_parts(layout: Layout, seed: int) -> list[Part]:
-    """All surfaces of a layout."""
+    """Create all surfaces of a layout."""
     parts: list[Part] = []
     for plan, look in zip(layout.rooms, layout.looks, strict=True):
-        # Built about the origin, so that twins are equal to the last bit before they move.
+        # Built at the origin, so that identical rooms are bit-identical before they are placed.
         shop = Workshop(np.random.default_rng([seed, 1, look]))
         at_origin = replace(plan, centre_m=(0.0, 0.0))
         room = room_shell(at_origin, shop) + furnish(at_origin, shop)
@@ -208,7 +209,7 @@ def build_parts(layout: Layout, seed: int) -> list[Part]:
 
 
 def lamp_places(layout: Layout) -> NDArray[np.float64]:
-    """Middles [L, 3] of the ceiling lamps, metres; long rooms have several."""
+    """Return the centres [L, 3] of the ceiling lamps, metres; long rooms have several."""
     lamps = []
     for plan in layout.rooms:
         (x, y), (width, _) = plan.centre_m, plan.size_m
@@ -220,7 +221,7 @@ def lamp_places(layout: Layout) -> NDArray[np.float64]:
 
 
 def build_scene(layout: Layout, seed: int, texel_m: float) -> Scene:
-    """The layout's surfaces, painted and lit, ready to be looked at."""
+    """Build the textured and lit scene of a layout."""
     return Scene(build_parts(layout, seed), lamp_places(layout), texel_m)
 
 

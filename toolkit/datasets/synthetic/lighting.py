@@ -1,6 +1,6 @@
-"""Light that does not depend on the viewer, computed once at the vertices.
+"""View-independent lighting, computed once at the vertices.
 
-Soft shadows of ceiling lamps plus ambient light that corners receive less of.
+It consists of ceiling lamps with soft shadows and ambient light with ambient occlusion.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from toolkit.geometry.open3d_bridge import open3d
 
 _AMBIENT = 0.62
 _DIRECT = 0.75
-# Beyond this a surface no longer darkens its neighbour.
+# Maximum distance of ambient occlusion.
 _AMBIENT_REACH_M = 1.2
 _LAMP_EDGE_M = 0.7
 _CLEARANCE_M = 0.012
@@ -25,7 +25,7 @@ _CLEARANCE_M = 0.012
 def vertex_light(
     patches: list[Patch], lamps_m: NDArray[np.float64], scene: Any
 ) -> list[NDArray[np.floating]]:
-    """Brightness [R, C] of every patch's points, about 1 where well lit.
+    """Compute the brightness [R, C] at the points of every patch, about 1 where well lit.
 
     Args:
         patches: surfaces in the world.
@@ -46,7 +46,7 @@ def vertex_light(
 
 
 def _off_the_border(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Border points moved a little inwards: in a corner they would lie on two surfaces."""
+    """Move border points slightly inwards, because corner points belong to two surfaces."""
     points = points.copy()
     for axis in (0, 1):
         rows = np.moveaxis(points, axis, 0)
@@ -58,14 +58,14 @@ def _off_the_border(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _distances(origins: NDArray, directions: NDArray, scene: Any) -> NDArray[np.float32]:
-    """How many times each direction fits before something is hit [N]; inf for never."""
+    """Cast rays; return the hit distances [N] in units of the directions' length, or inf."""
     rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
     hits = scene.cast_rays(open3d().core.Tensor.from_numpy(rays), nthreads=1)
     return np.asarray(hits["t_hit"].numpy())
 
 
 def _openness(points: NDArray, normals: NDArray, scene: Any) -> NDArray[np.float64]:
-    """Cosine-weighted share [N] of the hemisphere that is free."""
+    """Compute the cosine-weighted unoccluded fraction [N] of the hemisphere."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(helper, normals)
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
@@ -80,7 +80,7 @@ def _openness(points: NDArray, normals: NDArray, scene: Any) -> NDArray[np.float
 
 
 def _hemisphere(count: int) -> NDArray[np.float64]:
-    """Directions [count, 3] about +z with density cos(angle), on a golden spiral."""
+    """Return directions [count, 3] around +z with density cos(angle), on a golden spiral."""
     number = np.arange(count) + 0.5
     radius = np.sqrt(number / count)
     angle = number * math.pi * (3.0 - math.sqrt(5.0))
@@ -92,7 +92,7 @@ def _hemisphere(count: int) -> NDArray[np.float64]:
 def _lamp_light(
     points: NDArray, normals: NDArray, lamps_m: NDArray, scene: Any
 ) -> NDArray[np.float64]:
-    """Lambert light [N] of square lamps, four samples each for soft shadows."""
+    """Compute Lambertian light [N] of square lamps, with four samples each for soft shadows."""
     half = _LAMP_EDGE_M / 2
     total = np.zeros(len(points))
     for lamp in np.asarray(lamps_m, dtype=float).reshape(-1, 3):
@@ -102,7 +102,7 @@ def _lamp_light(
             cosine = np.einsum("ij,ij->i", normals, towards) / np.maximum(distance, 1e-9)
             lit = np.flatnonzero((cosine > 0.0) & (distance < 6.0))
             free = _distances(points[lit], towards[lit], scene) >= 0.999
-            # Walls far away get less light, but no room is black in its corners.
+            # Light decreases with distance, but slowly, so that corners are not black.
             strength = cosine[lit] * free / (1.0 + (distance[lit] / 3.0) ** 2)
             total[lit] += 0.25 * strength
     return total

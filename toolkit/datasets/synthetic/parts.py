@@ -1,4 +1,4 @@
-"""A part: some surfaces of one class and one texture. Furniture is a list of parts."""
+"""Parts: surfaces of one class and one texture. A piece of furniture is a list of parts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Part:
     """Surfaces that share a class and a texture.
 
     Attributes:
-        class_name: one of Replica's.
-        patches: its surfaces, metres.
-        texture: paints each patch's chart.
-        rng: for the texture; two parts with equal streams look the same.
-        glow: least shading in [0, 1]: 0 for matter, 1 for screens and lamps.
+        class_name: a class name of Replica.
+        patches: surfaces, metres.
+        texture: paints the chart of each patch.
+        rng: random stream of the texture; parts with equal streams look the same.
+        glow: minimum brightness in [0, 1]: 0 for ordinary surfaces, 1 for screens and lamps.
     """
 
     class_name: str
@@ -30,16 +30,16 @@ class Part:
     glow: float = 0.0
 
     def transformed(self, T_new_old: NDArray[np.float64]) -> Part:
-        """The part moved rigidly by a motion [4, 4]."""
+        """Return the part transformed by a rigid motion [4, 4]."""
         return replace(self, patches=[patch.transformed(T_new_old) for patch in self.patches])
 
 
 def moved(parts: list[Part], T_new_old: NDArray[np.float64]) -> list[Part]:
-    """All parts moved rigidly by a motion [4, 4]."""
+    """Transform all parts by a rigid motion [4, 4]."""
     return [part.transformed(T_new_old) for part in parts]
 
 
 def bounds(parts: list[Part]) -> NDArray[np.float64]:
-    """Lowest and highest corner [2, 3] of all points, metres."""
+    """Return the minimum and maximum corner [2, 3] of all points, metres."""
     points = np.concatenate([p.points.reshape(-1, 3) for part in parts for p in part.patches])
     return np.stack([points.min(axis=0), points.max(axis=0)])

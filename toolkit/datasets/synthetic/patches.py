@@ -1,7 +1,7 @@
-"""Surfaces: grids of points with a flat chart, from which all furniture is made.
+"""Patches: surfaces as grids of points with a flat texture chart.
 
-The world is z up, metres. A patch has an outer side: seen from there its columns
-run to the right and its rows down, as in the image that is painted on its chart.
+The world is z up, in metres. Seen from the outer side of a patch, its columns run to the right and
+its rows down, as in the image on its chart.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from toolkit.geometry import se3
 
-# Light is stored at the vertices, so flat surfaces need some.
+# Light is stored at the vertices, so flat surfaces are subdivided as well.
 _VERTEX_STEP_M = 0.12
 
 
@@ -26,8 +26,8 @@ class Patch:
 
     Attributes:
         points: [R, C, 3] float64, metres; rows run down, columns to the right.
-        uv_m: [R, C, 2] float64, where each point lies on the chart, metres, from 0.
-        kept: [R - 1, C - 1] bool, the cells that exist; the others are holes.
+        uv_m: [R, C, 2] float64, chart coordinates of each point, metres, from 0.
+        kept: [R - 1, C - 1] bool, False for cells that are holes.
     """
 
     points: NDArray[np.float64]
@@ -41,11 +41,11 @@ class Patch:
         return float(width), float(height)
 
     def transformed(self, T_new_old: NDArray[np.float64]) -> Patch:
-        """The patch moved rigidly by a motion [4, 4]."""
+        """Return the patch transformed by a rigid motion [4, 4]."""
         return replace(self, points=se3.transform_points(T_new_old, self.points))
 
     def normals(self) -> NDArray[np.float64]:
-        """Unit normals [R, C, 3] on the outer side."""
+        """Compute unit normals [R, C, 3] that point to the outer side."""
         down = np.gradient(self.points, axis=0)
         right = np.gradient(self.points, axis=1)
         normals = np.cross(down, right)
@@ -53,7 +53,7 @@ class Patch:
         return normals / np.maximum(length, 1e-12)
 
     def triangles(self) -> NDArray[np.int64]:
-        """Vertex indices [M, 3] into the points in row-major order."""
+        """Return triangles [M, 3] as indices into the points in row-major order."""
         rows, columns = self.points.shape[:2]
         index = np.arange(rows * columns).reshape(rows, columns)
         a, b = index[:-1, :-1], index[:-1, 1:]
@@ -75,11 +75,11 @@ def plate(
     down: ArrayLike,
     holes: tuple[tuple[float, float, float, float], ...] = (),
 ) -> Patch:
-    """A flat rectangle.
+    """Create a flat rectangle.
 
     Args:
-        corner: its upper left corner [3], metres, seen from outside.
-        right, down: its edges [3] from there, perpendicular, metres.
+        corner: upper left corner [3] seen from outside, metres.
+        right, down: perpendicular edge vectors [3] from the corner, metres.
         holes: openings (left, top, right, bottom) in chart coordinates, metres.
     """
     right_vector, down_vector = np.asarray(right, float), np.asarray(down, float)
@@ -102,7 +102,7 @@ def plate(
 
 
 def _cuts(length: float, edges: list[float]) -> NDArray[np.float64]:
-    """Grid lines from 0 to length that contain the edges, evenly spaced between them."""
+    """Return grid lines from 0 to length that include the edges, equidistant between them."""
     if not edges:
         return np.linspace(0.0, length, max(1, math.ceil(length / _VERTEX_STEP_M)) + 1)
     stops = np.unique(np.clip([0.0, *edges, length], 0.0, length))
@@ -114,7 +114,7 @@ def _cuts(length: float, edges: list[float]) -> NDArray[np.float64]:
 
 
 def box(size: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[Patch]:
-    """Six plates; the box stands with the centre of its bottom on `base`, metres."""
+    """Create a box of six plates with the centre of its bottom at `base`, metres."""
     sx, sy, sz = np.asarray(size, float)
     x0, y0, z0 = np.asarray(base, float) - [sx / 2, sy / 2, 0.0]
     x1, y1, z1 = x0 + sx, y0 + sy, z0 + sz
@@ -129,12 +129,12 @@ def box(size: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[Patch]:
 
 
 def lathe(profile: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0), sections: int = 24) -> Patch:
-    """A surface of revolution about a vertical axis.
+    """Create a surface of revolution about a vertical axis.
 
     Args:
         profile: [K, 2] (radius, height above base) in metres, from top to bottom.
-        base: foot of the axis [3], metres.
-        sections: number of flat strips around it.
+        base: lower end of the axis [3], metres.
+        sections: number of flat strips around the axis.
     """
     radius, height = np.asarray(profile, float).T
     angle = np.linspace(0.0, 2 * math.pi, sections + 1)
@@ -153,7 +153,7 @@ def lathe(profile: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0), sections: int =
 
 
 def disk(radius: float, centre: ArrayLike, up: bool = True, sections: int = 24) -> Patch:
-    """A horizontal disk; its outer side looks up or down."""
+    """Create a horizontal disk whose outer side faces up or down."""
     turn = 2 * math.pi if up else -2 * math.pi
     angle = np.linspace(0.0, turn, sections + 1)
     rings = np.linspace(0.0, radius, max(2, math.ceil(radius / _VERTEX_STEP_M) + 1))
@@ -164,7 +164,7 @@ def disk(radius: float, centre: ArrayLike, up: bool = True, sections: int = 24) 
 
 
 def cylinder(radius: float, height: float, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[Patch]:
-    """A closed vertical cylinder that stands on `base`."""
+    """Create a closed vertical cylinder with the centre of its bottom at `base`."""
     x, y, z = np.asarray(base, float)
     profile = [(radius, h) for h in _cuts(height, [])[::-1]]
     return [
@@ -175,7 +175,7 @@ def cylinder(radius: float, height: float, base: ArrayLike = (0.0, 0.0, 0.0)) ->
 
 
 def ellipsoid(radii: ArrayLike, centre: ArrayLike) -> Patch:
-    """An ellipsoid with semi-axes [3] in metres."""
+    """Create an ellipsoid with semi-axes [3] in metres."""
     polar = np.linspace(0.0, math.pi, 13)
     unit = lathe(np.stack([np.sin(polar), np.cos(polar)], axis=-1))
     rx, ry, rz = np.asarray(radii, float)
@@ -185,15 +185,15 @@ def ellipsoid(radii: ArrayLike, centre: ArrayLike) -> Patch:
 
 
 def cushion(size: ArrayLike, base: ArrayLike, exponent: float = 2.0) -> list[Patch]:
-    """A soft block: upper and lower half meet in a seam.
+    """Create a cushion whose upper and lower half meet at a seam.
 
     Args:
         size: width, depth, thickness [3], metres.
-        base: centre of its underside [3], metres.
-        exponent: 2 for a pillow; 8 for a mattress with rounded edges.
+        base: centre of the underside [3], metres.
+        exponent: 2 for a pillow, 8 for a mattress with rounded edges.
     """
     width, depth, thickness = np.asarray(size, float)
-    # Cosine spacing: the height drops steeply at the seam.
+    # Cosine spacing, because the height decreases steeply at the seam.
     line = -np.cos(np.linspace(0.0, math.pi, 17))
     x, y = np.meshgrid(line, -line)
     bulge = np.clip((1 - np.abs(x) ** exponent) * (1 - np.abs(y) ** exponent), 0.0, 1.0)
@@ -208,7 +208,7 @@ def cushion(size: ArrayLike, base: ArrayLike, exponent: float = 2.0) -> list[Pat
 
 
 def bent(patch: Patch, displace: Callable[[NDArray, NDArray], NDArray]) -> Patch:
-    """The patch with its points moved along its first normal by displace(u_m, v_m)."""
+    """Displace the points of a patch along its first normal by displace(u_m, v_m)."""
     normal = patch.normals()[0, 0]
     amount = displace(patch.uv_m[..., 0], patch.uv_m[..., 1])
     return replace(patch, points=patch.points + amount[..., None] * normal)
@@ -217,7 +217,7 @@ def bent(patch: Patch, displace: Callable[[NDArray, NDArray], NDArray]) -> Patch
 def fine_plate(
     corner: ArrayLike, right: ArrayLike, down: ArrayLike, cells: tuple[int, int]
 ) -> Patch:
-    """A plate with a given number of cells (columns, rows), to be bent."""
+    """Create a plate with a given number of cells (columns, rows), for use with `bent`."""
     right_vector, down_vector = np.asarray(right, float), np.asarray(down, float)
     s, t = np.meshgrid(np.linspace(0, 1, cells[0] + 1), np.linspace(0, 1, cells[1] + 1))
     points = np.asarray(corner, float) + s[..., None] * right_vector + t[..., None] * down_vector
@@ -226,7 +226,7 @@ def fine_plate(
 
 
 def placement(x: float, y: float, z: float = 0.0, yaw_rad: float = 0.0) -> NDArray[np.float64]:
-    """Motion [4, 4] that turns about the vertical axis, then shifts (metres)."""
+    """Return the motion [4, 4] of a rotation about the vertical axis and a translation (metres)."""
     return se3.from_rotation_translation(
         se3.exp_so3(np.array([0.0, 0.0, yaw_rad])), np.array([x, y, z])
     )

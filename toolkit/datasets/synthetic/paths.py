@@ -1,4 +1,4 @@
-"""Camera paths as a person would hold the camera: smooth, with a little sway.
+"""Camera paths of a hand-held camera: smooth, with a small sway.
 
 Camera axes are x right, y down, z forward; the world is z up.
 """
@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 
-# A person's pace at 30 Hz: one frame is about this far, or a turn by this much.
+# Translation and rotation per frame at walking pace and 30 Hz.
 _STEP_M = 0.0155
 _TURN_RAD = math.radians(1.27)
 
 
 @dataclass(frozen=True)
 class WayPoint:
-    """Where the camera passes and what it looks at, in metres."""
+    """A camera position and its target point, in metres."""
 
     position_m: tuple[float, float, float]
     target_m: tuple[float, float, float]
 
 
 def look_at(position_m: NDArray, target_m: NDArray) -> NDArray[np.float64]:
-    """Pose [4, 4] at a position [3] that looks at a target [3], without roll."""
+    """Return the pose [4, 4] at a position [3] that looks at a target [3], without roll."""
     forward = np.asarray(target_m, float) - position_m
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -39,13 +39,13 @@ def look_at(position_m: NDArray, target_m: NDArray) -> NDArray[np.float64]:
 def hand_held_path(
     way_points: tuple[WayPoint, ...], frames: int | None, share: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Poses [frames, 4, 4] along way points, evenly paced, with sway.
+    """Return poses [frames, 4, 4] along way points at constant pace, with sway.
 
     Args:
         way_points: at least three.
-        frames: how many poses; None: as many as a person's pace gives at 30 Hz.
-        share: the part of the path that is walked, in (0, 1].
-        rng: for the sway.
+        frames: number of poses; None for walking pace at 30 Hz.
+        share: fraction of the path to use, in (0, 1].
+        rng: source of randomness of the sway.
     """
     dense = _spline(way_points, 200 * len(way_points))
     pace = _evenly_paced(dense)
@@ -53,7 +53,7 @@ def hand_held_path(
         frames = max(2, round(share * _pace_length(dense) / _STEP_M))
     moments = np.interp(np.linspace(0.0, share, frames), pace, np.linspace(0.0, 1.0, len(dense)))
     position, angles = _at(dense, moments)
-    # The sway follows the way walked, so that a shorter walk is the start of a longer one.
+    # The sway depends on the travelled distance, so that a shorter path is the start of a longer.
     sway = _sway(np.linspace(0.0, share, frames) * _pace_length(dense), rng)
     return np.stack(
         [_pose(p + s[:3], a + s[3:5], s[5]) for p, a, s in zip(position, angles, sway, strict=True)]
@@ -61,7 +61,7 @@ def hand_held_path(
 
 
 def _spline(way_points: tuple[WayPoint, ...], count: int) -> NDArray[np.float64]:
-    """Points [count, 5] on a cubic through the way points: position, yaw, pitch."""
+    """Return points [count, 5] on a cubic spline through the way points: position, yaw, pitch."""
     positions = np.array([w.position_m for w in way_points])
     forward = np.array([w.target_m for w in way_points]) - positions
     yaw = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
@@ -77,7 +77,7 @@ def _catmull_rom(knots: NDArray, count: int) -> NDArray[np.float64]:
     s = (place - first)[:, None]
     a, b, c, d = (padded[first + k] for k in range(4))
     curve = b + 0.5 * s * (c - a + s * (2 * a - 5 * b + 4 * c - d + s * (3 * (b - c) + d - a)))
-    # Catmull-Rom bends abruptly at its knots; a wide average takes the jolts out.
+    # The acceleration of Catmull-Rom splines jumps at the knots; a wide average smooths it.
     width = max(3, count // (2 * len(knots)) | 1)
     kernel = np.hanning(width + 2)[1:-1]
     kernel /= kernel.sum()
@@ -86,16 +86,16 @@ def _catmull_rom(knots: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _effort(dense: NDArray) -> NDArray[np.float64]:
-    """Length of each step, metres, where turning takes time as well."""
+    """Return the length of each step in metres, including an equivalent length for rotation."""
     change = np.diff(dense, axis=0)
     turn = np.hypot(change[:, 3] * np.cos(dense[:-1, 4]), change[:, 4])
     walk = np.linalg.norm(change[:, :3], axis=1)
-    # A soft maximum: one turns while walking, up to the limits of both.
+    # A soft maximum, because translation and rotation happen simultaneously.
     return (walk**4 + (turn * _STEP_M / _TURN_RAD) ** 4) ** 0.25
 
 
 def _pace_length(dense: NDArray) -> float:
-    """Whole effort of a path, metres."""
+    """Return the total effort of a path, metres."""
     return float(_effort(dense).sum())
 
 
@@ -111,7 +111,7 @@ def _at(dense: NDArray, moments: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _sway(way_m: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Small smooth motion [N, 6]: x, y, z (m), yaw, pitch, roll (rad)."""
+    """Return small smooth motions [N, 6]: x, y, z (m), yaw, pitch, roll (rad)."""
     reach = np.array([0.012, 0.012, 0.018, 0.012, 0.012, 0.015])
     out = np.zeros((len(way_m), 6))
     for wavelength_m, share in ((1.3, 0.65), (0.55, 0.35)):

@@ -1,4 +1,4 @@
-"""Textures that show something: paintings, screens, windows, books, dials, leaves."""
+"""Textures with content: paintings, screens, windows, books, dials, leaves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from toolkit.datasets.synthetic.textures import Colour, Texture
 
 
 def painting(palette: NDArray[np.float64]) -> Texture:
-    """Abstract art in a frame: layers of shapes from a palette [K, 3]."""
+    """A framed abstract painting: layers of shapes with colours of a palette [K, 3]."""
 
     def paint(canvas: Canvas) -> Image:
         rng = canvas.rng
@@ -86,7 +86,7 @@ def leaf(colour: Colour = (0.2, 0.45, 0.16)) -> Texture:
 
 
 def landscape(bar_m: float = 0.05) -> Texture:
-    """Sky with clouds, hills and trees; a window's bars of this width lie before it."""
+    """Sky with clouds and hills behind window bars of the given width."""
 
     def paint(canvas: Canvas) -> Image:
         u, v = canvas.coordinates()

@@ -1,4 +1,4 @@
-"""From parts to images: colour, depth and labels of a view, by Open3D's ray casting."""
+"""Rendering of colour, depth and labels of synthetic scenes with Open3D's ray casting."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
 
-# Lens and demosaicking of a real camera; images get the local contrast of real ones
-# (4.3 grey levels from pixel to pixel at 320x240, as in 7-Scenes) and edges do not alias.
+# Models the lens and demosaicking of a real camera. Images have the local contrast of real ones
+# (4.3 grey levels between neighbouring pixels at 320x240, as in 7-Scenes) and no aliasing.
 _LENS_BLUR_PIXELS = 0.6
 _MISS = np.uint32(0xFFFFFFFF)
 
 
 @dataclass(frozen=True)
 class View:
-    """What an ideal camera sees.
+    """Images of an ideal camera.
 
     Attributes:
         rgb: [H, W, 3] float32 in [0, 1], averaged over each pixel.
-        depth_m: [H, W] float32 z-depth at pixel centres, 0 where nothing is hit.
-        labels: [H, W] int32 class ids at pixel centres, 0 where nothing is hit.
-        cosine: [H, W] float32, of the angle between ray and normal at pixel centres.
+        depth_m: [H, W] float32 z-depth at pixel centres, 0 where no surface is hit.
+        labels: [H, W] int32 class ids at pixel centres, 0 where no surface is hit.
+        cosine: [H, W] float32 cosine of the angle between ray and normal at pixel centres.
     """
 
     rgb: NDArray[np.float32]
@@ -40,7 +40,7 @@ class View:
 
 
 class Scene:
-    """Textured, lit and labelled surfaces, ready to be looked at.
+    """Textured, lit and labelled surfaces for rendering.
 
     Args:
         parts: all surfaces in the world, metres, z up.
@@ -79,23 +79,23 @@ class Scene:
         self._triangle_looks = _barycentric_form(self._vertex_looks[self.triangles])
 
     def distance_m(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Distance [N] from points [N, 3] to the nearest surface, metres."""
+        """Compute the distances [N] from points [N, 3] to the nearest surface, metres."""
         query = open3d().core.Tensor.from_numpy(np.asarray(points, dtype=np.float32))
         return np.asarray(self.casting.compute_distance(query, nthreads=1).numpy())
 
     def vertex_colours(self) -> NDArray[np.float32]:
-        """Colours [V, 3] in [0, 1] of the vertices, for the mesh on disk."""
+        """Compute vertex colours [V, 3] in [0, 1] for the mesh file."""
         looks = self._vertex_looks
         colours = self.atlas.sample(looks[:, :2], np.full(len(looks), 3.0, dtype=np.float32))
         return np.clip(colours * looks[:, 2:] / 255.0, 0.0, 1.0)
 
     def render(self, camera: Camera, T_world_camera: NDArray, samples: int = 2) -> View:
-        """What the camera sees.
+        """Render a view.
 
         Args:
-            camera: any size.
-            T_world_camera: its pose [4, 4].
-            samples: rays along each side of a pixel, for colour.
+            camera: intrinsics and image size.
+            T_world_camera: [4, 4] pose.
+            samples: number of rays along each side of a pixel for colour.
         """
         shape = (camera.height, camera.width)
         hits = self._cast(camera, T_world_camera)
@@ -109,7 +109,7 @@ class Scene:
         )
 
     def render_depth(self, camera: Camera, T_world_camera: NDArray) -> NDArray[np.float32]:
-        """The z-depth [H, W] alone, metres, 0 where nothing is hit."""
+        """Render only the z-depth [H, W] in metres, 0 where no surface is hit."""
         hits = self._cast(camera, T_world_camera)
         depth_m = np.where(hits.triangle != _MISS, hits.depth_m, 0.0)
         return depth_m.astype(np.float32).reshape(camera.height, camera.width)
@@ -121,8 +121,8 @@ class Scene:
         looks = self._triangle_looks.take(np.where(hit, hits.triangle, 0), axis=0)
         u, v = hits.barycentric[:, :1], hits.barycentric[:, 1:]
         here = looks[:, :3] + u * looks[:, 3:6] + v * looks[:, 6:]
-        # The texture is averaged over the ray's share of the surface; at grazing angles
-        # that share is long, and the mean of its sides is the fair compromise.
+        # The texture is averaged over the footprint of the ray. At grazing angles the footprint is
+        # elongated, and the geometric mean of its sides is used.
         spacing_m = np.where(hit, hits.depth_m, 0.0) / fine.focal
         stretch = np.sqrt(np.maximum(hits.cosine, 0.05))
         level = np.log2(np.maximum(spacing_m / stretch / self.atlas.texel_m, 1e-3))
@@ -134,9 +134,9 @@ class Scene:
         return np.clip(image, 0.0, 1.0).astype(np.float32)
 
     def _cast(self, camera: Camera, T_world_camera: NDArray) -> _Hits:
-        """One ray a pixel, through pixel centres.
+        """Cast one ray through each pixel centre.
 
-        The directions have z = 1 in the camera, so that the distance is the z-depth.
+        The directions have z = 1 in camera coordinates, so that hit distances are z-depths.
         """
         T = np.asarray(T_world_camera, dtype=np.float64)
         directions = camera.rays().reshape(-1, 3) @ T[:3, :3].T
@@ -163,6 +163,6 @@ class _Hits:
 
 
 def _barycentric_form(corners: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Per triangle [M, 9]: value at the first corner and its change along both edges."""
+    """Return per triangle the value at the first corner and its change along both edges [M, 9]."""
     first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
     return np.concatenate([first, second - first, third - first], axis=1)

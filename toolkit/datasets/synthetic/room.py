@@ -1,4 +1,4 @@
-"""Synthetic rooms: settings in, a folder or frames in memory out."""
+"""Creation of synthetic rooms as a dataset folder or as frames in memory."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 
 RATE_HZ = 30.0
-# The default room's way at a person's pace; other layouts count theirs from the way.
+# Number of frames of the default room at walking pace; other layouts compute it from the path.
 _ROOM_FRAMES = 300
-# Streams of randomness beside the furniture's, which is 1.
+# Identifiers of random streams; 1 is used for furniture.
 _SWAY, _SENSOR, _UNSEEN = 2, 3, 4
 
 _log = logging.getLogger(__name__)
@@ -33,18 +33,18 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RoomSettings:
-    """What to make.
+    """Settings of a synthetic room.
 
     Attributes:
         layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
             close a loop) or "twins" (two of three rooms are identical).
-        seed: decides furniture, textures, sway of the camera and noise; at least 0.
-        frames: how many, spread over the walk; None: a person's pace (300 for the default room,
-            about 2000 for the others).
-        share: part of the way that is walked, in (0, 1].
+        seed: random seed of furniture, textures, camera sway and noise, >= 0.
+        frames: number of frames, distributed over the path; None for walking pace (300 for the
+            default room, about 2000 for the others).
+        share: fraction of the path to use, in (0, 1].
         width, height: image size in pixels, at least 16.
-        sensor: effects of a real camera, or None for ideal images.
-        unseen: number of views off the path; they are always ideal.
+        sensor: simulated effects of a real camera, or None for ideal images.
+        unseen: number of test views off the path, which are always ideal.
     """
 
     layout: str = "room"
@@ -78,7 +78,7 @@ class RoomSettings:
         return Camera(focal, focal, *centre, self.width, self.height)
 
     def stream(self, purpose: int) -> np.random.Generator:
-        """Randomness for one purpose, independent of the others."""
+        """Return the random generator of one purpose, independent of the others."""
         return np.random.default_rng([self.seed, purpose])
 
 
@@ -90,12 +90,12 @@ def make_room(
     """Write a room in Replica's layout, with labels, mesh and unseen views.
 
     Args:
-        path: a new or empty folder, or one that holds an earlier synthetic room.
-        settings: what to make; the default room without them.
-        progress: wraps the frames, given their number, as they are made.
+        path: a new or empty folder, or the folder of an existing synthetic room.
+        settings: settings of the room; by default those of the default room.
+        progress: wraps the iterable of frames, given their number, to show progress.
 
     Raises:
-        DatasetError: the folder holds something else or cannot be written.
+        DatasetError: the folder contains other files or cannot be written.
         DependencyError: Open3D cannot be loaded.
     """
     settings = settings or RoomSettings()
@@ -123,10 +123,10 @@ def tiny_room(
     seed: int = 0,
     sensor: SensorModel | None = None,
 ) -> tuple[list[Frame], Trajectory]:
-    """The first steps in the default room, in memory, at a person's pace.
+    """Create the first frames of the default room in memory, at walking pace.
 
     Returns:
-        the frames, and the true poses at the frames' times.
+        The frames, and the true poses at their timestamps.
     """
     share = min(1.0, frames / _ROOM_FRAMES)
     settings = RoomSettings("room", seed, frames, share, width, height, sensor)
@@ -138,13 +138,13 @@ def tiny_room(
 
 
 def _texel_m(settings: RoomSettings) -> float:
-    """About one texel a pixel at one metre: finer detail would only alias."""
+    """Return a texel size of about one pixel at a distance of one metre."""
     return max(1.0 / settings.camera.focal, 0.0015)
 
 
 @functools.lru_cache(maxsize=2)
 def _shared_scene(layout_name: str, seed: int, texel_m: float) -> Scene:
-    """Scenes of tiny rooms are small and asked for often."""
+    """Build the scene of a tiny room; cached, because scenes are small and often reused."""
     return build_scene(LAYOUTS[layout_name](), seed, texel_m)
 
 
@@ -156,7 +156,7 @@ def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
 
 
 def _frames(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[Frame]:
-    """What the camera delivers along the path."""
+    """Yield the frames along the path."""
     camera = settings.camera
     if settings.sensor is None:
         yield from _ideal_frames(scene, camera, poses)

@@ -1,4 +1,4 @@
-"""What a cheap RGB-D camera makes of an ideal view."""
+"""Simulation of the effects of a consumer RGB-D camera."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from toolkit.datasets.synthetic.ray_casting import View
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
-# A structured-light camera: 580 px at 640 columns, 7.5 cm apart, 1/8 px disparity steps.
+# Structured-light camera: focal length 580 px at a width of 640, baseline 7.5 cm, disparity
+# resolution 1/8 px.
 _BASELINE_PIXELS_M = 580.0 * 0.075
 _DISPARITY_STEP = 0.125
 _NEAREST_M, _FARTHEST_M = 0.35, 8.0
@@ -21,16 +22,16 @@ _NEAREST_M, _FARTHEST_M = 0.35, 8.0
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Which effects are on.
+    """Effects to simulate.
 
     Attributes:
-        axial_noise: depth noise of sigma = 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 (Nguyen 2012).
-        quantisation: depth in steps of 1/8 pixel of disparity.
-        holes: no depth at grazing angles, beside depth edges, too near and too far.
+        axial_noise: depth noise with sigma = 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 (Nguyen 2012).
+        quantisation: depth is quantised in steps of 1/8 pixel of disparity.
+        holes: depth is missing at grazing angles, at depth edges and out of range.
         motion_blur: colour is averaged over 30 % of the time between frames.
-        exposure_drift: gain wanders by up to 8 %.
-        colour_noise: 1 % of white, independent in pixels and channels.
-        label_noise: borders of labels wander, and some blobs get a wrong class.
+        exposure_drift: the gain varies slowly by up to 8 %.
+        colour_noise: standard deviation 1 % of white, independent per pixel and channel.
+        label_noise: label borders are displaced and some blobs get a wrong class.
     """
 
     axial_noise: bool = True
@@ -43,13 +44,13 @@ class SensorModel:
 
 
 class Sensor:
-    """Applies a model to the views of a sequence.
+    """Applies a sensor model to the views of a sequence.
 
     Args:
-        model: which effects are on.
-        camera: of all views.
-        T_world_camera: [N, 4, 4] poses, from which the motion during exposure follows.
-        rng: source of all randomness; frames draw from streams of their own.
+        model: effects to simulate.
+        camera: camera of all views.
+        T_world_camera: [N, 4, 4] poses, which determine the motion during exposure.
+        rng: source of randomness, from which each frame gets its own stream.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class Sensor:
         self._streams = rng.spawn(len(self._poses))
 
     def observe(self, index: int, view: View) -> View:
-        """The view of frame `index` as the sensor delivers it."""
+        """Apply the sensor model to the view of frame `index`."""
         model = self._model
         colour, depth, wrong = self._streams[index].spawn(3)
         rgb, depth_m, labels = view.rgb, view.depth_m, view.labels
@@ -88,7 +89,7 @@ class Sensor:
         )
 
     def _motion(self, index: int) -> NDArray[np.float64]:
-        """T_next_now [4, 4] from this frame to the next (the last one repeats its own)."""
+        """Return T_next_now [4, 4] to the next frame; the last frame repeats the previous motion."""
         last = len(self._poses) - 1
         now = max(0, min(index, last - 1))
         return se3.inverse(self._poses[min(now + 1, last)]) @ self._poses[now]
@@ -106,10 +107,10 @@ class Sensor:
 def _motion_blurred(
     rgb: NDArray, depth_m: NDArray, camera: Camera, T_next_now: NDArray
 ) -> NDArray[np.floating]:
-    """Mean of the image shifted along its motion, over 30 % of the frame time.
+    """Average the image along its optical flow over 30 % of the frame time.
 
-    The image is moved by its own flow instead of being cast again for every moment:
-    the same but for what comes out from behind an edge, and much cheaper.
+    The image is warped by its flow instead of being rendered at several times. This differs only
+    at disocclusions and is much faster.
     """
     points = se3.transform_points(T_next_now, camera.unproject(depth_m))
     points[..., 2] = np.maximum(points[..., 2], 1e-3)
@@ -137,9 +138,9 @@ def _quantised(depth_m: NDArray) -> NDArray[np.floating]:
 
 
 def _with_holes(depth_m: NDArray, view: View, rng: np.random.Generator) -> NDArray[np.floating]:
-    """Holes where the pattern is not seen: slanted surfaces, and ragged ones at edges."""
+    """Remove depth on slanted surfaces, irregularly at depth edges, and out of range."""
     chance = rng.random(depth_m.shape, dtype=np.float32)
-    # From 75 degrees on ever fewer pixels answer; beyond 84 none do.
+    # The fraction of pixels with depth decreases from 75 degrees and is zero beyond 84.
     grazing = view.cosine < 0.1 + 0.16 * chance
     true = view.depth_m
     kernel = np.ones((3, 3), dtype=np.uint8)
@@ -151,7 +152,7 @@ def _with_holes(depth_m: NDArray, view: View, rng: np.random.Generator) -> NDArr
 
 def _wrong_labels(labels: NDArray, rng: np.random.Generator) -> NDArray[np.int32]:
     height, width = labels.shape
-    # Smooth shifts of about one pixel in 320 columns make borders wander.
+    # Displace borders smoothly by about one pixel at a width of 320.
     coarse = rng.standard_normal((2, max(2, height // 12), max(2, width // 12)))
     shift = [
         cv2.resize(plane.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)

@@ -1,4 +1,4 @@
-"""What encloses a room: floor, ceiling, walls with their openings, doors and windows."""
+"""Shell of a room: floor, ceiling, walls with openings, doors and windows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIDES: tuple[Side, ...] = ("north", "east", "south", "west")
 
 DOOR_WIDTH_M = 1.1
 DOOR_HEIGHT_M = 2.1
-# Half the thickness of a wall between two rooms: each room owns its half.
+# Half the thickness of a wall between two rooms; each room contains its half.
 WALL_HALF_M = 0.06
 
 
@@ -30,9 +30,9 @@ class Opening:
     """A door or window in a wall.
 
     Attributes:
-        side: which wall.
-        centre_m: along the wall from its left end, seen from inside.
-        kind: passage (leads into another room), door (closed) or window.
+        side: wall of the opening.
+        centre_m: position along the wall from its left end, seen from inside.
+        kind: passage (to another room), door (closed) or window.
     """
 
     side: Side
@@ -57,11 +57,11 @@ class RoomPlan:
     """A rectangular room.
 
     Attributes:
-        centre_m: middle (x, y) of its floor.
-        size_m: (along x, along y) between its walls.
+        centre_m: centre (x, y) of the floor.
+        size_m: inner size along x and y.
         openings: doors and windows.
-        style: which furniture it gets.
-        height_m: of the ceiling.
+        style: style of the furniture, a key of `furnishing.STYLES`.
+        height_m: height of the ceiling.
     """
 
     centre_m: tuple[float, float]
@@ -72,22 +72,22 @@ class RoomPlan:
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
-        """Inner walls (x0, y0, x1, y1)."""
+        """Positions of the inner walls (x0, y0, x1, y1)."""
         (x, y), (width, depth) = self.centre_m, self.size_m
         return x - width / 2, y - depth / 2, x + width / 2, y + depth / 2
 
     def wall_length_m(self, side: Side) -> float:
-        """Length of a wall."""
+        """Return the length of a wall."""
         return self.size_m[0] if side in ("north", "south") else self.size_m[1]
 
     def on_wall(self, side: Side, along_m: float, z_m: float = 0.0, gap_m: float = 0.0) -> NDArray:
-        """Motion [4, 4] that puts something with its back (+y) to a wall.
+        """Return the motion [4, 4] that places an object with its back (+y) at a wall.
 
         Args:
-            side: which wall.
-            along_m: from the wall's left end, seen from inside.
+            side: the wall.
+            along_m: position from the wall's left end, seen from inside.
             z_m: height.
-            gap_m: free space behind it.
+            gap_m: distance between object and wall.
         """
         x0, y0, x1, y1 = self.bounds_m
         if side == "north":
@@ -99,13 +99,13 @@ class RoomPlan:
         return placement(x0 + gap_m, y0 + along_m, z_m, math.pi / 2)
 
     def door_way(self, opening: Opening) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Middle [2] of an opening's sill and the direction [2] that leads out by it."""
+        """Return the centre [2] of an opening at floor level and the outward direction [2]."""
         T = self.on_wall(opening.side, opening.centre_m)
         return T[:2, 3], T[:2, 1]
 
 
 def room_shell(plan: RoomPlan, shop: Workshop) -> list[Part]:
-    """Floor, ceiling, walls, doors and windows of a room."""
+    """Create floor, ceiling, walls, doors and windows of a room."""
     width, depth = plan.size_m
     x0, y0, _, y1 = plan.bounds_m
     floor = plate((x0, y1, 0.0), (width, 0, 0), (0, -depth, 0))
@@ -134,7 +134,7 @@ def _floor_texture(shop: Workshop) -> tx.Texture:
 
 
 def _wall_papers(shop: Workshop) -> list[tx.Texture]:
-    """One texture a wall: a wall is told from its neighbours at a glance."""
+    """Return one texture per wall, so that walls differ clearly."""
     tints = ((0.82, 0.76, 0.64), (0.62, 0.72, 0.76), (0.74, 0.8, 0.68), (0.84, 0.7, 0.62))
     first, second = shop.pick(tints), shop.pick(tints)
     papers = [
@@ -147,7 +147,7 @@ def _wall_papers(shop: Workshop) -> list[tx.Texture]:
 
 
 def _wall(plan: RoomPlan, side: Side, paper: tx.Texture, shop: Workshop) -> list[Part]:
-    """A wall's plate with holes, and its skirting board."""
+    """Create the plate of a wall with holes, and its skirting board."""
     length, height = plan.wall_length_m(side), plan.height_m
     extents = [o.extent_m for o in plan.openings if o.side == side]
     holes = tuple((left, height - top, right, height - low) for left, low, right, top in extents)
@@ -167,7 +167,7 @@ def _wall(plan: RoomPlan, side: Side, paper: tx.Texture, shop: Workshop) -> list
 
 
 def _frame(width: float, low: float, high: float, depth: float) -> list[Patch]:
-    """A frame that lines an opening, centred on x = 0, from y = depth to just before y = 0."""
+    """Create the frame of an opening, centred at x = 0, from y = depth to just before y = 0."""
     thick, front = 0.05, 0.02
     y, deep = (depth - front) / 2, depth + front
     upright = high - low
@@ -185,7 +185,7 @@ def _passage(shop: Workshop) -> list[Part]:
 
 
 def _sill(shop: Workshop, depth: float) -> Part:
-    """The floor within an opening."""
+    """Create the floor within an opening."""
     flat = fine_plate((-DOOR_WIDTH_M / 2, depth, 0.0), (DOOR_WIDTH_M, 0, 0), (0, -depth, 0), (8, 1))
     return shop.part("floor", [flat], tx.wood(shop.pick(WOODS)))
 
@@ -212,7 +212,7 @@ def _closed_door(shop: Workshop) -> list[Part]:
 
 
 def _window(shop: Workshop) -> list[Part]:
-    """A recessed pane, a frame and, by chance, blinds or curtains."""
+    """Create a recessed pane, a frame and, at random, blinds or curtains."""
     width, low, high, deep = 1.4, 0.95, 2.15, 0.12
     pane = fine_plate((-width / 2, deep, high), (width, 0, 0), (0, 0, low - high), (8, 7))
     reveal = _frame(width, low + 0.05, high, deep)

@@ -1,7 +1,7 @@
-"""Small things that stand on furniture or hang on walls, and plants.
+"""Small objects on furniture or on walls, and plants.
 
-Things that stand: on z = 0, centred on x = y = 0. Things that hang: back on y = 0,
-front towards -y, centred on x = z = 0.
+Standing objects have their base at z = 0 and are centred at x = y = 0. Hanging objects have their
+back at y = 0 and their front towards -y, and are centred at x = z = 0.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def cup(shop: Workshop) -> list[Part]:
 
 
 def books(shop: Workshop) -> list[Part]:
-    """A stack of three lying books."""
+    """A stack of three books."""
     parts, z = [], 0.0
     for _ in range(3):
         height = shop.rng.uniform(0.025, 0.045)
@@ -98,13 +98,13 @@ def ball(shop: Workshop) -> list[Part]:
 
 
 def sculpture(shop: Workshop) -> list[Part]:
-    """A turned figure, 0.35 m high."""
+    """A lathe-turned sculpture, 0.35 m high."""
     profile = [(0.0, 0.35), (0.05, 0.31), (0.025, 0.25), (0.07, 0.15), (0.03, 0.06), (0.06, 0.0)]
     return [shop.part("sculpture", [lathe(profile)], tx.speckled((0.55, 0.5, 0.46), 0.15))]
 
 
 def monitor(shop: Workshop) -> list[Part]:
-    """A 0.56 m wide monitor on a foot, its screen towards -y."""
+    """A 0.56 m wide monitor on a stand with its screen towards -y."""
     case = box((0.56, 0.035, 0.35), (0.0, 0.0, 0.1)) + box((0.05, 0.03, 0.12), (0.0, 0.03, 0.0))
     case += box((0.24, 0.18, 0.012))
     face = fine_plate((-0.27, -0.0185, 0.44), (0.54, 0, 0), (0, 0, -0.33), (4, 3))
@@ -148,7 +148,7 @@ def plant(shop: Workshop, height: float = 1.3) -> list[Part]:
 
 
 def _leaf(rng: np.random.Generator, number: int, z: float) -> Patch:
-    """One arching leaf, pointed at both ends, that starts on the stem at height z."""
+    """Create an arching leaf, pointed at both ends, that starts at the stem at height z."""
     length, width = rng.uniform(0.36, 0.5), rng.uniform(0.1, 0.14)
     along = np.linspace(0.0, 1.0, 9)
     arch = np.stack([along * length * 0.85, 0.34 * along * (1.25 - along)], axis=-1)

@@ -1,7 +1,7 @@
-"""Procedural textures: each returns a painter of charts.
+"""Procedural textures; each function returns a callable that paints charts.
 
-Colours are RGB in [0, 1], lengths metres. Every texture has detail at several
-scales, down to about a centimetre, as real surfaces have.
+Colours are RGB in [0, 1] and lengths are in metres. Like real surfaces, every texture has detail at
+several scales, down to about a centimetre.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def tiles(light: Colour, dark: Colour, size_m: float = 0.3) -> Texture:
 
     def paint(canvas: Canvas) -> Image:
         u, v = canvas.coordinates()
-        # A soft checker: the product of two soft square waves.
+        # Soft checkerboard: the product of two soft square waves.
         wave_u = 2 * canvas.pulse(u - size_m / 2, 2 * size_m, size_m) - 1
         wave_v = 2 * canvas.pulse(v - size_m / 2, 2 * size_m, size_m) - 1
         image = mix(canvas.flat(light), dark, (1 + wave_u * wave_v) / 2)
@@ -99,7 +99,7 @@ def weave(colour: Colour, thread_m: float = 0.014, contrast: float = 0.09) -> Te
     def paint(canvas: Canvas) -> Image:
         u, v = canvas.coordinates()
         threads = np.sin(np.pi * u / thread_m) * np.sin(np.pi * v / thread_m)
-        # Below two texels a thread the weave averages out.
+        # With less than two texels per thread the pattern is averaged.
         visible = float(np.clip(thread_m / canvas.texel_m - 2.0, 0.0, 1.0))
         value = 1.0 + contrast * (0.6 * visible * threads + 0.5 * canvas.noise(0.08, 3))
         return canvas.flat(colour) * value[..., None]

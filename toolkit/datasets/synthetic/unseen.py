@@ -1,4 +1,4 @@
-"""Views beside the path that show what the path has shown: for judging a map."""
+"""Test views off the camera path that show surfaces seen from the path."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _COLUMNS = 40
 def poses_off_the_path(
     scene: Scene, camera: Camera, T_world_camera: NDArray, count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Poses [up to count, 4, 4] at least a step away from the path.
+    """Return up to `count` poses [K, 4, 4] beside the path.
 
-    Nearly all that they see is also seen from the path, so that a map made on the path
-    can be asked for them. Where no such pose is found there are fewer.
+    Nearly all surfaces in these views are also seen from the path, so that a map built along the
+    path can be evaluated on them. Fewer poses are returned if not enough are found.
     """
     small = _small(camera)
     chosen = np.linspace(0, len(T_world_camera) - 1, min(len(T_world_camera), 80))
@@ -47,7 +47,7 @@ def _small(camera: Camera) -> Camera:
 
 
 def _beside(T_world_camera: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A pose some 10 to 30 cm and up to 15 degrees away, as level as the one it is beside."""
+    """Return a random pose at 10 to 30 cm and up to 15 degrees of yaw, without additional roll."""
     T = T_world_camera.copy()
     direction = rng.standard_normal(3) * [1.0, 1.0, 0.5]
     T[:3, 3] += direction / np.linalg.norm(direction) * rng.uniform(0.1, 0.3)
@@ -61,7 +61,7 @@ def _beside(T_world_camera: NDArray, rng: np.random.Generator) -> NDArray[np.flo
 def _seen_share(
     scene: Scene, camera: Camera, T: NDArray, witnesses: list[tuple[NDArray, NDArray]]
 ) -> float:
-    """Share of a view's pixels whose surface some witness sees as well."""
+    """Return the fraction of a view's pixels whose surface is visible in a reference view."""
     depth = scene.render_depth(camera, T)
     points = se3.transform_points(T, camera.unproject(depth).reshape(-1, 3))
     seen = np.zeros(len(points), dtype=bool)
@@ -72,6 +72,6 @@ def _seen_share(
         x, y = np.round(camera.project(safe)).astype(int).T
         ahead &= (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         x, y = np.where(ahead, x, 0), np.where(ahead, y, 0)
-        # A coarse image: neighbours of a slanted surface differ by some per cent.
+        # Images are coarse: depths of neighbouring pixels on slanted surfaces differ by a few %.
         seen |= ahead & (local[:, 2] < 1.05 * witness_depth[y, x] + 0.05)
     return float(seen.mean())

@@ -1,4 +1,4 @@
-"""Replica's class names and ids, which synthetic rooms use too."""
+"""Class names and ids of Replica, which are also used for synthetic rooms."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Writes a synthetic sequence in Replica's layout (NICE-SLAM's), labels and mesh beside it.
+"""Writing of synthetic sequences in Replica's layout (NICE-SLAM) with labels and mesh.
 
-Colour is PNG: JPEG alone would hold a reconstruction at about 40 dB.
+Colour images are PNG files, because JPEG artefacts would limit the PSNR to about 40 dB.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ MARKER = "room.json"
 
 
 def prepare_folder(path: Path) -> None:
-    """Make the folder; what an earlier room left there goes away.
+    """Create the folder and delete the files of an earlier room in it.
 
     Raises:
-        DatasetError: it holds something that is not a synthetic room.
+        DatasetError: the folder contains files that are not of a synthetic room.
     """
     if path.exists() and not path.is_dir():
         raise DatasetError(f"{path} is a file; give a folder for the room")
@@ -40,7 +40,7 @@ def prepare_folder(path: Path) -> None:
                 (folder / name).mkdir(parents=True, exist_ok=True)
                 for old in (folder / name).glob("*.png"):
                     old.unlink()
-        # Empty until the room is whole; it lets an interrupted room be made again.
+        # Empty until the room is complete, so that an interrupted room can be recreated.
         (path / MARKER).write_text("")
     except OSError as error:
         raise DatasetError(
@@ -69,7 +69,7 @@ def write_sequence(
 
 
 def write_mesh(path: Path, scene: Scene) -> None:
-    """Write the true surfaces with vertex colours as PLY."""
+    """Write the ground-truth mesh with vertex colours as PLY."""
     o3d = open3d()
     mesh = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(scene.vertices_m),
