@@ -89,7 +89,7 @@ class Sensor:
         )
 
     def _motion(self, index: int) -> NDArray[np.float64]:
-        """Return T_next_now [4, 4] to the next frame; the last frame repeats the previous motion."""
+        """Return T_next_now [4, 4] to the next frame; the last one repeats the previous motion."""
         last = len(self._poses) - 1
         now = max(0, min(index, last - 1))
         return se3.inverse(self._poses[min(now + 1, last)]) @ self._poses[now]
