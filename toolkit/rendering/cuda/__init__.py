@@ -1,1 +1,1 @@
-"""The renderer in Triton: CUDA GPUs, and any CPU through Triton's interpreter (slowly)."""
+"""Triton renderer for CUDA GPUs; runs slowly on any CPU with Triton's interpreter."""

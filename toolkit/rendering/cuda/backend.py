@@ -1,4 +1,4 @@
-"""The Triton renderer behind the interface of all backends."""
+"""Rendering backend of the Triton kernels."""
 
 from __future__ import annotations
 
@@ -21,31 +21,32 @@ from toolkit.rendering.cuda.binning import Binning, bin_gaussians
 from toolkit.rendering.device_transfer import TransferredForwardPass
 
 _SUMS = int(differentiation.SUMS.value)
-_REDUCED = 64  # Gaussians a program that adds up rows
-_ADDED = 16  # the same, of many channels at once
+_REDUCED = 64  # Gaussians per program of the final reduction
+_ADDED = 16  # Gaussians per program that adds rows of feature gradients
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Sizes that change speed, memory and rounding, but not what is computed.
+    """Kernel parameters that affect speed, memory and rounding.
 
-    They are fixed, not tuned at run time: a choice by the clock would change the order of sums
-    from run to run.
+    They are fixed instead of tuned at run time, because a selection by timing would change the
+    order of sums between runs.
 
     Attributes:
-        side: of a tile in pixels, 8 or 16.
-        batch: Gaussians composited at once, a power of two from 16.
-        channels_forward, channels_backward: most feature channels at once, powers of two from 16;
-            the backward kernel takes so many always, since narrow products spill registers.
-        warps, narrow_warps: of the compositing kernels; the latter where a program draws 32
-            feature channels or fewer, or differentiates none. Two warps are the 64 pixels of a
-            tile, so that a batch lies within threads and its scans and sums need no barrier.
-        precision: of matrix products, Triton's input precision. "tf32" rounds features, weights
-            and the gradients of images to 11 bits; "tf32x3" and "ieee" keep float32 and cost
-            more. Colour, depth, silhouette and centres, which need no such product, are float32
-            in any case, and so are the moments behind the gradients of means and radii.
-        scratch_bytes: most memory for gradients of features on the way to their Gaussians.
-            Channels go in parts that fit, each of which computes all alphas again.
+        side: side of a tile in pixels, 8 or 16.
+        batch: number of Gaussians composited at once, a power of two >= 16.
+        channels_forward, channels_backward: maximum number of feature channels per block, powers
+            of two >= 16. The backward kernel always uses the maximum, because narrow matrix
+            products spill registers.
+        warps, narrow_warps: number of warps of the compositing kernels. The latter is used for at
+            most 32 feature channels (forward) or none (backward). Two warps cover the 64 pixels
+            of a tile, so that scans and sums over a batch need no barrier.
+        precision: Triton's input precision of matrix products. "tf32" rounds features, weights
+            and image gradients to 11 bits; "tf32x3" and "ieee" keep float32 and are slower.
+            Colour, depth, silhouette, centres and the moments for the gradients of means and
+            radii are always float32.
+        scratch_bytes: maximum memory for the feature gradients of all pairs. Channels are
+            processed in parts that fit; each part computes all alphas again.
     """
 
     side: int = 8
@@ -58,33 +59,33 @@ class Tuning:
     scratch_bytes: int = 2**32
 
     def forward_warps(self, block: int) -> int:
-        """Of the kernel that draws so many feature channels at once."""
+        """Return the number of warps of the forward kernel for a block of feature channels."""
         return self.narrow_warps if block <= 32 else self.warps
 
     def backward_warps(self, channels: int) -> int:
-        """Of the kernel that differentiates so many feature channels."""
+        """Return the number of warps of the backward kernel for a number of feature channels."""
         return self.narrow_warps if channels == 0 else self.warps
 
     def channels_at_once(self, pairs: int) -> int:
-        """Feature channels whose gradients fit the scratch memory: whole blocks, if one does."""
+        """Return how many channels fit in the scratch memory, rounded down to whole blocks."""
         most = max(1, self.scratch_bytes // (4 * max(1, pairs)))
         block = self.channels_backward
         return most if most < block else most - most % block
 
 
 def block_of(channels: int, most: int) -> int:
-    """Feature channels that a kernel takes at once: a power of two from 16, or 0 for none."""
+    """Return the number of feature channels per block: a power of two >= 16, or 0 for none."""
     return 0 if channels == 0 else min(most, max(16, triton.next_power_of_2(channels)))
 
 
 def on(device: torch.device) -> contextlib.AbstractContextManager[None]:
-    """Kernels start on the current device: make it the tensors' own."""
+    """Make a device current, because kernels are launched on the current device."""
     return torch.cuda.device(device) if device.type == "cuda" else contextlib.nullcontext()
 
 
 @dataclass(frozen=True)
 class _Drawn:
-    """What the forward pass leaves to the backward pass, beside the images."""
+    """State of the forward pass for the backward pass, in addition to the images."""
 
     checkpoints: Tensor
     transmittance: Tensor
@@ -92,7 +93,7 @@ class _Drawn:
 
 
 class CudaForwardPass:
-    """A view drawn by the Triton kernels, with what its backward pass needs."""
+    """A view rendered by the Triton kernels, with the state for its backward pass."""
 
     def __init__(self, cloud: GaussianCloud, camera: Camera, binning: Binning, tuning: Tuning):
         self._cloud, self._camera = cloud, camera
@@ -174,7 +175,7 @@ class CudaForwardPass:
         span: tuple[int, int, int],
         move: bool,
     ) -> None:
-        """Sums of the pairs, in the first call, and the rows of channels first to last of all."""
+        """Compute the feature rows of channels first to last and, in the first call, the sums."""
         bins, camera, tuning, drawn = self._binning, self._camera, self._tuning, self._drawn
         assert drawn is not None
         first, last, channels = span
@@ -223,7 +224,7 @@ class CudaForwardPass:
         )
 
     def _finished(self, sums: Tensor, features: Tensor, colours: bool) -> GaussianGradients:
-        """The chain rule from the pairs' sums to parameters and pose."""
+        """Apply the chain rule to the sums of the pairs: gradients of parameters and pose."""
         bins, device, visible = self._binning, sums.device, len(self._binning.ids)
         blocks = triton.cdiv(visible, _REDUCED)
         pose = torch.zeros(max(1, blocks), 12, dtype=torch.float64, device=device)
@@ -265,12 +266,12 @@ class CudaForwardPass:
 
 
 def interpreted() -> bool:
-    """Whether Triton runs its kernels in Python: TRITON_INTERPRET=1 was set at its import."""
+    """Check whether Triton interprets kernels (TRITON_INTERPRET=1 was set at import)."""
     return not isinstance(compositing.composite, triton.JITFunction)
 
 
 class CudaBackend:
-    """Triton kernels on the GPU that holds the Gaussians, or on the first one."""
+    """Triton kernels on the GPU that stores the Gaussians, or on the first GPU."""
 
     name = "cuda"
 

@@ -1,4 +1,4 @@
-"""Which Gaussians a view shows, and which tiles they touch, front to back."""
+"""Binning: visible Gaussians of a view and the tiles that they intersect, front to back."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from toolkit.geometry.camera import Camera
 from toolkit.native.constants import TILE
 from toolkit.rendering.cuda import projection
 
-_BLOCK = 128  # Gaussians a program
+_BLOCK = 128  # Gaussians per program
 
 
 @dataclass(frozen=True)
 class Binning:
     """Projected Gaussians and the P pairs of a Gaussian and a tile.
 
-    A pair has a row, in the order of Gaussians, where its gradients go: those of one Gaussian
-    lie side by side, and in the same order each time.
+    Each pair has a row for its gradients. The rows of one Gaussian are contiguous and in a fixed
+    order.
 
     Attributes:
         view: [16] float32, see projection.VIEW.
-        splats: [N, 8] float32, written where a Gaussian is seen.
-        ids: [V] int64, ascending, the Gaussians that are seen.
-        begins, counts: [V] int64, int32: their rows.
+        splats: [N, 8] float32, valid for visible Gaussians.
+        ids: [V] int64, ascending ids of the visible Gaussians.
+        begins, counts: [V] int64, int32: first row and number of rows of each visible Gaussian.
         row_tiles: [P] int16 or int32, the tile of each row.
-        gaussians, rows: [P] int32, int64, by tile and front to back.
-        tile_begins: [tiles + 1] int32 into them.
-        columns, tiles: of the image.
+        gaussians, rows: [P] int32, int64, Gaussian and row of each pair, sorted by tile and then
+            front to back.
+        tile_begins: [tiles + 1] int32, index of the first pair of each tile.
+        columns, tiles: number of tile columns and of tiles of the image.
     """
 
     view: Tensor
@@ -50,7 +51,7 @@ class Binning:
 
 
 def view_of(camera: Camera, T_camera_map: NDArray[np.float64], device: torch.device) -> Tensor:
-    """Pose and intrinsics as the kernels take them, [16] float32."""
+    """Return pose and intrinsics as a kernel argument, [16] float32."""
     numbers = np.empty(projection.VIEW, dtype=np.float32)
     numbers[:12] = np.asarray(T_camera_map)[:3].reshape(-1)
     numbers[12:] = camera.fx, camera.fy, camera.cx, camera.cy
@@ -59,12 +60,12 @@ def view_of(camera: Camera, T_camera_map: NDArray[np.float64], device: torch.dev
 
 @dataclass(frozen=True)
 class _Projected:
-    """Every Gaussian as a view has it; where its count is 0 nothing else was written.
+    """Projected Gaussians; the other values of a Gaussian are undefined if its count is 0.
 
     Attributes:
         view: [16] float32. splats: [N, 8] float32.
-        rectangles: [N, 4] int16, of tiles: x, y, columns, rows.
-        counts: [N] int32, tiles touched.
+        rectangles: [N, 4] int16, rectangle of tiles: x, y, columns, rows.
+        counts: [N] int32, number of intersected tiles.
     """
 
     view: Tensor
@@ -75,7 +76,7 @@ class _Projected:
 
 @dataclass(frozen=True)
 class _Grid:
-    """The tiles of an image, and the region of them that is drawn, None for all."""
+    """Tiles of an image and the region to render, None for all."""
 
     camera: Camera
     side: int
@@ -101,14 +102,14 @@ def bin_gaussians(
     region: Tensor | None,
     side: int,
 ) -> Binning:
-    """Project Gaussians and sort their pairs: by depth first, then stably by tile.
+    """Project Gaussians and sort their pairs by depth and then, with a stable sort, by tile.
 
-    The two sorts move less than one sort of 64-bit keys, and equal depths keep the order of
-    the map. The host waits twice, for the numbers of Gaussians and of pairs.
+    Two sorts move less data than one sort of 64-bit keys, and Gaussians of equal depth keep their
+    order in the map. The host synchronises twice, for the numbers of Gaussians and of pairs.
 
     Args:
         cloud: contiguous float32. region: contiguous uint8 or None.
-        side: of a tile in pixels, which divides 16.
+        side: side of a tile in pixels, a divisor of 16.
     """
     grid = _Grid(camera, side, region)
     projected = _projected(cloud, view_of(camera, T_camera_map, cloud.means.device), grid)
@@ -171,10 +172,11 @@ def _projected(cloud: GaussianCloud, view: Tensor, grid: _Grid) -> _Projected:
 def _pairs(
     projected: _Projected, by_depth: tuple[Tensor, Tensor], pairs: int, grid: _Grid
 ) -> tuple[Tensor, Tensor]:
-    """Tile and Gaussian [P] of every pair, front to back.
+    """List tile and Gaussian [P] of every pair, front to back.
 
     Args:
-        by_depth: the visible Gaussians from front to back, and where the pairs of each begin.
+        by_depth: ids of the visible Gaussians from front to back, and the index of the first pair
+            of each.
     """
     device, visible = projected.view.device, len(by_depth[0])
     key = torch.int16 if grid.tiles < 2**15 else torch.int32

@@ -1,8 +1,7 @@
-"""Kernel: front-to-back compositing of one tile a program (H-19, G-1).
+"""Kernel: front-to-back compositing of one tile per program (H-19, G-1).
 
-A batch of Gaussians by the pixels of a tile is a matrix of weights. Sums over Gaussians are
-then matrix products, which tensor cores do; the transmittance is a product scan along the
-batch.
+The weights of a batch of Gaussians at the pixels of a tile form a matrix. Sums over Gaussians are
+matrix products on tensor cores; the transmittance is a product scan along the batch.
 """
 
 import triton
@@ -48,11 +47,11 @@ def composite(
     CENTRES: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
-    """Images [5 + S, H, W] and of centres [3, H, W]; a program, one tile and a block of channels.
+    """Composite images [5 + S, H, W] and centres [3, H, W]; a program handles one channel block.
 
-    For backward: the transmittance [tiles, pixels] left over, and before every batch
-    [checkpoints, pixels]; the number of batches [tiles] until the tile went dark.
-    BLOCK_C is 0 without features.
+    For the backward pass it also writes the final transmittance [tiles, pixels], the transmittance
+    before every batch [checkpoints, pixels], and the number of batches [tiles] until the tile was
+    opaque. BLOCK_C is 0 without features.
     """
     PIXELS: tl.constexpr = SIDE * SIDE
     tile, block = tl.program_id(0), tl.program_id(1)
@@ -93,7 +92,7 @@ def composite(
                 other=0.0,
             )
             sums = tl.dot(value, weight, sums, input_precision=PRECISION)
-        left = left * tl.min(passed, axis=0)  # the scan's last row: it never grows
+        left = left * tl.min(passed, axis=0)  # the last row of the scan, which is decreasing
         done += 1
     plane = width * height
     to = images + y * width + x

@@ -1,6 +1,6 @@
-"""Kernel: the gradients of one tile a program, back to front.
+"""Kernel: gradients of one tile per program, back to front.
 
-Sums over pixels are matrix products, as sums over Gaussians are when a tile is drawn.
+Sums over pixels are matrix products, like the sums over Gaussians in compositing.
 """
 
 import triton
@@ -17,16 +17,16 @@ from toolkit.rendering.cuda.tiles import (
     pixels_of,
 )
 
-SUMS = tl.constexpr(8)  # floats a pair; see `differentiate`
-TF32_BITS = tl.constexpr(-8192)  # all but the 13 bits that tf32 drops
-WIDE = tl.constexpr(16)  # the least width of a matrix product
+SUMS = tl.constexpr(8)  # floats per pair; see `differentiate`
+TF32_BITS = tl.constexpr(-8192)  # mask without the 13 bits that TF32 drops
+WIDE = tl.constexpr(16)  # minimum width of a matrix product
 
 
 @triton.jit
 def _moments(SIDE: tl.constexpr):
-    """Columns 1, x, y, x^2 + y^2 of a tile's pixels, seen from its centre, [pixels, 16].
+    """Return 1, x, y, x^2 + y^2 of a tile's pixels relative to its centre, as columns [pixels, 16].
 
-    All of them are exact in tf32, so that the products lose nothing on this side.
+    All values are exact in TF32.
     """
     column = tl.arange(0, WIDE)[None, :]
     pixel = tl.arange(0, SIDE * SIDE)
@@ -52,7 +52,7 @@ def _clear(
     BLOCK_C: tl.constexpr,
     GEOMETRY: tl.constexpr,
 ):
-    """Pairs behind everything that was drawn own a row, too, and it must read zero."""
+    """Write zeros to the rows of pairs behind the last composited batch."""
     for start in range(begin, end, BATCH):
         pair = start + tl.arange(0, BATCH)
         row = tl.load(pair_rows + pair, mask=pair < end, other=0)[:, None]
@@ -87,7 +87,7 @@ def _by_features(
     MOVE: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
-    """Writes a batch's feature rows; <f, d> [batch, pixels] over the channels, 0 without MOVE."""
+    """Write the feature rows of a batch; return <f, d> [batch, pixels], 0 without MOVE."""
     product = tl.zeros(weight.shape, dtype=tl.float32)
     stop = channels if MOVE else last
     for start in range(0 if MOVE else first, stop, BLOCK_C):
@@ -113,10 +113,13 @@ def _by_features(
 
 @triton.jit
 def _slopes(raw, before, product, behind):
-    """alpha dL/dalpha [batch, pixels], and what the next batch towards the camera has behind it.
+    """Compute alpha dL/dalpha [batch, pixels] and the updated sum [pixels] for the next batch.
 
-    Of alphas [batch, pixels] as they were before the cut, the transmittance before each, <f, d>,
-    and the sum [pixels] of w <f, d> over all that lies behind the batch.
+    Args:
+        raw: alphas [batch, pixels] before thresholding.
+        before: transmittance [batch, pixels] in front of each Gaussian.
+        product: <f, d> [batch, pixels].
+        behind: sum [pixels] of w <f, d> over all Gaussians behind the batch.
     """
     alpha, keep = cut(raw)
     own = alpha * before * product
@@ -128,9 +131,9 @@ def _slopes(raw, before, product, behind):
 
 @triton.jit
 def _in_moments(slope, basis):
-    """slope @ basis, with 22 bits of the slope: in the chain rule the moments cancel.
+    """Compute slope @ basis with 22 bits of the slope, because the chain rule subtracts moments.
 
-    Two products, since the basis is exact in tf32. A third would hold twice the registers.
+    Two products suffice, because the basis is exact in TF32. A third would double the registers.
     """
     coarse = (slope.to(tl.int32, bitcast=True) & TF32_BITS).to(tl.float32, bitcast=True)
     found = tl.dot(slope - coarse, basis, input_precision="tf32")
@@ -162,13 +165,13 @@ def differentiate(
     MOVE: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
-    """Sums of every pair of one tile, back to front, each in the row that the pair owns.
+    """Compute the sums of every pair of one tile, back to front, and write them to its row.
 
     sums [P, 8]: alpha dL/dalpha times 1, x, y, x^2 + y^2 (pixels from the tile's centre),
     then weight times dL/d(red, green, blue, depth). feature_rows [P, last - first]: dL/df of
     the feature channels from `first` to `last`. With w_k = alpha_k T_k and d = dL/d(pixel),
     dL/dalpha_k = T_k <f_k, d> - S_k / (1 - alpha_k), where S_k sums w_j <f_j, d> over all j
-    behind k and starts with what the silhouette asks. MOVE: f and d include the feature
+    behind k, starting with the term of the silhouette. With MOVE, f and d include the feature
     channels. Without GEOMETRY only the feature rows are written.
     """
     PIXELS: tl.constexpr = SIDE * SIDE

@@ -1,4 +1,4 @@
-"""Kernels: centres and radii in pixels, and the pairs of Gaussians and tiles they touch."""
+"""Kernels: projection of Gaussians, and the pairs of Gaussians and intersected tiles."""
 
 import triton
 import triton.language as tl
@@ -15,13 +15,13 @@ VIEW = 16  # floats: rows of [R | t], then fx, fy, cx, cy
 
 @triton.jit
 def _in_region(region, x, y, columns, within, SIDE: tl.constexpr):
-    """Whether the tiles (x, y) of SIDE pixels lie in marked tiles of the region."""
+    """Check whether tiles (x, y) of SIDE pixels are in the region."""
     at = (y * SIDE // REGION_TILE) * columns + x * SIDE // REGION_TILE
     return within & (tl.load(region + at, mask=within, other=0) != 0)
 
 
-# Numbers of Gaussians are not specialised on (multiples of 16 are kernels of their own): a map
-# grows, and each new kind of number would stop it for seconds of compiling.
+# Not specialised on the number of Gaussians (by default, multiples of 16 get separate kernels):
+# it changes as the map grows, and each specialisation takes seconds to compile.
 @triton.jit(do_not_specialize=["count"])
 def project(
     view,
@@ -41,9 +41,9 @@ def project(
     HAS_REGION: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
-    """Splats [N, 8], rectangles of tiles [N, 4] (x, y, columns, rows) and their tiles [N].
+    """Compute splats [N, 8], tile rectangles [N, 4] (x, y, columns, rows) and tile counts [N].
 
-    Where a Gaussian is not seen its number of tiles is 0 and nothing else is written.
+    The count of an invisible Gaussian is 0 and its other values are not written.
     """
     i = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = i < count
@@ -62,9 +62,9 @@ def project(
     log_radius = tl.load(log_radii + i, mask=valid, other=0.0)
     sigma = tl.sqrt(fx * fy) * tl.exp(log_radius) * inverse_z
     opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logits + i, mask=valid, other=0.0)))
-    # Comparisons with NaN are false: what is not finite is not seen.
+    # Comparisons with NaN are false, so Gaussians with NaN are invisible.
     seen = ahead & (opacity > MIN_ALPHA) & (sigma > MIN_SIGMA_PX)
-    # A hair wider than exact, so that rounding never cuts what the alpha test keeps.
+    # Slightly enlarged, so that rounding never removes pixels that pass the alpha test.
     reach = tl.log(tl.where(seen, opacity, 1.0) / MIN_ALPHA)
     support = tl.sqrt(2.0 * sigma * sigma * reach * 1.0001 + 1e-6)
     # Pixels whose centres lie within the support, clamped before they become integers.
@@ -119,9 +119,9 @@ def list_pairs(
     HAS_REGION: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
-    """Tile [P] and Gaussian [P] of every pair, those of one Gaussian side by side.
+    """List tile [P] and Gaussian [P] of every pair; the pairs of one Gaussian are contiguous.
 
-    `gaussians` [V] are written in this order, each from its place `begins` [V] on.
+    The pairs of the Gaussian `gaussians[j]` start at index `begins[j]`.
     """
     j = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = j < visible

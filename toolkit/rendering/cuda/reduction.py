@@ -1,4 +1,4 @@
-"""Kernels: the sums of a Gaussian's pairs, in the order of its tiles, and the chain rule."""
+"""Kernels: reduction of the pairs of each Gaussian in a fixed order, and the chain rule."""
 
 import triton
 import triton.language as tl
@@ -37,7 +37,7 @@ def finish(
     COLOURS: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
-    """Gradients of the V visible Gaussians, and the pose's [blocks, 12] float64."""
+    """Compute gradients of the V visible Gaussians, and of the pose [blocks, 12] float64."""
     j = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = j < visible
     i = tl.load(ids + j, mask=valid, other=0)
@@ -56,7 +56,7 @@ def finish(
         mine = k < count
         tile = tl.load(pair_tiles + begin + k, mask=mine, other=0).to(tl.int32)
         row = sums + (begin + k) * SUMS
-        # The splat's centre from the tile's, from which the moments were taken.
+        # Centre of the splat relative to the tile's centre, the origin of the moments.
         cu = u - (tile % tiles_x * SIDE + (SIDE - 1) * 0.5)
         cv = v - (tile // tiles_x * SIDE + (SIDE - 1) * 0.5)
         m = tl.load(row, mask=mine, other=0.0)
@@ -112,7 +112,7 @@ def add_rows(
     BLOCK: tl.constexpr,
     BLOCK_C: tl.constexpr,
 ):
-    """out [V, first:first + width] of [V, stride]: rows [P, width] of each Gaussian, added."""
+    """Sum the rows [P, width] of each Gaussian into columns first:first + width of [V, stride]."""
     j = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     c = tl.program_id(1) * BLOCK_C + tl.arange(0, BLOCK_C)
     valid = j < visible

@@ -1,4 +1,4 @@
-"""Kernels' parts that drawing and differentiating share: a tile's pixels, and its alphas."""
+"""Device functions shared by compositing and differentiation: pixels and alphas of a tile."""
 
 import triton
 import triton.language as tl
@@ -13,7 +13,7 @@ BASE = tl.constexpr(constants.BASE_CHANNELS)
 
 @triton.jit
 def pixels_of(tile, width, height, SIDE: tl.constexpr):
-    """Column and row of a tile's pixels, and which of them are in the image."""
+    """Return columns and rows of a tile's pixels, and a mask of those inside the image."""
     tiles_x = tl.cdiv(width, SIDE)
     pixel = tl.arange(0, SIDE * SIDE)
     x = tile % tiles_x * SIDE + pixel % SIDE
@@ -23,7 +23,7 @@ def pixels_of(tile, width, height, SIDE: tl.constexpr):
 
 @triton.jit
 def alphas_of(splats, gaussian, valid, x, y):
-    """Alphas [batch, pixels] before they are cut and capped, 0 beyond the tile's pairs."""
+    """Return alphas [batch, pixels] before thresholding and clamping, 0 for invalid pairs."""
     at = splats + gaussian * SPLAT
     u = tl.load(at, mask=valid, other=0.0)
     v = tl.load(at + 1, mask=valid, other=0.0)
@@ -36,14 +36,14 @@ def alphas_of(splats, gaussian, valid, x, y):
 
 @triton.jit
 def cut(raw):
-    """Alphas after the cut and the cap, and what they let through, which is never 0."""
+    """Return alphas after thresholding and clamping, and 1 - alpha, which is never 0."""
     alpha = tl.where(raw >= MIN_ALPHA, tl.minimum(raw, MAX_ALPHA), 0.0)
     return alpha, 1.0 - alpha
 
 
 @triton.jit
 def colour_and_depth(splats, gaussian, valid):
-    """Red, green, blue and depth [batch] of Gaussians."""
+    """Load red, green, blue and depth [batch] of Gaussians."""
     at = splats + gaussian * SPLAT + 4
     red = tl.load(at, mask=valid, other=0.0)
     green = tl.load(at + 1, mask=valid, other=0.0)
@@ -53,6 +53,6 @@ def colour_and_depth(splats, gaussian, valid):
 
 @triton.jit
 def checkpoints_of(checkpoints, begin, tile, BATCH: tl.constexpr, PIXELS: tl.constexpr):
-    """Where a tile's checkpoints lie [pixels]: its batches never reach the next tile's."""
+    """Return pointers [pixels] to the checkpoints of a tile; those of tiles never overlap."""
     first = (begin // BATCH + tile).to(tl.int64)
     return checkpoints + first * PIXELS + tl.arange(0, PIXELS)
