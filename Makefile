@@ -19,7 +19,7 @@ define apt
 	fi
 endef
 
-.PHONY: help demo test bench lint ready clean
+.PHONY: help demo test bench lint docs ready clean
 .DELETE_ON_ERROR:
 
 help:
@@ -58,6 +58,10 @@ lint: ready
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
+docs: ready .stamps/docs
+	.venv/bin/mkdocs build --strict
+	@echo "make: open site/index.html in a browser"
+
 ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 
 .stamps:
@@ -74,6 +78,11 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	$(PIP) setuptools wheel pybind11
 	$(PIP) --no-deps --retries 1 $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) torch
 	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --editable '.[dev]'
+	@touch $@
+
+.stamps/docs: .stamps/dependencies
+	$(PIP) $$(.venv/bin/python -c 'from configparser import ConfigParser as C; \
+		c = C(); c.read("setup.cfg"); print(c["options.extras_require"]["docs"].strip())')
 	@touch $@
 
 # Compiled here and not by pip, which would start from nothing each time. Without a
@@ -111,5 +120,5 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	@if PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libvulkan.so.1; then touch $@; fi
 
 clean:
-	rm -rf .stamps build *.egg-info toolkit/native/variants
+	rm -rf .stamps build site *.egg-info toolkit/native/variants
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

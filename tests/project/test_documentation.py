@@ -8,7 +8,6 @@ import importlib
 import re
 import runpy
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,22 @@ import pytest
 import tyro
 from documentation import PAGES, ROOT, Block, Command
 
+import toolkit
 from toolkit.cli.main import JOBS
 
+sys.path.insert(0, str(ROOT / "docs"))
+
+from generate_reference import (
+    API_PAGE,
+    OPTIONS_PAGE,
+    api_page,
+    job_options,
+    markdown_docstring,
+    options_page,
+)
+
 PYTHON_BLOCKS = [b for page in PAGES for b in documentation.blocks(page) if b.language == "python"]
+GENERATED_PAGES = {ROOT / "docs" / page for page in (OPTIONS_PAGE, API_PAGE)}
 COMMANDS = [command for page in PAGES for command in documentation.commands(page)]
 
 
@@ -96,7 +108,8 @@ def parse_job(words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
     module = importlib.import_module(f"toolkit.cli.{JOBS[words[0]][0]}")
     if hasattr(module, "parse_arguments"):
         monkeypatch.setattr(module, "parse_arguments", stop_after(module.parse_arguments))
-    stop_parsers(monkeypatch)
+    else:
+        stop_parsers(monkeypatch)
     with pytest.raises(ParsedError):
         module.main(words[1:])
 
@@ -114,8 +127,15 @@ def parse_module(name: str, words: Sequence[str], monkeypatch: pytest.MonkeyPatc
 
 
 def stop_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
-    parse = argparse.ArgumentParser.parse_args
-    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop_after(parse))
+    """Let programs that use argparse end after parsing."""
+    parse = argparse.ArgumentParser.parse_known_args
+
+    def parsed(parser: argparse.ArgumentParser, *args: Any, **options: Any) -> None:
+        _, unknown = parse(parser, *args, **options)
+        assert not unknown, f"unknown arguments {unknown}"
+        raise ParsedError
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", parsed)
 
 
 @functools.cache
@@ -125,34 +145,16 @@ def make_targets() -> set[str]:
 
 
 @functools.cache
-def job_options() -> dict[str, set[str]]:
-    """All options of each job, as its parser knows them."""
-    return {job: set(options_of(module)) for job, (module, _) in JOBS.items()}
-
-
-def options_of(module_name: str) -> list[str]:
-    module = importlib.import_module(f"toolkit.cli.{module_name}")
-    if not hasattr(module, "parse_arguments"):
-        return []
-    found: list[str] = []
-
-    def record(kind: type, argv: Sequence[str], job: str, **options: Any) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            parser = tyro.extras.get_parser(kind, **options)
-        found.extend(o for action in parser._actions for o in action.option_strings)
-        raise ParsedError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "parse_arguments", record)
-        with pytest.raises(ParsedError):
-            module.main([])
-    return found
+def known_options() -> set[str]:
+    """All options of all programs."""
+    actions = [action for module, _ in JOBS.values() for action in job_options(module)]
+    common = {"--help", "--help-all", "--verbose", "--version"}
+    return common.union(*(action.option_strings for action in actions))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_options_jobs_and_files_in_the_text_exist(page: Path):
-    known = set.union(*job_options().values(), {"--help", "--help-all", "--verbose", "--version"})
+    known = known_options()
     wrong = []
     for place, code in documentation.inline_codes(page):
         if code.startswith("--"):
@@ -187,8 +189,51 @@ def test_links_lead_somewhere(page: Path):
     for place, target in documentation.links(page):
         file, _, anchor = target.partition("#")
         path = (page.parent / file).resolve() if file else page
+        if path in GENERATED_PAGES:
+            continue
         if not path.exists():
             broken.append(f"{place}: {target} does not exist")
         elif anchor and anchor not in documentation.anchors(path):
             broken.append(f"{place}: {file or page.name} has no heading #{anchor}")
     assert not broken, "\n".join(broken)
+
+
+def test_the_reference_lists_every_option_with_a_description():
+    rows = [line for line in options_page().splitlines() if line.startswith("| `--")]
+    listed = {row.split("`")[1] for row in rows}
+    assert {o for o in known_options() if not o.startswith("--no-")} >= listed
+    assert {"--tracking.dense.levels", "--dataset.path", "--min-confidence"} <= listed
+    levels = next(row for row in rows if "`--tracking.dense.levels`" in row)
+    assert "| `INT` [1, 7] | `4` | Number of image pyramid levels." in levels
+
+
+def test_the_reference_describes_every_public_name():
+    page = api_page()
+    for name in toolkit.__all__:
+        assert f"### toolkit.{name}\n" in page
+
+
+def test_docstrings_become_lists():
+    text = (
+        "Align.\n\nArgs:\n    a, b: images [H, W]\n        of one size.\n\nReturns:\n    the pose."
+    )
+    assert [line for line in markdown_docstring(text) if line] == [
+        "Align.",
+        "**Arguments**",
+        "- `a, b`: images [H, W]",
+        "  of one size.",
+        "**Returns**",
+        "- the pose.",
+    ]
+
+
+def test_every_page_is_in_the_navigation():
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    listed = {
+        ROOT / "docs" / page for page in re.findall(r": ([\w/-]+\.md)$", navigation, flags=re.M)
+    }
+    assert listed == GENERATED_PAGES | set((ROOT / "docs").rglob("*.md"))
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < 150

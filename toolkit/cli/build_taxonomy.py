@@ -57,14 +57,14 @@ class DatasetChoice:
     """A data set, for its classes and its labelled frames."""
 
     kind: DatasetKind = "folder"
-    """Its layout (docs/datasets.md)."""
+    """Its layout (docs/guides/datasets.md)."""
     path: Path | None = None
     """Its folder."""
 
 
 @dataclass(frozen=True)
 class BuildTaxonomyOptions:
-    """Build the tree of groups that the semantic codes follow (docs/taxonomies.md)."""
+    """Build the tree of groups that the semantic codes follow (docs/guides/taxonomies.md)."""
 
     classes: Path | None = None
     """Names: a data set's classes.json, or a text file of one name a line ('#' comments)."""

@@ -19,7 +19,7 @@ class CheckDataOptions:
     """Read a data set frame by frame and say, in plain lines, what is wrong with it."""
 
     kind: Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
-    """Layout of the data set (docs/datasets.md)."""
+    """Layout of the data set (docs/guides/datasets.md)."""
     path: Path
     """Its folder."""
     image_size: tuple[int, int] | None = None

@@ -24,7 +24,7 @@ class LabelledData:
     """The frames to learn from."""
 
     kind: DatasetKind
-    """Layout of the data set (docs/datasets.md)."""
+    """Layout of the data set (docs/guides/datasets.md)."""
     path: Path
     """Its folder; it must have labels."""
 

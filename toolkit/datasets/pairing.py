@@ -70,7 +70,7 @@ def folder_holding(path: Path, names: tuple[str, ...], layout: str) -> Path:
     missing = next(name for name in names if not (path / name).exists())
     raise DatasetError(
         f"{path} has no {missing}, which a {layout} dataset needs; check the path and the "
-        f"kind of the dataset (layouts: docs/datasets.md)"
+        f"kind of the dataset (layouts: docs/guides/datasets.md)"
     )
 
 
