@@ -1,7 +1,7 @@
-# Every target sets up what it needs. Variables that may be given:
-#   PYTHON       the interpreter that creates .venv
-#   TORCH_INDEX  where torch comes from besides PyPI, whose build for Linux brings
-#                gigabytes of CUDA; `make TORCH_INDEX= ...` takes that one, for a GPU
+# Every target installs what it needs. Variables:
+#   PYTHON       interpreter that creates .venv
+#   TORCH_INDEX  package index for the CPU build of torch. PyPI's build for Linux contains
+#                gigabytes of CUDA libraries; `make TORCH_INDEX= ...` installs that one.
 PYTHON ?= python3
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
@@ -23,11 +23,12 @@ endef
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo   make a synthetic room, track and map it, say where the results are"
+	@echo "make demo   generate a synthetic room, run SLAM on it, and print the result files"
 	@echo "make test   run the tests"
-	@echo "make bench  measure the renderer, and the whole beside Open3D's dense SLAM"
-	@echo "make lint   ruff, mypy, and the order of the layers"
-	@echo "make clean  remove what was built and cached, but neither .venv nor runs/"
+	@echo "make bench  measure the renderer, and compare SLAM with Open3D's dense SLAM"
+	@echo "make lint   check style, types and import layers"
+	@echo "make docs   build the documentation website in site/"
+	@echo "make clean  remove build products and caches; .venv and runs/ are kept"
 
 demo: ready $(DEMO_ROOM)/unseen/cam_params.json
 	rm -rf $(DEMO)
@@ -38,12 +39,12 @@ demo: ready $(DEMO_ROOM)/unseen/cam_params.json
 	@echo "splats      $(DEMO)/map.ply"
 	@echo "report      $(DEMO)/report.html"
 
-# Written last, so that its presence means a whole room.
+# This file is written last: it exists only if the room is complete.
 $(DEMO_ROOM)/unseen/cam_params.json: | ready
-	@echo "make: making a synthetic room of 300 frames, which takes about a minute"
+	@echo "make: generating a synthetic room of 300 frames (about a minute)"
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
-# One thread a worker: two workers share the machine, and pools would fight.
+# One thread per worker, since two workers share the processor.
 test: ready .stamps/emulator .stamps/vulkan
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
@@ -74,7 +75,7 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	$(PYTHON) -m venv .venv
 
 .stamps/dependencies: setup.cfg pyproject.toml constraints.txt | .venv/bin/python .stamps
-	@echo "make: installing Python packages into .venv, which takes some minutes"
+	@echo "make: installing Python packages into .venv (several minutes)"
 	$(PIP) setuptools wheel pybind11
 	$(PIP) --no-deps --retries 1 $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) torch
 	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --editable '.[dev]'
@@ -85,14 +86,14 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 		c = C(); c.read("setup.cfg"); print(c["options.extras_require"]["docs"].strip())')
 	@touch $@
 
-# Compiled here and not by pip, which would start from nothing each time. Without a
-# compiler this says so, leaves no stamp, and tries again next time.
+# Compiled here rather than by pip, which would recompile everything each time. Without a
+# compiler, a notice is printed and the next call of make tries again.
 .stamps/native: setup.py $(NATIVE_SOURCES) .stamps/dependencies
-	@echo "make: compiling the native kernels, which takes about a minute"
+	@echo "make: compiling the C++ kernels (about a minute)"
 	.venv/bin/python setup.py --quiet build_ext --inplace
 	@if ls toolkit/native/variants/*.so >/dev/null 2>&1; then touch $@; fi
 
-# What `import open3d` loads besides Python packages. Only Linux lacks it.
+# Shared libraries that Open3D loads; needed on Linux only.
 .stamps/system-libraries: | .stamps
 	@if [ "$$(uname)" = Linux ]; then \
 		known="$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p)"; \
