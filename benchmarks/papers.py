@@ -29,7 +29,7 @@ from toolkit.evaluation.run_loops import true_views
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
-from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
+from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
 from toolkit.loops.options import CandidateOptions, Counted, LandmarkOptions
 from toolkit.options import validated
 from toolkit.rendering import backend
@@ -299,8 +299,8 @@ def counted_ring(seed: int) -> CountedRing:
     assert labeller is not None
     semantics, classes = slam.mapper.semantics, len(labeller.taxonomy)
     counters: dict[Counted, ClassCounter] = {
-        "pixels": LabelledPixels(classes),
-        "gaussians": ObservedGaussians(semantics, classes, backend()),
+        "pixels": PixelClassCounter(classes),
+        "gaussians": GaussianClassCounter(semantics, classes, backend()),
     }
     counts: dict[Counted, dict[int, NDArray[np.int64]]] = {"pixels": {}, "gaussians": {}}
     for index in range(len(dataset)):

@@ -30,7 +30,7 @@ from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.loops.options import VerificationOptions
-from toolkit.loops.verification import objection
+from toolkit.loops.verification import rejection_reason
 from toolkit.registration.coarse import CoarseRegistration
 from toolkit.registration.fine import FineRegistration
 from toolkit.registration.options import (
@@ -274,7 +274,7 @@ def judged(name: str, pair: Pair, timed: Timed) -> Trial:
         error_m=float(np.linalg.norm(error[:3, 3])),
         error_deg=float(np.rad2deg(se3.rotation_angle_rad(error[:3, :3]))),
         converged=result.converged,
-        objection=objection(result, VerificationOptions()),
+        objection=rejection_reason(result, VerificationOptions()),
         first_s=timed.first_s,
         second_s=timed.second_s,
         renders=result.renders,

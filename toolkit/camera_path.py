@@ -13,7 +13,7 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.loops.relocalisation import LastSeen
+from toolkit.loops.relocalisation import LastPosition
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
@@ -88,13 +88,13 @@ class CameraPath:
             return atlas.active, np.eye(4)
         return self._frames[-1].submap, self.poses_in_submaps(atlas)[-1]
 
-    def last_seen(self, atlas: Atlas) -> LastSeen | None:
+    def last_position(self, atlas: Atlas) -> LastPosition | None:
         """When and where in the world the newest frame was, None before any."""
         if not self._frames:
             return None
         number, T_submap_camera = self.last_place(atlas)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
-        return LastSeen(self._frames[-1].timestamp_s, T_world_camera[:3, 3])
+        return LastPosition(self._frames[-1].timestamp_s, T_world_camera[:3, 3])
 
     def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
         """T_submap_camera [4, 4] of each frame, in its own submap."""

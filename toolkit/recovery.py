@@ -14,7 +14,7 @@ from toolkit.closing.interface import LoopClosing
 from toolkit.exposure import IDENTITY
 from toolkit.frame import Frame, Recorder
 from toolkit.keyframe import Keyframe
-from toolkit.loops.relocalisation import Found
+from toolkit.loops.relocalisation import Relocalisation
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult
@@ -74,7 +74,7 @@ class Recovery:
             return Located(None, lost)
         out_of_patience = self._path.lost_in_a_row >= relocaliser.options.patience
         with self._recorder.timed("relocalisation"):
-            last = self._path.last_seen(self._atlas)
+            last = self._path.last_position(self._atlas)
             found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
         if found is not None and self._atlas.begun and found.submap == self._atlas.active:
             tracker.continue_from(frame.timestamp_s, found.T_submap_camera)
@@ -90,7 +90,7 @@ class Recovery:
             return Located(np.eye(4), lost)
         return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
 
-    def _start_submap(self, frame: Frame, found: Found | None) -> None:
+    def _start_submap(self, frame: Frame, found: Relocalisation | None) -> None:
         """Start a submap at a frame, either where it was found or at the last known pose."""
         atlas = self._atlas
         exposure = IDENTITY if found is None else found.result.exposure

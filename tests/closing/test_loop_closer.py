@@ -26,8 +26,8 @@ from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
 from toolkit.loops.options import CandidateOptions, VerificationOptions
-from toolkit.loops.relocalisation import LastSeen, Relocaliser
-from toolkit.loops.verification import objection
+from toolkit.loops.relocalisation import LastPosition, Relocaliser
+from toolkit.loops.verification import rejection_reason
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
@@ -336,13 +336,13 @@ class TestLost:
         anyhow = order(None)
         assert {index < 20 for index in anyhow[:2]} == {True, False}, "they look the same"
         for there in (np.zeros(3), far[:3, 3]):
-            last = LastSeen(lost.timestamp_s, there)
+            last = LastPosition(lost.timestamp_s, there)
             mine = [index < 20 for index in order(last)]
             assert mine[0] == (there[0] == 0.0)
             assert mine == sorted(mine, reverse=mine[0]), "the others come after them"
             alone = [index < 20 for index in order(last, anywhere=False)]
             assert alone == [own for own in mine if own == mine[0]]
-        assert order(LastSeen(lost.timestamp_s - 60.0, np.zeros(3)))[: len(anyhow)] == anyhow
+        assert order(LastPosition(lost.timestamp_s - 60.0, np.zeros(3)))[: len(anyhow)] == anyhow
 
 
 class TestState:
@@ -376,8 +376,8 @@ def test_objections_name_what_is_wrong():
         np.eye(4), True, 0.9, ResidualScales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"
     )
     options = VerificationOptions()
-    assert objection(good, options) == ""
-    assert objection(replace(good, class_agreement=float("nan")), options) == ""
+    assert rejection_reason(good, options) == ""
+    assert rejection_reason(replace(good, class_agreement=float("nan")), options) == ""
     for change, word in (
         ({"converged": False, "reason": "went astray"}, "astray"),
         ({"overlap": 0.1}, "overlap"),
@@ -388,7 +388,7 @@ def test_objections_name_what_is_wrong():
         ({"residual": ResidualScales(float("nan"), float("nan"))}, "depth"),
         ({"information": np.zeros((6, 6))}, "information"),
     ):
-        assert word in objection(replace(good, **change), options)
+        assert word in rejection_reason(replace(good, **change), options)
 
 
 def test_a_described_view_keeps_its_rows_in_step(frames):

@@ -1,4 +1,4 @@
-"""Loop candidates on a walk around a ring of places, with twins among them."""
+"""Loop candidates on a closed path of places, two of which look the same."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ THRESHOLD = 0.3
 OPTIONS = CandidateOptions(search_every=1, min_gap_frames=50, min_gap_m=1.0)
 
 
-def looks() -> np.ndarray:
-    """[30, D] units that turn gradually; places 5 and 20 are twins but for what stands there."""
+def place_descriptors() -> np.ndarray:
+    """[30, D] unit descriptors that change gradually; places 5 and 20 look the same."""
     generator = np.random.default_rng(0)
     ends = generator.normal(size=(7, D))
     steps = np.linspace(0, 6, PLACES)
@@ -31,19 +31,19 @@ def looks() -> np.ndarray:
     return (mixed / np.linalg.norm(mixed, axis=1, keepdims=True)).astype(np.float32)
 
 
-LOOKS = looks()
+DESCRIPTORS = place_descriptors()
 
 
 def keyframe(number: int, place: int | None = None) -> DescribedKeyframe:
-    """The walk's keyframe: every fifth frame, 0.1 m on, a class of its own for each place."""
+    """Keyframe of the path: every fifth frame, 0.1 m apart, one class per place."""
     place = number % PLACES if place is None else place
     counts = np.full(PLACES + 1, 0)
     counts[PLACES], counts[place], counts[(place + 1) % PLACES] = 4000, 500, 300
-    return DescribedKeyframe(5 * number, number // 10, 0.1 * number, LOOKS[place], counts)
+    return DescribedKeyframe(5 * number, number // 10, 0.1 * number, DESCRIPTORS[place], counts)
 
 
-def walked(options: CandidateOptions = OPTIONS, count: int = 2 * PLACES):
-    """The finder after the walk, and what each keyframe's search gave."""
+def run_path(options: CandidateOptions = OPTIONS, count: int = 2 * PLACES):
+    """The finder after the path, and the candidates of each keyframe."""
     finder = CandidateFinder(D, THRESHOLD, options)
     return finder, [finder.add(keyframe(n)) for n in range(count)]
 
@@ -52,8 +52,8 @@ def accepted(candidates: list[LoopCandidate]) -> list[int]:
     return [c.match // 5 for c in candidates if c.accepted]
 
 
-def test_the_second_round_finds_the_first():
-    _, found = walked()
+def test_second_round_matches_the_first():
+    _, found = run_path()
     assert not any(accepted(c) for c in found[: PLACES - 11] if c)
     for number in range(PLACES, 2 * PLACES):
         assert accepted(found[number])[0] == number - PLACES
@@ -64,10 +64,10 @@ def test_the_second_round_finds_the_first():
         assert best.landmark_distance == pytest.approx(0.0, abs=1e-6)
 
 
-def test_landmarks_rank_what_descriptors_confuse():
-    finder, _ = walked(replace(OPTIONS, max_landmark_distance=2.0), PLACES + 20)
-    # Place 20 is seen again, in a light that makes it look like 5 rather than like itself.
-    again = finder.add(replace(keyframe(PLACES + 20), descriptor=LOOKS[5]))
+def test_landmarks_rank_candidates_with_similar_descriptors():
+    finder, _ = run_path(replace(OPTIONS, max_landmark_distance=2.0), PLACES + 20)
+    # Place 20 is revisited with the descriptor of place 5.
+    again = finder.add(replace(keyframe(PLACES + 20), descriptor=DESCRIPTORS[5]))
     assert accepted(again)[0] == 20
     twin = next(c for c in again if c.match // 5 == 5)
     assert twin.accepted
@@ -75,24 +75,24 @@ def test_landmarks_rank_what_descriptors_confuse():
     assert twin.landmark_distance > again[0].landmark_distance
 
 
-def test_landmarks_that_differ_refuse_a_twin():
-    _, found = walked()
+def test_different_landmarks_reject_a_similar_place():
+    _, found = run_path()
     twin = next(c for c in found[PLACES + 20] if c.match // 5 == 5)
     assert not twin.accepted
     assert "landmarks differ by 1.4" in twin.reason
 
 
-def test_each_submap_has_its_turn_where_places_are_twins():
+def test_best_candidate_of_each_submap_comes_first():
     finder = CandidateFinder(D, THRESHOLD, replace(OPTIONS, kept=2, min_gap_frames=1))
     aside = np.eye(D, dtype=np.float32)[0]
     nothing = np.zeros(0, np.int64)
 
     def view(number: int, submap: int, offset: float) -> DescribedKeyframe:
-        look = LOOKS[0] + np.float32(offset) * aside
-        unit = look / np.linalg.norm(look)
+        descriptor = DESCRIPTORS[0] + np.float32(offset) * aside
+        unit = descriptor / np.linalg.norm(descriptor)
         return DescribedKeyframe(5 * number, submap, 2.0 * number, unit, nothing)
 
-    # Four views of the twin are a little nearer than the one of the place itself.
+    # Four views of the similar place are slightly nearer than the view of the true place.
     for number, offset in enumerate([0.1, 0.01, 0.02, 0.03, 0.04]):
         finder.add(view(number, min(number, 1), offset))
     found = finder.add(view(9, 2, 0.0))
@@ -101,7 +101,7 @@ def test_each_submap_has_its_turn_where_places_are_twins():
 
 
 @pytest.mark.parametrize("weighting", ["sqrt", "linear", "paper"])
-def test_every_weighting_tells_a_twin_from_the_place_itself(weighting):
+def test_every_weighting_distinguishes_similar_places(weighting):
     finder = CandidateFinder(D, THRESHOLD, OPTIONS, LandmarkOptions(weighting))
     found = [finder.add(keyframe(n)) for n in range(PLACES + 21)]
     assert accepted(found[-1])[0] == 20
@@ -110,7 +110,7 @@ def test_every_weighting_tells_a_twin_from_the_place_itself(weighting):
 
 def test_every_considered_keyframe_is_returned_once_with_a_reason():
     options = replace(OPTIONS, considered=7, kept=2, distance=1.0, max_landmark_distance=2.0)
-    _, found = walked(options)
+    _, found = run_path(options)
     for candidates in found[PLACES:]:
         assert len(candidates) == len({c.match for c in candidates}) == 7
         assert all(c.reason for c in candidates)
@@ -122,8 +122,8 @@ def test_every_considered_keyframe_is_returned_once_with_a_reason():
     assert surplus and all(not c.accepted and c.distance < 1.0 for c in surplus)
 
 
-def test_beyond_the_threshold_nothing_is_accepted():
-    _, found = walked()
+def test_candidates_beyond_the_threshold_are_rejected():
+    _, found = run_path()
     for candidates in found:
         for c in candidates:
             assert c.accepted <= (c.distance < THRESHOLD)
@@ -132,46 +132,46 @@ def test_beyond_the_threshold_nothing_is_accepted():
             assert c.cosine == pytest.approx(1 - c.distance**2 / 2, abs=1e-6)
 
 
-def test_neighbours_are_no_loops():
-    _, found = walked()
+def test_neighbouring_keyframes_are_not_candidates():
+    _, found = run_path()
     for candidates in found:
         for c in candidates:
             assert c.query - c.match >= 50
             assert 0.02 * (c.query - c.match) >= 1.0 - 1e-9
 
 
-def test_a_camera_that_stands_still_makes_no_loop_with_itself():
+def test_stationary_camera_has_no_candidates():
     finder = CandidateFinder(D, THRESHOLD, OPTIONS)
     for number in range(40):
         still = replace(keyframe(number, place=3), travelled_m=0.01 * number)
         assert finder.add(still) == []
 
 
-def test_it_is_searched_every_so_many_keyframes():
-    _, found = walked(replace(OPTIONS, search_every=6))
+def test_search_interval():
+    _, found = run_path(replace(OPTIONS, search_every=6))
     searched = [n for n, candidates in enumerate(found) if candidates]
     assert searched == [n for n in range(10, 2 * PLACES) if (n + 1) % 6 == 0]
 
 
-def test_an_adaptive_threshold_follows_the_places_own_look():
-    # Between two of the nine neighbours: at one of them, rounding would decide.
+def test_adaptive_threshold_follows_distances_to_neighbours():
+    # The quantile lies between two of the nine distances, so that rounding has no effect.
     adaptive = replace(OPTIONS, threshold="adaptive", adaptive_quantile=0.4, adaptive_limit=10.0)
-    finder, found = walked(adaptive)
+    finder, found = run_path(adaptive)
     number = 2 * PLACES - 1
-    own = [np.linalg.norm(LOOKS[29] - LOOKS[p]) for p in range(20, 29)]
+    own = [np.linalg.norm(DESCRIPTORS[29] - DESCRIPTORS[p]) for p in range(20, 29)]
     limit = float(np.quantile(own, adaptive.adaptive_quantile))
     assert {c.distance >= limit for c in found[number]} == {False, True}
     for c in found[number]:
         assert ("descriptors" in c.reason) == (c.distance >= limit)
     strict = replace(adaptive, adaptive_limit=0.1)
-    _, limited = walked(strict)
+    _, limited = run_path(strict)
     reasons = [c.reason for c in limited[number] if not c.accepted]
     assert any(f"{0.1 * THRESHOLD:.3f} or more" in reason for reason in reasons)
     assert len(finder) == 2 * PLACES
 
 
-def test_a_distance_in_the_options_replaces_the_encoders():
-    _, found = walked(replace(OPTIONS, distance=1e-3))
+def test_distance_option_replaces_the_encoder_threshold():
+    _, found = run_path(replace(OPTIONS, distance=1e-3))
     assert accepted(found[-1]) == [PLACES - 1]
 
 
@@ -187,7 +187,7 @@ def test_without_classes_candidates_are_ranked_by_descriptor():
 
 
 @pytest.mark.parametrize("at", [0, 1, 37])
-def test_a_restored_finder_goes_on_with_the_same_bits(at):
+def test_restored_finder_continues_identically(at):
     finder = CandidateFinder(D, THRESHOLD, OPTIONS)
     for n in range(at):
         finder.add(keyframe(n))
@@ -199,8 +199,8 @@ def test_a_restored_finder_goes_on_with_the_same_bits(at):
     assert all(state[name].tobytes() == other[name].tobytes() for name in state)
 
 
-def test_a_keyframe_out_of_order_or_of_other_classes_is_refused():
-    finder, _ = walked(count=3)
+def test_keyframe_out_of_order_or_with_other_classes_raises():
+    finder, _ = run_path(count=3)
     with pytest.raises(ValueError, match="must come after"):
         finder.add(keyframe(2))
     with pytest.raises(ValueError, match="must come after"):

@@ -1,4 +1,4 @@
-"""What landmark vectors count: labelled pixels, or the Gaussians on the surface in view (G-7)."""
+"""Class counts for landmark vectors: labelled pixels, or Gaussians on the visible surface (G-7)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.loops.class_counts import LabelledPixels, ObservedGaussians
+from toolkit.loops.class_counts import GaussianClassCounter, PixelClassCounter
 from toolkit.loops.options import LandmarkOptions
 from toolkit.losses.semantic import SemanticLoss
 from toolkit.mapping.mapper import Mapper
@@ -36,7 +36,7 @@ def semantics(names) -> SemanticMapping:
 
 
 def grid(x_m: tuple[float, float], z_m: float, class_id: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """An opaque sheet at a depth, between two x, 1 m high; 25 mm from Gaussian to Gaussian."""
+    """An opaque plane at depth z, 1 m high, with 25 mm between Gaussians."""
     x = torch.arange(*x_m, 0.025)
     y = torch.arange(-0.5, 0.5, 0.025)
     means = torch.stack([*torch.meshgrid(x, y, indexing="ij")], dim=-1).reshape(-1, 2)
@@ -70,12 +70,12 @@ def keyframe(labels: np.ndarray | None = None) -> Keyframe:
     )
 
 
-def test_gaussians_in_view_are_counted_by_class():
-    """Not those behind the surface (table), out of view (lamp), or without a label."""
+def test_visible_gaussians_are_counted_by_class():
+    """Occluded (table), out-of-view (lamp) and unlabelled Gaussians are not counted."""
     wall, chair = grid((-0.5, 0.2), 2.0, 1), grid((0.2, 0.5), 2.0, 2)
     hidden, aside = grid((-0.3, 0.3), 3.0, 3), grid((3.0, 3.5), 2.0, 4)
     unlabelled = grid((0.5, 0.7), 2.0, 0)
-    counter = ObservedGaussians(semantics(NAMES), len(NAMES), backend())
+    counter = GaussianClassCounter(semantics(NAMES), len(NAMES), backend())
     counts = counter.counts(keyframe(), cloud_of(wall, chair, hidden, aside, unlabelled))
     assert counts.tolist() == [len(wall[0]), len(chair[0]), 0, 0]
 
@@ -83,7 +83,7 @@ def test_gaussians_in_view_are_counted_by_class():
 def test_labelled_pixels_are_counted_without_the_map():
     labels = np.zeros((30, 40), int)
     labels[:10], labels[10:15] = 3, 1
-    counter = LabelledPixels(len(NAMES))
+    counter = PixelClassCounter(len(NAMES))
     assert counter.counts(keyframe(labels), GaussianCloud.empty()).tolist() == [200, 0, 400, 0]
     assert counter.counts(keyframe(), GaussianCloud.empty()).tolist() == [0] * 4
 
@@ -105,10 +105,10 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
     closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
     closer.observe(atlas)
     counter = {
-        "pixels": LabelledPixels(len(taxonomy)),
-        "gaussians": ObservedGaussians(reading, len(taxonomy), backend()),
+        "pixels": PixelClassCounter(len(taxonomy)),
+        "gaussians": GaussianClassCounter(reading, len(taxonomy), backend()),
     }[counted]
     expected = counter.counts(mapper.keyframes[0], mapper.gaussians)
     assert closer.state()[0]["detector/class_counts"].tolist() == [expected.tolist()]
-    others = LabelledPixels(len(taxonomy)).counts(mapper.keyframes[0], mapper.gaussians)
+    others = PixelClassCounter(len(taxonomy)).counts(mapper.keyframes[0], mapper.gaussians)
     assert (expected.tolist() == others.tolist()) is (counted == "pixels")

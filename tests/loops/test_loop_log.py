@@ -1,4 +1,4 @@
-"""loops.jsonl: appended, read back, cut back."""
+"""The loop log: append, read and truncate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolkit.loops.log import LoopLog, read_loop_log
 CANDIDATE = LoopCandidate(120, 15, 3, 0, 0.19, 0.98195, None, "number 1 of 2 by landmarks", True)
 
 
-def test_records_come_back_in_order(tmp_path):
+def test_records_are_read_in_order(tmp_path):
     path = tmp_path / "loops.jsonl"
     log = LoopLog(path)
     log.write(CANDIDATE.record())
@@ -25,7 +25,7 @@ def test_records_come_back_in_order(tmp_path):
     assert path.read_text().count("\n") == 2
 
 
-def test_each_line_is_in_the_file_once_written(tmp_path):
+def test_write_flushes_each_line(tmp_path):
     path = tmp_path / "loops.jsonl"
     log = LoopLog(path)
     for count in range(1, 4):
@@ -34,7 +34,7 @@ def test_each_line_is_in_the_file_once_written(tmp_path):
         assert json.loads(path.read_text().splitlines()[-1]) == {"query": count}
 
 
-def test_a_resumed_log_is_cut_back_and_goes_on_with_the_same_bytes(tmp_path):
+def test_resumed_log_equals_uninterrupted_log(tmp_path):
     whole, resumed = tmp_path / "whole.jsonl", tmp_path / "resumed.jsonl"
     lines = [{"query": n, "distance": n / 7.0} for n in range(6)]
     log = LoopLog(whole)
@@ -53,40 +53,40 @@ def test_a_resumed_log_is_cut_back_and_goes_on_with_the_same_bytes(tmp_path):
     assert resumed.read_bytes() == whole.read_bytes()
 
 
-def test_a_torn_last_line_is_left_out(tmp_path, caplog):
+def test_incomplete_last_line_is_skipped(tmp_path, caplog):
     path = tmp_path / "loops.jsonl"
     LoopLog(path).write({"query": 1})
     with path.open("ab") as stream:
         stream.write(b'{"query": 2, "ma')
     assert read_loop_log(path) == [{"query": 1}]
-    assert "not whole" in caplog.text
+    assert "incomplete last line" in caplog.text
 
 
-def test_a_file_shorter_than_its_checkpoint_is_refused(tmp_path):
+def test_file_shorter_than_checkpoint_raises(tmp_path):
     path = tmp_path / "loops.jsonl"
     LoopLog(path).write({"query": 1})
     before = path.read_bytes()
-    with pytest.raises(RunFolderError, match="its checkpoint says 999"):
+    with pytest.raises(RunFolderError, match="checkpoint expects 999"):
         LoopLog(path, keep_bytes=999)
     assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [b"{broken\n", b"[1, 2]\n", b"\xff\n"])
-def test_a_damaged_line_is_named(tmp_path, content):
+def test_error_names_the_invalid_line(tmp_path, content):
     path = tmp_path / "loops.jsonl"
     path.write_bytes(b'{"query": 1}\n' + content)
     with pytest.raises(FormatError, match=r"loops\.jsonl:2"):
         read_loop_log(path)
 
 
-def test_a_missing_folder_or_file_is_told(tmp_path):
+def test_missing_folder_or_file_raises(tmp_path):
     with pytest.raises(RunFolderError, match="cannot write"):
         LoopLog(tmp_path / "none" / "loops.jsonl")
     with pytest.raises(FormatError, match="cannot read"):
         read_loop_log(tmp_path / "loops.jsonl")
 
 
-def test_what_json_cannot_hold_is_refused_and_leaves_no_trace(tmp_path):
+def test_invalid_record_raises_and_writes_nothing(tmp_path):
     log = LoopLog(tmp_path / "loops.jsonl")
     with pytest.raises(ValueError, match="JSON"):
         log.write({"distance": float("nan")})

@@ -1,4 +1,4 @@
-"""A real recording, out and back along a kitchen: the way back is recognised."""
+"""Loop detection on a real recording: a kitchen traversed in both directions."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from toolkit.loops.options import CandidateOptions
 
 pytest.importorskip("faiss")
 
-EVERY = 8  # frames a keyframe
+EVERY = 8  # frames per keyframe
 NO_CLASSES = np.zeros(0, np.int64)
 
 
 @pytest.fixture
 def kitchen(real_data):
-    """Every eighth frame, as if there were no others."""
+    """Every eighth frame of the recording."""
     dataset = open_dataset("seven-scenes", real_data("7scenes_redkitchen"), (160, 120))
     return [dataset[i] for i in range(0, len(dataset), EVERY)], dataset
 
 
-def test_the_way_back_is_recognised(kitchen):
+def test_return_path_is_recognised(kitchen):
     frames, dataset = kitchen
     truth = dataset.ground_truth
     poses = np.array([truth.at(frame.timestamp_s) for frame in frames])
@@ -54,7 +54,7 @@ def test_the_way_back_is_recognised(kitchen):
     score = score_loops(views, range(len(frames)), accepted, strict)
     assert score.with_loop >= 8
     assert score.recall > 0.4
-    # Those beyond half a metre see the same from a little farther.
+    # Most false positives are views of the same place from farther than the limit.
     assert score.precision > 0.6
     loose = replace(strict, max_distance_m=0.9)
     assert score_loops(views, range(len(frames)), accepted, loose).precision > 0.9

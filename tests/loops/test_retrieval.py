@@ -1,4 +1,4 @@
-"""Nearest keyframes: as by hand, and the same after a restore."""
+"""Descriptor search: exact distances, and identical results after a restore."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ def test_distances_are_euclidean_and_cosines_dot_products(count, wanted, seed):
 
 
 @given(seed=st.integers(0, 1000), keep=st.sets(st.integers(0, 29)))
-def test_only_what_may_be_found_is_found(seed, keep):
+def test_search_is_restricted_to_the_given_keyframes(seed, keep):
     vectors, query = units(30, seed), units(1, seed + 1)[0]
     found = filled(vectors).search(query, 5, among=keep)
     nearest = sorted(keep, key=lambda i: np.linalg.norm(vectors[i] - query))[:5]
     assert [n.keyframe for n in found] == nearest
 
 
-def test_of_equal_ones_the_older_comes_first():
+def test_ties_return_the_older_keyframe_first():
     vectors = np.repeat(units(2, 0), 20, axis=0)
     found = filled(vectors).search(vectors[-1], 5)
     assert [n.keyframe for n in found] == [20, 21, 22, 23, 24]
     assert found[0].distance == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_restored_index_answers_with_the_same_bits():
+def test_restored_index_returns_identical_results():
     vectors, more, queries = units(40, 1), units(10, 2), units(20, 3)
     index = filled(vectors)
     restored = DescriptorIndex.from_state(index.state(), D)
@@ -67,7 +67,7 @@ def test_a_restored_index_answers_with_the_same_bits():
         assert index.search(query, 7, range(5, 30)) == restored.search(query, 7, range(5, 30))
 
 
-def test_an_empty_index_finds_nothing_and_is_restored():
+def test_empty_index_returns_nothing_and_can_be_restored():
     index = DescriptorIndex.from_state(DescriptorIndex(D).state(), D)
     assert len(index) == 0
     assert index.search(units(1, 0)[0], 5) == []
@@ -75,24 +75,24 @@ def test_an_empty_index_finds_nothing_and_is_restored():
     assert index.search(units(1, 0)[0], 5, among=[]) == []
 
 
-def test_descriptors_come_back_as_they_were():
+def test_stored_descriptors_are_unchanged():
     vectors = units(5, 0)
     np.testing.assert_array_equal(filled(vectors).descriptor(3), vectors[3])
 
 
-def test_what_is_no_unit_descriptor_is_refused():
+def test_invalid_descriptors_raise():
     index = DescriptorIndex(D)
     with pytest.raises(ValueError, match=r"shape \[16\]"):
         index.add(np.ones(D - 1, np.float32))
     for wrong in (2.0 * units(1, 0)[0], np.zeros(D, np.float32), np.full(D, np.nan, np.float32)):
-        with pytest.raises(ValueError, match="length 1"):
+        with pytest.raises(ValueError, match="unit norm"):
             index.add(wrong)
     index.add(units(1, 0)[0])
     with pytest.raises(ValueError, match=r"0\.\.0"):
         index.search(units(1, 0)[0], 1, among=[1])
 
 
-def test_opposite_descriptors_are_two_apart():
+def test_opposite_descriptors_have_distance_two():
     index = filled(units(1, 0))
     (found,) = index.search(-units(1, 0)[0], 1)
     assert found.distance == pytest.approx(2.0, abs=1e-5)
@@ -100,7 +100,7 @@ def test_opposite_descriptors_are_two_apart():
     assert math.isclose(found.cosine, 1.0 - found.distance**2 / 2.0, abs_tol=1e-6)
 
 
-def test_missing_faiss_comes_with_the_remedy(monkeypatch):
+def test_missing_faiss_error_names_the_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "faiss", None)
     retrieval.faiss.cache_clear()
     try:

@@ -1,4 +1,4 @@
-"""Which submaps of two maps are compared, and which registration is believed."""
+"""Registration of two maps: submap pairs and selection of the result."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.loops.options import VerificationOptions
 from toolkit.loops.two_maps import (
-    AlikeSubmaps,
     MapRegistration,
-    alike_submaps,
-    choose,
-    register_at,
+    SubmapPair,
+    most_similar_submaps,
+    register_submaps,
+    select_registration,
 )
 from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.submap import Submap
@@ -30,20 +30,20 @@ def unit(*degrees):
     return [[np.cos(np.radians(d)), np.sin(np.radians(d))] for d in degrees]
 
 
-def test_the_most_alike_come_first():
+def test_most_similar_pairs_come_first():
     first = {0: submap(0, unit(0, 5)), 2: submap(2, unit(90, 95))}
     second = {0: submap(0, unit(93)), 1: submap(1, unit(40, 41))}
-    pairs = alike_submaps(first, second, 9)
+    pairs = most_similar_submaps(first, second, 9)
     assert [(p.first, p.second) for p in pairs] == [(2, 0), (0, 1), (2, 1), (0, 0)]
     # 93 degrees lies 3 from 90, and 2 from 95.
     chords = [2 * np.sin(np.radians(d) / 2) for d in (2, 3)]
     assert pairs[0].distance == pytest.approx(np.mean(chords), abs=1e-3)
-    assert alike_submaps(first, second, 2) == pairs[:2]
+    assert most_similar_submaps(first, second, 2) == pairs[:2]
 
 
-def test_submaps_without_descriptors_are_left_out():
+def test_submaps_without_descriptors_are_skipped():
     first = {0: submap(0, []), 1: submap(1, unit(0))}
-    (pair,) = alike_submaps(first, {0: submap(0, unit(10))}, 9)
+    (pair,) = most_similar_submaps(first, {0: submap(0, unit(10))}, 9)
     assert (pair.first, pair.second) == (1, 0)
 
 
@@ -55,7 +55,7 @@ def result(T, overlap=0.7):
     )
 
 
-def test_the_worlds_motion_follows_from_the_submaps():
+def test_map_transformation_is_composed_from_submap_poses():
     T_a, T_b, T_ab = (se3.exp(np.arange(6) * 0.1 + k) for k in (0.0, 0.3, -0.2))
 
     class Registrar:
@@ -63,8 +63,8 @@ def test_the_worlds_motion_follows_from_the_submaps():
             assert T_target_source is None
             return result(T_ab)
 
-    found = register_at(
-        AlikeSubmaps(0, 0, 0.1),
+    found = register_submaps(
+        SubmapPair(0, 0, 0.1),
         {0: submap(0, unit(0), T_a)},
         {0: submap(0, unit(0), T_b)},
         Registrar(),
@@ -74,32 +74,32 @@ def test_the_worlds_motion_follows_from_the_submaps():
     assert np.allclose(found.T_first_second, T_a @ T_ab @ se3.inverse(T_b))
 
 
-def told(metres, overlap=0.7, reason=""):
+def registration(metres, overlap=0.7, reason=""):
     T = se3.exp(np.array([metres, 0, 0, 0, 0, 0.0]))
-    return MapRegistration(AlikeSubmaps(0, 0, 0.1), result(T, overlap), reason, T)
+    return MapRegistration(SubmapPair(0, 0, 0.1), result(T, overlap), reason, T)
 
 
-def test_the_majority_is_believed_and_then_the_larger_overlap():
-    alone = told(9.0, overlap=0.99)
-    two = [told(1.0, 0.5), told(1.1, 0.6)]
-    choice = choose([alone, *two])
-    assert choice.best is two[1] and (choice.verified, choice.agreeing) == (3, 2)
-    assert choose([alone, told(1.0)]).best is alone
+def test_majority_is_selected_then_the_larger_overlap():
+    outlier = registration(9.0, overlap=0.99)
+    two = [registration(1.0, 0.5), registration(1.1, 0.6)]
+    selection = select_registration([outlier, *two])
+    assert selection.best is two[1] and (selection.verified, selection.agreeing) == (3, 2)
+    assert select_registration([outlier, registration(1.0)]).best is outlier
 
 
-def test_what_was_refused_has_no_vote():
-    refused = [told(1.0, reason="no"), told(1.0, reason="no")]
-    kept = told(5.0)
-    assert choose([*refused, kept]).best is kept
-    assert choose(refused) is None
-    assert choose([]) is None
+def test_rejected_registrations_have_no_vote():
+    rejected = [registration(1.0, reason="no"), registration(1.0, reason="no")]
+    kept = registration(5.0)
+    assert select_registration([*rejected, kept]).best is kept
+    assert select_registration(rejected) is None
+    assert select_registration([]) is None
 
 
-def test_a_failure_says_why():
+def test_failed_registration_reports_its_reason():
     class Nothing:
         def register(self, target, source, T_target_source=None):
             return failed("test", "nothing in common")
 
     maps = {0: submap(0, unit(0))}
-    found = register_at(AlikeSubmaps(0, 0, 0.1), maps, maps, Nothing(), VerificationOptions())
+    found = register_submaps(SubmapPair(0, 0, 0.1), maps, maps, Nothing(), VerificationOptions())
     assert found.reason == "nothing in common"

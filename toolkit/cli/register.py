@@ -25,11 +25,11 @@ from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
 from toolkit.loops.options import VerificationOptions
 from toolkit.loops.two_maps import (
-    Choice,
     MapRegistration,
-    alike_submaps,
-    choose,
-    register_at,
+    Selection,
+    most_similar_submaps,
+    register_submaps,
+    select_registration,
 )
 from toolkit.registration.factory import build_drawer
 from toolkit.registration.options import RegistrationOptions
@@ -70,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
     _check_descriptors(a, b, submaps_a, submaps_b)
     objection = not_one_tree(a, b)
     found = _registered(options, a, b, (submaps_a, submaps_b))
-    choice = choose(found)
+    choice = select_registration(found)
     if choice is None:
         raise ToolkitError(_nothing_holds(options, found))
     T_a_b = choice.best.T_first_second
@@ -153,9 +153,9 @@ def _registered(
     if needs_describer(options.registration):
         describer = build_describer(a.settings.loops.features)
     registrar = build_registrar(options.registration, a.settings.seed, drawer, describer)
-    pairs = alike_submaps(*submaps, options.pairs)
+    pairs = most_similar_submaps(*submaps, options.pairs)
     return [
-        register_at(pair, *submaps, registrar, options.verification)
+        register_submaps(pair, *submaps, registrar, options.verification)
         for pair in tqdm(pairs, unit="pair of submaps")
     ]
 
@@ -170,7 +170,7 @@ def _nothing_holds(options: RegisterOptions, found: list[MapRegistration]) -> st
 
 
 def _report(
-    options: RegisterOptions, found: list[MapRegistration], choice: Choice
+    options: RegisterOptions, found: list[MapRegistration], choice: Selection
 ) -> dict[str, Any]:
     """What register.json holds: the choice, and every pair that was tried."""
     best = choice.best
@@ -198,7 +198,7 @@ def _verdict(found: MapRegistration) -> dict[str, Any]:
     }
 
 
-def _lines(report: dict[str, Any], choice: Choice) -> list[str]:
+def _lines(report: dict[str, Any], choice: Selection) -> list[str]:
     """The result in plain words."""
     T: NDArray[np.float64] = choice.best.T_first_second
     turned = math.degrees(float(se3.rotation_angle_rad(T[:3, :3])))

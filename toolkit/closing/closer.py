@@ -28,7 +28,7 @@ from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
-from toolkit.loops.relocalisation import Found, Relocaliser
+from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import (
     PoseCorrection,
@@ -67,7 +67,7 @@ class LoopCloser:
 
     def map_loaded(self, atlas: Atlas) -> None:
         """Add the keyframes and the anchors of a loaded map, which is rigid from now on."""
-        self._detector.take_over(atlas.submap(number) for number in range(atlas.saved))
+        self._detector.add_saved_submaps(atlas.submap(number) for number in range(atlas.saved))
         for first, second in pairwise(range(atlas.saved)):
             T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
             self._links.append(PoseEdge(first, second, T, _RIGID))
@@ -98,7 +98,7 @@ class LoopCloser:
         self.add_odometry(atlas, information)
         self.close_between(atlas, atlas.active - 1)
 
-    def submap_recovered(self, atlas: Atlas, found: Found | None) -> None:
+    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """Connect a submap that started at a lost frame, and close the loops of the one before."""
         self._connect(atlas, found)
         self.close_between(atlas, atlas.active - 1)
@@ -135,7 +135,7 @@ class LoopCloser:
         T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
         self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
 
-    def _connect(self, atlas: Atlas, found: Found | None) -> None:
+    def _connect(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """Add the edges of a submap that started at a lost frame.
 
         Its odometry is interrupted, so its pose relative to the previous submap is a guess. If
@@ -295,7 +295,7 @@ class LoopCloser:
         self.loops, self._links = made
         self._suspected = [LoopCandidate(**candidate) for candidate in values["suspected"]]
         if self._log is not None and values["log_bytes"] is not None:
-            self._log.cut_back(values["log_bytes"])
+            self._log.truncate(values["log_bytes"])
 
 
 # Information of an unknown pose: standard deviations of 10 m and 3 rad.

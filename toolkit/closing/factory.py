@@ -16,7 +16,7 @@ from toolkit.closing.parts import ClosingParts
 from toolkit.features.factory import build_describer
 from toolkit.frame import Recorder
 from toolkit.loops.candidates import CandidateFinder
-from toolkit.loops.class_counts import ClassCounter, LabelledPixels, ObservedGaussians
+from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
 from toolkit.loops.options import LandmarkOptions
@@ -96,5 +96,5 @@ def _class_counter(options: LandmarkOptions, context: ClosingContext) -> ClassCo
     """What counts the classes of a keyframe."""
     classes = len(context.taxonomy) if context.taxonomy else 0
     if options.counted == "pixels" or not context.semantics.channels:
-        return LabelledPixels(classes)
-    return ObservedGaussians(context.semantics, classes, backend(context.backend_name))
+        return PixelClassCounter(classes)
+    return GaussianClassCounter(context.semantics, classes, backend(context.backend_name))

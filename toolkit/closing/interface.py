@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.loops.relocalisation import Found, Relocaliser
+from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.submaps.atlas import Atlas
 
@@ -52,7 +52,7 @@ class LoopClosing(Protocol):
         """
         ...
 
-    def submap_recovered(self, atlas: Atlas, found: Found | None) -> None:
+    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """A submap has started at a lost frame, which was found or was not."""
         ...
 
@@ -94,7 +94,7 @@ class NoLoopClosing:
     def submap_started(self, atlas: Atlas, information: Array) -> None:
         """Do nothing."""
 
-    def submap_recovered(self, atlas: Atlas, found: Found | None) -> None:
+    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """Do nothing."""
 
     def finish(self, atlas: Atlas) -> None:

@@ -18,7 +18,7 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.options import VerificationOptions
-from toolkit.loops.verification import objection
+from toolkit.loops.verification import rejection_reason
 from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.graph import PoseEdge
@@ -84,7 +84,9 @@ class SubmapLoops:
             if laid is None:
                 return None
             impossible = self._against(odometry, laid.edge)
-            if self._believed(laid, objection(laid.result, self._parts.verification) or impossible):
+            if self._believed(
+                laid, rejection_reason(laid.result, self._parts.verification) or impossible
+            ):
                 return laid.edge
             if not impossible:
                 return None
@@ -101,7 +103,7 @@ class SubmapLoops:
         laid = self._laid(self._parts.nearby, atlas, first, second)
         if laid is None:
             return None
-        reason = objection(laid.result, _OF_NEIGHBOURS) or self._against(odometry, laid.edge)
+        reason = rejection_reason(laid.result, _OF_NEIGHBOURS) or self._against(odometry, laid.edge)
         chi2 = laid.edge.chi2(np.eye(4), laid.T_before)
         if not reason and chi2 <= quantile(self._options.drift_confidence, 6):
             reason = "the submaps lie so already"

@@ -1,1 +1,1 @@
-"""Loop closure: places seen again, found and verified (G-III.C)."""
+"""Loop closure: detection and verification of revisited places (G-III.C)."""

@@ -1,7 +1,7 @@
-"""Loop candidates: places that look alike, ranked by what stands there (G, Algorithm 1).
+"""Loop candidates: keyframes with similar descriptors, ranked by landmarks (G, Algorithm 1).
 
-A candidate is a suspicion. Whether two views show one place is decided by registration, after
-this; so each search gives every keyframe it considered, taken or refused, with the reason.
+Registration decides later whether a candidate is a loop. Each search therefore returns every
+keyframe that it considered, accepted or rejected, with the reason.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from toolkit.loops.landmarks import landmark_distance, landmark_vectors
 from toolkit.loops.options import CandidateOptions, LandmarkOptions
 from toolkit.loops.retrieval import DescriptorIndex, Neighbour
 
-# The rank of a candidate whose landmarks tell nothing: as of vectors with little in common.
+# Landmark distance assumed where it is unknown: that of vectors with little in common.
 _UNKNOWN_LANDMARKS = 1.0
-# Fewer distances than these say nothing about how alike neighbours look.
-_LEAST_NEIGHBOURS = 3
+# The adaptive threshold needs at least this many distances to neighbouring keyframes.
+_MIN_NEIGHBOURS = 3
 
 
 @dataclass(frozen=True)
 class DescribedKeyframe:
-    """What loop detection knows of a keyframe.
+    """A keyframe as loop detection stores it.
 
     Attributes:
-        frame: its index in the sequence.
-        submap: the number of its submap.
-        travelled_m: length of the estimated path up to here, metres.
+        frame: index in the sequence.
+        submap: number of its submap.
+        travelled_m: length of the estimated path up to this keyframe, metres.
         descriptor: [D] float32 of unit length.
-        class_counts: [C] observed pixels or Gaussians of each class without void; C may be 0.
+        class_counts: [C] observed pixels or Gaussians per class, void excluded; C may be 0.
     """
 
     frame: int
@@ -44,16 +44,16 @@ class DescribedKeyframe:
 
 @dataclass(frozen=True)
 class LoopCandidate:
-    """Two keyframes that may show one place.
+    """Two keyframes that may show the same place.
 
     Attributes:
-        query, match: frame indices, the match being the older.
+        query, match: frame indices; the match is the older keyframe.
         query_submap, match_submap: numbers of their submaps.
-        distance: of the descriptors, Euclidean.
-        cosine: of the descriptors.
-        landmark_distance: of the landmark vectors, in [0, sqrt 2]; None where they tell nothing.
-        reason: why it was taken or refused, in plain words.
-        accepted: whether it goes on to verification.
+        distance: Euclidean distance between the descriptors.
+        cosine: cosine similarity of the descriptors.
+        landmark_distance: distance between the landmark vectors, in [0, sqrt 2]; None if unknown.
+        reason: why it was accepted or rejected.
+        accepted: whether it is passed on to verification.
     """
 
     query: int
@@ -67,13 +67,19 @@ class LoopCandidate:
     accepted: bool
 
     def record(self) -> dict[str, Any]:
-        """The values for a log."""
+        """Return the fields as a dictionary for the loop log."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """A keyframe that looks like a view: its frame index, its submap, and how alike they are."""
+class SimilarKeyframe:
+    """A keyframe similar to a query view.
+
+    Attributes:
+        frame: index in the sequence.
+        submap: number of its submap.
+        distance: Euclidean distance between the descriptors.
+    """
 
     frame: int
     submap: int
@@ -81,13 +87,13 @@ class Sighting:
 
 
 class CandidateFinder:
-    """Remembers the keyframes of a run, and searches among them every so often.
+    """Stores the keyframes of a run and searches them for loop candidates at a fixed interval.
 
     Args:
         dimensions: length D of a descriptor.
-        threshold: the descriptor's own.
-        options: when keyframes are candidates; default if None.
-        landmarks: how classes are weighed; default if None.
+        threshold: maximum descriptor distance of the encoder.
+        options: candidate selection; default if None.
+        landmarks: class weighting; default if None.
 
     Raises:
         DependencyError: FAISS cannot be loaded.
@@ -114,26 +120,26 @@ class CandidateFinder:
         return len(self._frames)
 
     def add(self, keyframe: DescribedKeyframe) -> list[LoopCandidate]:
-        """Remember a keyframe and, if its turn has come, search for its loops.
+        """Store a keyframe and search for its loops if a search is due.
 
         Args:
-            keyframe: the next one, with a later frame than the last.
+            keyframe: next keyframe, with a larger frame index than the previous one.
 
         Returns:
-            What was considered, best first: those taken, then those refused. Nothing, too,
-            where no search was due.
+            The keyframes considered: accepted candidates first, best first, then rejected ones.
+            Empty if no search was due.
 
         Raises:
-            ValueError: the keyframe does not fit those before.
+            ValueError: the keyframe is out of order or has a different number of classes.
         """
         number = self.remember(keyframe)
-        return self.search(number) if self.search_was_due else []
+        return self.search(number) if self.search_due else []
 
     def remember(self, keyframe: DescribedKeyframe) -> int:
-        """Remember a keyframe without a search; its number.
+        """Store a keyframe without a search and return its number.
 
         Raises:
-            ValueError: the keyframe does not fit those before.
+            ValueError: the keyframe is out of order or has a different number of classes.
         """
         self._check(keyframe)
         number = self._index.add(keyframe.descriptor)
@@ -144,39 +150,39 @@ class CandidateFinder:
         return number
 
     @property
-    def search_was_due(self) -> bool:
-        """Whether the newest keyframe was one at which loops are searched for."""
+    def search_due(self) -> bool:
+        """Whether a loop search is due at the newest keyframe."""
         return len(self) > 0 and len(self) % self.options.search_every == 0
 
     def search(self, number: int) -> list[LoopCandidate]:
-        """Candidates for the keyframe that was added as the `number`-th, from 0; as `add`."""
+        """Search candidates for keyframe `number`, counted from 0; returns the same as `add`."""
         options = self.options
         among = np.flatnonzero(self._beyond_gap(number))
         found = self._index.search(self._index.descriptor(number), options.considered, among)
         if not found:
             return []
         counts = np.stack(self._class_counts)
-        # The paper's weighting counts over the map, which holds what its keyframes observed.
+        # The paper counts over the map; the sum over all keyframes stands in for it.
         vectors = landmark_vectors(counts, self._landmarks, map_counts=counts.sum(axis=0))
         limit = self._threshold_of(number)
-        judged = [
-            self._judged(
+        evaluated = [
+            self._evaluate(
                 number, near, limit, landmark_distance(vectors[number], vectors[near.keyframe])
             )
             for near in found
         ]
-        refused = [c for c in judged if not c.accepted]
-        return _chosen([c for c in judged if c.accepted], options.kept) + refused
+        rejected = [c for c in evaluated if not c.accepted]
+        return _select([c for c in evaluated if c.accepted], options.kept) + rejected
 
-    def alike(self, descriptor: NDArray[np.float32], count: int) -> list[Sighting]:
-        """The keyframes that look most like a view of descriptor [D], nearest first."""
+    def most_similar(self, descriptor: NDArray[np.float32], count: int) -> list[SimilarKeyframe]:
+        """Return the keyframes with the nearest descriptors to [D], nearest first."""
         return [
-            Sighting(self._frames[n.keyframe], self._submaps[n.keyframe], n.distance)
+            SimilarKeyframe(self._frames[n.keyframe], self._submaps[n.keyframe], n.distance)
             for n in self._index.search(descriptor, count)
         ]
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes over to identical results."""
+        """Return the arrays from which `restore` continues identically."""
         counts = self._class_counts
         return {
             **self._index.state(),
@@ -187,7 +193,7 @@ class CandidateFinder:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self._index = DescriptorIndex.from_state(state, self._index.dimensions)
         self._frames = [int(n) for n in state["frames"]]
         self._submaps = [int(n) for n in state["submaps"]]
@@ -209,38 +215,38 @@ class CandidateFinder:
             )
 
     def _beyond_gap(self, number: int) -> NDArray[np.bool_]:
-        """Which keyframes are older by enough frames and enough metres."""
+        """[K] mask of keyframes older by the minimum number of frames and metres."""
         frames, travelled_m = np.array(self._frames), np.array(self._travelled_m)
         options = self.options
         far = frames[number] - frames >= options.min_gap_frames
         return far & (travelled_m[number] - travelled_m >= options.min_gap_m)
 
     def _threshold_of(self, number: int) -> float:
-        """The descriptor distance below which a keyframe's matches are believed."""
+        """Descriptor distance below which matches of a keyframe are accepted."""
         options = self.options
         if options.threshold == "fixed":
             return self._fixed_threshold
         submaps, numbers = np.array(self._submaps), np.arange(len(self))
         near = (submaps == submaps[number]) & (numbers < number) & ~self._beyond_gap(number)
-        if near.sum() < _LEAST_NEIGHBOURS:
+        if near.sum() < _MIN_NEIGHBOURS:
             return self._fixed_threshold
-        mine = self._index.search(
+        neighbours = self._index.search(
             self._index.descriptor(number), int(near.sum()), np.flatnonzero(near)
         )
-        own = float(np.quantile([n.distance for n in mine], options.adaptive_quantile))
+        own = float(np.quantile([n.distance for n in neighbours], options.adaptive_quantile))
         return min(own, options.adaptive_limit * self._fixed_threshold)
 
-    def _judged(
+    def _evaluate(
         self, number: int, near: Neighbour, limit: float, landmarks: float | None
     ) -> LoopCandidate:
-        most = self.options.max_landmark_distance
+        maximum = self.options.max_landmark_distance
         accepted, reason = True, ""
         if near.distance >= limit:
             accepted = False
             reason = f"descriptors differ by {near.distance:.3f}, {limit:.3f} or more"
-        elif landmarks is not None and landmarks > most:
+        elif landmarks is not None and landmarks > maximum:
             accepted = False
-            reason = f"landmarks differ by {landmarks:.3f}, more than {most:.3f}"
+            reason = f"landmarks differ by {landmarks:.3f}, more than {maximum:.3f}"
         return LoopCandidate(
             query=self._frames[number],
             match=self._frames[near.keyframe],
@@ -254,21 +260,22 @@ class CandidateFinder:
         )
 
 
-def _chosen(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
-    """Candidates in order of preference, all but the first few refused.
+def _select(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
+    """Order candidates by preference and accept the first `kept`.
 
-    The best by landmarks of each submap come before the second ones: neighbours say the same,
-    and where two places look alike those of the wrong one could be all that is asked.
+    The best candidate of every submap precedes the second best of any submap. Neighbouring
+    keyframes of one submap are redundant, and where two places look similar, the candidates of
+    the wrong place could otherwise take all `kept` positions.
     """
     ranked = sorted(passed, key=_rank)
     turns: Counter[int] = Counter()
     numbered = []
-    for place, candidate in enumerate(ranked):
-        numbered.append((turns[candidate.match_submap], place, candidate))
+    for rank, candidate in enumerate(ranked):
+        numbered.append((turns[candidate.match_submap], rank, candidate))
         turns[candidate.match_submap] += 1
     chosen: list[LoopCandidate] = []
-    for turn, place, candidate in sorted(numbered, key=lambda entry: entry[:2]):
-        reason = f"number {place + 1} of {len(ranked)} by landmarks, {turn + 1} of its submap"
+    for turn, rank, candidate in sorted(numbered, key=lambda entry: entry[:2]):
+        reason = f"number {rank + 1} of {len(ranked)} by landmarks, {turn + 1} of its submap"
         accepted = len(chosen) < kept
         if not accepted:
             reason += f"; {kept} are kept"

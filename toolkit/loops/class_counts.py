@@ -1,4 +1,4 @@
-"""How much of each class a keyframe observes: what landmark vectors are made of (G-7)."""
+"""Per-class counts of what a keyframe observes, the input of landmark vectors (G-7)."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ class ClassCounter(Protocol):
     """Counts what a keyframe observes of each class."""
 
     def counts(self, keyframe: Keyframe, gaussians: GaussianCloud) -> NDArray[np.int64]:
-        """Return the counts [C] of the classes, without void.
+        """Return the counts [C] of the classes, void excluded.
 
         Args:
-            gaussians: of the keyframe's submap, in the submap's frame.
+            keyframe: observing keyframe.
+            gaussians: Gaussians of the keyframe's submap, in the submap's frame.
         """
         ...
 
 
 @dataclass(frozen=True)
-class LabelledPixels:
+class PixelClassCounter:
     """Counts the labelled pixels of the keyframe's own image; nothing is rendered.
 
     Attributes:
-        classes: C of the taxonomy; 0 without labels.
+        classes: number C of classes in the taxonomy; 0 without labels.
     """
 
     classes: int
@@ -48,15 +49,15 @@ class LabelledPixels:
 
 
 @dataclass(frozen=True)
-class ObservedGaussians:
-    """Counts the Gaussians on the surface that the keyframe sees, by the class they decode to (G).
+class GaussianClassCounter:
+    """Counts the Gaussians on the visible surface by their decoded class (G).
 
-    Gaussians that are hidden behind that surface, or never had a label, do not count.
+    Occluded Gaussians and Gaussians that never received a label are not counted.
 
     Attributes:
-        semantics: decodes the features of the map.
-        classes: C of the taxonomy.
-        backend: renderer of the surface.
+        semantics: decoder of the map's features.
+        classes: number C of classes in the taxonomy.
+        backend: backend that renders the surface.
     """
 
     semantics: SemanticMapping

@@ -1,4 +1,4 @@
-"""Watches keyframes go by and says which may show a place seen before (G, Algorithm 1)."""
+"""Loop detection: describes keyframes and searches for candidates (G, Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from toolkit.loops.candidates import (
     CandidateFinder,
     DescribedKeyframe,
     LoopCandidate,
-    Sighting,
+    SimilarKeyframe,
 )
-from toolkit.loops.class_counts import ClassCounter, LabelledPixels
+from toolkit.loops.class_counts import ClassCounter, PixelClassCounter
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 
@@ -26,13 +26,13 @@ Painter = Callable[[NDArray[np.integer]], Tensor]
 
 
 class LoopDetector:
-    """Describes each keyframe and searches among the older ones.
+    """Computes a descriptor for each keyframe and searches the older keyframes.
 
     Args:
-        describer: of views.
-        finder: of candidates, for its descriptors.
-        counter: of classes in a keyframe; default: a map without labels.
-        painter: of semantic pictures, where the describer wants them.
+        describer: computes view descriptors.
+        finder: candidate search over the describer's descriptors.
+        counter: counts classes in a keyframe; default: a map without labels.
+        painter: colours class ids for describers that use semantic images.
     """
 
     def __init__(
@@ -43,43 +43,45 @@ class LoopDetector:
         painter: Painter | None = None,
     ) -> None:
         self._describer, self._finder = describer, finder
-        self._counter, self._painter = counter or LabelledPixels(0), painter
+        self._counter, self._painter = counter or PixelClassCounter(0), painter
         self._travelled_m = 0.0
         self._last: NDArray[np.float64] | None = None
 
     def observe(self, atlas: Atlas) -> list[LoopCandidate]:
-        """Remember the active submap's newest keyframe; what was considered for it, if due."""
+        """Store the newest keyframe of the active submap; returns candidates if a search is due."""
         keyframe = atlas.mapper.keyframes[-1]
-        descriptor = self._described(keyframe)
+        descriptor = self._descriptor(keyframe)
         atlas.describe(descriptor)
         T_world_camera = atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera
         counts = self._counter.counts(keyframe, atlas.mapper.gaussians)
         return self._finder.add(
-            self._passed(keyframe, atlas.active, T_world_camera, descriptor, counts)
+            self._describe_keyframe(keyframe, atlas.active, T_world_camera, descriptor, counts)
         )
 
-    def take_over(self, submaps: Iterable[Submap]) -> None:
-        """Remember the keyframes of an earlier run, with the descriptors that it gave them.
+    def add_saved_submaps(self, submaps: Iterable[Submap]) -> None:
+        """Store the keyframes of a saved map with their saved descriptors.
 
-        The path goes on beyond the gap that keeps neighbours apart: no frame of this run is a
-        neighbour of one of that.
+        The path length is increased by the minimum gap afterwards, so that keyframes of the
+        new run are never rejected as neighbours of the saved ones.
         """
         last = None
         for submap in submaps:
             for keyframe, descriptor in zip(submap.keyframes, submap.descriptors, strict=True):
-                # One on a boundary is in two submaps.
+                # A keyframe on a boundary belongs to two submaps.
                 if last is not None and keyframe.index <= last:
                     continue
                 last = keyframe.index
                 T_world_camera = submap.T_world_camera(keyframe)
                 counts = self._counter.counts(keyframe, submap.gaussians)
                 self._finder.remember(
-                    self._passed(keyframe, submap.number, T_world_camera, descriptor, counts)
+                    self._describe_keyframe(
+                        keyframe, submap.number, T_world_camera, descriptor, counts
+                    )
                 )
         self._travelled_m += self._finder.options.min_gap_m
         self._last = None
 
-    def _passed(
+    def _describe_keyframe(
         self,
         keyframe: Keyframe,
         submap: int,
@@ -87,23 +89,23 @@ class LoopDetector:
         descriptor: NDArray[np.float32],
         counts: NDArray[np.int64],
     ) -> DescribedKeyframe:
-        """A keyframe with the length of the path up to it."""
-        place = T_world_camera[:3, 3]
+        """Build the stored keyframe and update the length of the path."""
+        position = T_world_camera[:3, 3]
         if self._last is not None:
-            self._travelled_m += float(np.linalg.norm(place - self._last))
-        self._last = place
+            self._travelled_m += float(np.linalg.norm(position - self._last))
+        self._last = position
         return DescribedKeyframe(keyframe.index, submap, self._travelled_m, descriptor, counts)
 
     @property
     def searched(self) -> bool:
-        """Whether loops were searched for at the newest keyframe."""
-        return self._finder.search_was_due
+        """Whether a loop search was run at the newest keyframe."""
+        return self._finder.search_due
 
-    def alike(self, keyframe: Keyframe, count: int) -> list[Sighting]:
-        """The keyframes that look most like a view, nearest first."""
-        return self._finder.alike(self._described(keyframe), count)
+    def most_similar(self, keyframe: Keyframe, count: int) -> list[SimilarKeyframe]:
+        """Return the keyframes most similar to a view, nearest first."""
+        return self._finder.most_similar(self._descriptor(keyframe), count)
 
-    def _described(self, keyframe: Keyframe) -> NDArray[np.float32]:
+    def _descriptor(self, keyframe: Keyframe) -> NDArray[np.float32]:
         rgb = (keyframe.rgb.to(torch.float32) / 255.0)[None]
         semantic = None
         if self._describer.wants_semantics and self._painter is not None:
@@ -114,12 +116,12 @@ class LoopDetector:
             return self._describer.describe(rgb, semantic)[0].numpy()
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes."""
+        """Return the arrays that `restore` needs."""
         last = np.zeros(0) if self._last is None else self._last
         return {**self._finder.state(), "way": np.array([self._travelled_m]), "last": last}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self._finder.restore(state)
         self._travelled_m = float(state["way"][0])
         self._last = np.array(state["last"]) if len(state["last"]) else None

@@ -1,13 +1,14 @@
-"""Semantic landmarks: which classes a view shows, the rare ones first (G-7).
+"""Semantic landmark vectors: class frequencies of a view, weighted by rarity (G-7).
 
-A view's vector has an entry for each class c: how much of the view is of it, times how much
-that tells. The paper prints M / M_c * log(N / (1 + N_c)) with M_c of the M observed and N_c of
-the map's N Gaussians of class c. That divides by zero for classes out of view, lets a single
-stray Gaussian outweigh all else, and counts rarity twice. As in text retrieval (tf-idf), here
+The vector of a view has one entry per class c: the share of the class in the view times its
+inverse frequency. The paper prints M / M_c * log(N / (1 + N_c)), where M_c of the M observed
+Gaussians and N_c of the N Gaussians in the map have class c. This divides by zero for classes
+out of view, lets a single stray Gaussian dominate, and counts rarity twice. We use tf-idf as in
+text retrieval:
 
-    w(c) = sqrt(M_c / M) * log((1 + K) / (1 + K_c)),   K_c of the K keyframes see class c,
+    w(c) = sqrt(M_c / M) * log((1 + K) / (1 + K_c)),   K_c of the K keyframes observe class c,
 
-scaled to length 1. The square root keeps walls from drowning the rest.
+scaled to unit length. The square root reduces the weight of large surfaces such as walls.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ Counts = NDArray[np.integer]
 def landmark_vectors(
     counts: Counts, options: LandmarkOptions | None = None, map_counts: Counts | None = None
 ) -> Array:
-    """Vectors [K, C] of K keyframes, each of length 1, or zero where no class tells anything.
+    """Compute the landmark vectors [K, C] of K keyframes: unit length, or zero if uninformative.
 
-    All are of one snapshot of the keyframes: never compare vectors of two calls.
+    The weights depend on all K keyframes, so vectors of different calls are not comparable.
 
     Args:
-        counts: [K, C] observed pixels or Gaussians of each class, without void.
-        options: how; default if None.
-        map_counts: [C] Gaussians of each class in the map, for the paper's weighting only.
+        counts: [K, C] observed pixels or Gaussians per class, void excluded.
+        options: weighting; default if None.
+        map_counts: [C] Gaussians per class in the map, for the paper's weighting only.
 
     Raises:
         ValueError: shapes are wrong, a count is negative, or map_counts is missing.
@@ -39,9 +40,9 @@ def landmark_vectors(
     options = options or LandmarkOptions()
     counts = np.asarray(counts)
     if counts.ndim != 2 or (counts.size and counts.min() < 0):
-        raise ValueError(f"counts must be [K, C], not negative, got {list(counts.shape)}")
+        raise ValueError(f"counts must be non-negative with shape [K, C], got {list(counts.shape)}")
     if options.weighting == "paper":
-        vectors = _printed(counts, options.min_count, map_counts)
+        vectors = _paper_vectors(counts, options.min_count, map_counts)
     else:
         counts = np.where(counts >= max(1, options.min_count), counts, 0)
         shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
@@ -53,29 +54,29 @@ def landmark_vectors(
 
 
 def keyframe_idf(counts: Counts) -> Array:
-    """log((1 + K) / (1 + K_c)) [C] of K keyframes' counts [K, C]: 0 for what all see."""
-    seen = np.count_nonzero(counts, axis=0)
-    return np.log((1.0 + len(counts)) / (1.0 + seen))
+    """log((1 + K) / (1 + K_c)) [C] from counts [K, C]: 0 for classes that all keyframes see."""
+    observing = np.count_nonzero(counts, axis=0)
+    return np.log((1.0 + len(counts)) / (1.0 + observing))
 
 
 def gaussian_idf(map_counts: Counts) -> Array:
-    """G's log(N / (1 + N_c)) [C] of a map with N_c Gaussians of each class, N together."""
+    """log(N / (1 + N_c)) [C] as in G, for N_c Gaussians of class c and N in total."""
     map_counts = np.asarray(map_counts)
     return np.log(max(1.0, map_counts.sum()) / (1.0 + map_counts))
 
 
-def landmark_distance(one: Array, other: Array) -> float | None:
-    """Euclidean distance of two vectors [C] of one snapshot, in [0, sqrt 2].
+def landmark_distance(first: Array, second: Array) -> float | None:
+    """Euclidean distance of two vectors [C] from one `landmark_vectors` call, in [0, sqrt 2].
 
-    None where either is zero: a view of what every keyframe sees tells nothing.
+    None if either vector is zero, that is, if a view shows only classes that all keyframes see.
     """
-    if not one.any() or not other.any():
+    if not first.any() or not second.any():
         return None
-    return float(np.linalg.norm(one - other))
+    return float(np.linalg.norm(first - second))
 
 
-def _printed(counts: Counts, floor: int, map_counts: Counts | None) -> Array:
-    """M / max(M_c, floor) * f(c) where class c is seen (G-7), without scaling."""
+def _paper_vectors(counts: Counts, floor: int, map_counts: Counts | None) -> Array:
+    """M / max(M_c, floor) * f(c) for visible classes c (G-7), not normalised."""
     if map_counts is None or np.shape(map_counts) != counts.shape[1:]:
         raise ValueError(f"the paper's weighting needs map_counts [{counts.shape[1]}]")
     observed = counts.sum(axis=1, keepdims=True)

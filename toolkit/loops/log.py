@@ -1,4 +1,4 @@
-"""`loops.jsonl`: one line of JSON for each loop candidate and what became of it."""
+"""`loops.jsonl`: one JSON line per loop candidate, search and verification result."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _log = logging.getLogger(__name__)
 
 
 class LoopLog:
-    """Appends to the file; what was written is with the system when `write` returns.
+    """Appends records to the file; each `write` flushes to the operating system.
 
     Args:
-        path: the file, made where there is none.
-        keep_bytes: cut the file back to so many bytes first, as it was at a checkpoint; None
-            keeps it all.
+        path: log file, created if missing.
+        keep_bytes: truncate the file to this size first, its size at a checkpoint; None keeps
+            all of it.
 
     Raises:
-        RunFolderError: it cannot be written, or is shorter than what is to be kept.
+        RunFolderError: the file cannot be written or is shorter than `keep_bytes`.
     """
 
     def __init__(self, path: str | os.PathLike[str], keep_bytes: int | None = None) -> None:
@@ -35,18 +35,18 @@ class LoopLog:
         except OSError as error:
             raise cannot_write(self._path, error) from error
         if keep_bytes is not None:
-            self.cut_back(keep_bytes)
+            self.truncate(keep_bytes)
 
     @property
     def size_bytes(self) -> int:
-        """Length of the file, for a checkpoint."""
+        """Size of the file, stored in checkpoints."""
         return self._size
 
     def write(self, record: Mapping[str, Any]) -> None:
-        """Append one line, the same bytes for the same record.
+        """Append one record as a line of JSON.
 
         Raises:
-            ValueError: a value is not JSON; NaN and infinity are not.
+            ValueError: a value is not valid JSON, for instance NaN or infinity.
             RunFolderError: the file cannot be written.
         """
         line = (json.dumps(dict(record), allow_nan=False) + "\n").encode()
@@ -57,16 +57,16 @@ class LoopLog:
             raise cannot_write(self._path, error) from error
         self._size += len(line)
 
-    def cut_back(self, keep_bytes: int) -> None:
-        """Cut the file back to so many bytes, as it was at a checkpoint.
+    def truncate(self, keep_bytes: int) -> None:
+        """Truncate the file to its size at a checkpoint.
 
         Raises:
-            RunFolderError: it cannot be written, or is shorter.
+            RunFolderError: the file cannot be written or is shorter than `keep_bytes`.
         """
         if keep_bytes > self._size:
             raise RunFolderError(
-                f"{self._path} has {self._size} bytes, its checkpoint says {keep_bytes}; put the "
-                "whole file back, or start anew"
+                f"{self._path} has {self._size} bytes, but the checkpoint expects {keep_bytes}; "
+                "restore the complete file or start a new run"
             )
         try:
             with self._path.open("ab") as stream:
@@ -77,10 +77,10 @@ class LoopLog:
 
 
 def read_loop_log(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
-    """The records of the file, oldest first; a last line that was cut off is left out.
+    """Read the records of the file, oldest first; an incomplete last line is skipped.
 
     Raises:
-        FormatError: the file is missing or a line is no JSON object.
+        FormatError: the file is missing or a line is not a JSON object.
     """
     try:
         content = Path(path).read_bytes()
@@ -88,15 +88,15 @@ def read_loop_log(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
     *lines, rest = content.split(b"\n")
     if rest:
-        _log.warning("%s: the last line is not whole and is left out", path)
+        _log.warning("%s: skipped the incomplete last line", path)
     return [_record(line, f"{path}:{number}") for number, line in enumerate(lines, start=1)]
 
 
-def _record(line: bytes, place: str) -> dict[str, Any]:
+def _record(line: bytes, location: str) -> dict[str, Any]:
     try:
         record = json.loads(line)
     except ValueError as error:
-        raise FormatError(f"{place} is not JSON ({error}); remove the line") from error
+        raise FormatError(f"{location} is not JSON ({error}); remove the line") from error
     if not isinstance(record, dict):
-        raise FormatError(f"{place} holds no record; remove the line")
+        raise FormatError(f"{location} is not a JSON object; remove the line")
     return record

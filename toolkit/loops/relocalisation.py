@@ -1,4 +1,4 @@
-"""Where a lost camera is: the keyframes it looks like, and alignment to their submap."""
+"""Relocalisation of a lost camera: keyframe retrieval, then alignment to the submap."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toolkit.alignment.options import MatchingOptions
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
-from toolkit.loops.candidates import Sighting
+from toolkit.loops.candidates import SimilarKeyframe
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.options import RelocalisationOptions
 from toolkit.submaps.atlas import Atlas
@@ -26,12 +26,12 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Found:
-    """Where a frame was found.
+class Relocalisation:
+    """A successful relocalisation.
 
     Attributes:
         submap: number of the submap.
-        result: the tracker's answer in that submap's frame.
+        result: tracking result in that submap's frame.
     """
 
     submap: int
@@ -44,19 +44,24 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class LastSeen:
-    """When the camera was last placed, and where: [3] in the world, m."""
+class LastPosition:
+    """Timestamp and position of the last tracked frame.
+
+    Attributes:
+        timestamp_s: seconds.
+        position: [3] in the world frame, metres.
+    """
 
     timestamp_s: float
     position: NDArray[np.float64]
 
 
-# Of so many times the keyframes to be tried, those in reach are looked for.
-_POOL = 4
+# Retrieved keyframes per keyframe tried, before those out of reach are removed.
+_POOL_FACTOR = 4
 
 
 class Relocaliser:
-    """Looks for lost frames among all keyframes."""
+    """Relocalises lost frames against the keyframes of all submaps."""
 
     def __init__(
         self,
@@ -72,47 +77,50 @@ class Relocaliser:
         frame: Frame,
         atlas: Atlas,
         tracker: LocatingTracker,
-        last: LastSeen | None = None,
+        last: LastPosition | None = None,
         anywhere: bool = True,
-    ) -> Found | None:
-        """The first place, of those that look alike, where the frame fits a submap.
+    ) -> Relocalisation | None:
+        """Align the frame to the submaps of similar keyframes; returns the first success.
 
         Args:
-            last: where the camera was before, None if nobody knows.
-            anywhere: False leaves out what is not in reach from there.
+            frame: lost frame.
+            atlas: submaps to search.
+            tracker: aligns the frame to a submap.
+            last: last known position of the camera, None if unknown.
+            anywhere: False restricts the search to keyframes in reach of that position.
         """
         if not has_depth(frame):
             return None
-        for sighting in self._alike(frame, atlas, last, anywhere):
+        for match in self._matches(frame, atlas, last, anywhere):
             try:
-                submap = atlas.submap(sighting.submap)
+                submap = atlas.submap(match.submap)
             except ToolkitError as error:
-                # A submap whose file is lost cannot be where the camera is.
+                # Skip submaps whose file cannot be read.
                 _log.debug("frame %d: %s", frame.index, error)
                 continue
             for keyframe in submap.keyframes:
-                if keyframe.index == sighting.frame:
-                    found = self._tried(frame, keyframe, submap, tracker)
+                if keyframe.index == match.frame:
+                    found = self._align(frame, keyframe, submap, tracker)
                     if found is not None:
                         return found
         return None
 
-    def _alike(
-        self, frame: Frame, atlas: Atlas, last: LastSeen | None, anywhere: bool
-    ) -> list[Sighting]:
-        """Keyframes that look like a frame: first those in reach, then the most alike."""
+    def _matches(
+        self, frame: Frame, atlas: Atlas, last: LastPosition | None, anywhere: bool
+    ) -> list[SimilarKeyframe]:
+        """Keyframes similar to a frame: those in reach first, then the most similar ones."""
         options, view = self.options, Keyframe.from_frame(frame, np.eye(4))
         if last is None:
-            return self._detector.alike(view, options.tries)
+            return self._detector.most_similar(view, options.tries)
         reach_m = options.slack_m + options.speed_m_s * abs(frame.timestamp_s - last.timestamp_s)
-        found = self._detector.alike(view, _POOL * options.tries)
-        near = [s for s in found if _apart_m(s, atlas, last) <= reach_m][: options.tries]
+        found = self._detector.most_similar(view, _POOL_FACTOR * options.tries)
+        near = [s for s in found if _distance_m(s, atlas, last) <= reach_m][: options.tries]
         return near + [s for s in found[: options.tries] if anywhere and s not in near]
 
-    def _tried(
+    def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
-    ) -> Found | None:
-        """The frame in a submap, from what its image and a keyframe's have in common."""
+    ) -> Relocalisation | None:
+        """Align a frame to a submap, starting from image matches with one of its keyframes."""
         offset = measure_offset(keyframe, Keyframe.from_frame(frame, np.eye(4)), self._matching)
         if offset is None:
             return None
@@ -122,13 +130,13 @@ class Relocaliser:
             return None
         if result.intensity_residual > self.options.max_intensity_residual:
             return None
-        return Found(submap.number, result)
+        return Relocalisation(submap.number, result)
 
 
-def _apart_m(sighting: Sighting, atlas: Atlas, last: LastSeen) -> float:
-    """How far a keyframe lies from where the camera was."""
-    T_submap_keyframe = atlas.keyframe_poses(sighting.submap).get(sighting.frame)
+def _distance_m(match: SimilarKeyframe, atlas: Atlas, last: LastPosition) -> float:
+    """Distance from the last camera position to a keyframe, metres; infinite if unknown."""
+    T_submap_keyframe = atlas.keyframe_poses(match.submap).get(match.frame)
     if T_submap_keyframe is None:
         return float("inf")
-    T_world_keyframe = atlas.T_world_submap(sighting.submap) @ T_submap_keyframe
+    T_world_keyframe = atlas.T_world_submap(match.submap) @ T_submap_keyframe
     return float(np.linalg.norm(T_world_keyframe[:3, 3] - last.position))

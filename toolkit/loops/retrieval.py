@@ -1,4 +1,4 @@
-"""The keyframes whose descriptors are nearest: FAISS's one door."""
+"""Nearest-neighbour search over keyframe descriptors; the only module that imports FAISS."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Neighbour:
     """A keyframe near a query.
 
     Attributes:
-        keyframe: its number, in the order of adding.
-        distance: Euclidean, in [0, 2]; FAISS's own is the square of it.
-        cosine: of the angle between the two descriptors, 1 - distance^2 / 2.
+        keyframe: number of the keyframe, in insertion order.
+        distance: Euclidean distance in [0, 2]; FAISS returns its squared_distance.
+        cosine: cosine similarity of the two descriptors, 1 - distance^2 / 2.
     """
 
     keyframe: int
@@ -32,7 +32,7 @@ class Neighbour:
 
 
 class DescriptorIndex:
-    """Unit descriptors of keyframes, numbered as they come, searched exhaustively.
+    """Exhaustive search index over unit-length descriptors, numbered in insertion order.
 
     Args:
         dimensions: length D of a descriptor.
@@ -49,10 +49,10 @@ class DescriptorIndex:
         return int(self._index.ntotal)
 
     def add(self, descriptor: NDArray[np.float32]) -> int:
-        """Add a keyframe's descriptor [D] of unit length; returns its number.
+        """Add a keyframe's descriptor [D] of unit length and return its number.
 
         Raises:
-            ValueError: it has another length or norm.
+            ValueError: the descriptor has the wrong shape or norm.
         """
         self._index.add(self._row(descriptor))
         return len(self) - 1
@@ -63,43 +63,43 @@ class DescriptorIndex:
         count: int,
         among: Collection[int] | NDArray[np.integer] | None = None,
     ) -> list[Neighbour]:
-        """The nearest keyframes, nearest first; of equal ones the older.
+        """Return the nearest keyframes, nearest first; ties are resolved in favour of the older.
 
         Args:
             descriptor: [D] of unit length.
-            count: at most so many.
-            among: numbers of the keyframes to choose from, None for all.
+            count: maximum number of results.
+            among: numbers of the keyframes to search, None for all.
 
         Raises:
-            ValueError: the descriptor has another length or norm, or a number is unknown.
+            ValueError: the descriptor has the wrong shape or norm, or a number is unknown.
         """
         query = self._row(descriptor)
         numbers = np.arange(len(self)) if among is None else np.unique(list(among))
         if numbers.size and not 0 <= numbers[0] <= numbers[-1] < len(self):
-            raise ValueError(f"keyframes must be within 0..{len(self) - 1}, got {numbers}")
+            raise ValueError(f"keyframe numbers must be in 0..{len(self) - 1}, got {numbers}")
         if not numbers.size or count < 1:
             return []
         library = faiss()
-        chosen = library.SearchParameters(sel=library.IDSelectorBatch(numbers.astype(np.int64)))
-        # All of them, for which of equal ones make the cut is otherwise up to FAISS.
-        squares, found = self._index.search(query, len(numbers), params=chosen)
-        order = np.lexsort((found[0], squares[0]))[:count]
-        return [_neighbour(int(found[0, i]), float(squares[0, i])) for i in order]
+        parameters = library.SearchParameters(sel=library.IDSelectorBatch(numbers.astype(np.int64)))
+        # Retrieve all and sort here: FAISS does not define which of several ties it returns.
+        squared_distances, found = self._index.search(query, len(numbers), params=parameters)
+        order = np.lexsort((found[0], squared_distances[0]))[:count]
+        return [_neighbour(int(found[0, i]), float(squared_distances[0, i])) for i in order]
 
     def descriptor(self, keyframe: int) -> NDArray[np.float32]:
-        """The descriptor [D] of a keyframe."""
+        """Return the descriptor [D] of a keyframe."""
         return np.array(self._index.reconstruct(keyframe))
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `from_state` restores to identical answers."""
+        """Return the arrays from which `from_state` restores an identical index."""
         return {"descriptors": np.array(self._index.reconstruct_n(0, len(self)))}
 
     @classmethod
     def from_state(cls, state: dict[str, NDArray], dimensions: int) -> DescriptorIndex:
-        """The index that `state` came from.
+        """Restore an index from its `state`.
 
         Raises:
-            ValueError: its descriptors have another length.
+            ValueError: the descriptors have the wrong shape.
         """
         index = cls(dimensions)
         for descriptor in state["descriptors"]:
@@ -112,18 +112,18 @@ class DescriptorIndex:
                 f"a descriptor must have shape [{self.dimensions}], got {list(descriptor.shape)}"
             )
         row = np.ascontiguousarray(descriptor, dtype=np.float32)[None]
-        # Written so that NaN fails, too.
+        # The negated comparison also rejects NaN.
         if not abs(float(np.linalg.norm(row)) - 1.0) < _UNIT_TOLERANCE:
-            raise ValueError(f"a descriptor must have length 1, got {np.linalg.norm(row):.3f}")
+            raise ValueError(f"a descriptor must have unit norm, got {np.linalg.norm(row):.3f}")
         return row
 
 
 @functools.cache
 def faiss() -> ModuleType:
-    """The faiss module.
+    """Import faiss.
 
     Raises:
-        DependencyError: it cannot be loaded.
+        DependencyError: faiss cannot be loaded.
     """
     try:
         import faiss as module
@@ -134,7 +134,7 @@ def faiss() -> ModuleType:
     return module
 
 
-def _neighbour(keyframe: int, square: float) -> Neighbour:
-    # Rounding can leave a tiny negative square.
-    square = max(0.0, square)
-    return Neighbour(keyframe, math.sqrt(square), 1.0 - square / 2.0)
+def _neighbour(keyframe: int, squared_distance: float) -> Neighbour:
+    # Rounding can produce a small negative value.
+    squared_distance = max(0.0, squared_distance)
+    return Neighbour(keyframe, math.sqrt(squared_distance), 1.0 - squared_distance / 2.0)

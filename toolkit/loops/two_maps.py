@@ -1,8 +1,8 @@
-"""Where one map lies in another: the submaps that look alike, registered and verified.
+"""Registration of two maps: similar submaps are registered, verified and compared.
 
-Two maps have no odometry between them that could contradict a registration. What can is another
-registration: the pairs of submaps that are verified vote, and each votes for a motion of the
-whole map.
+There is no odometry between two maps, so a registration can only be checked against other
+registrations. Every verified pair of submaps yields a transformation between the maps, and the
+transformation that most pairs agree with is selected.
 """
 
 from __future__ import annotations
@@ -15,19 +15,24 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 from toolkit.loops.options import VerificationOptions
-from toolkit.loops.verification import objection
+from toolkit.loops.verification import rejection_reason
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
 
-# A pair of submaps is as alike as its so many most alike keyframes are on average.
+# The distance of two submaps is the mean over this many nearest keyframe pairs.
 _KEYFRAMES = 3
 
 
 @dataclass(frozen=True)
-class AlikeSubmaps:
-    """A submap of each map, and the mean distance of their most alike keyframes' descriptors."""
+class SubmapPair:
+    """A submap of each map.
+
+    Attributes:
+        first, second: submap numbers.
+        distance: mean descriptor distance of their most similar keyframes.
+    """
 
     first: int
     second: int
@@ -36,34 +41,34 @@ class AlikeSubmaps:
 
 @dataclass(frozen=True)
 class MapRegistration:
-    """What the registration of two submaps says of where their maps lie.
+    """Transformation between two maps from the registration of one submap pair.
 
     Attributes:
-        pair: the submaps.
-        result: T_first_second of the submaps, and its figures.
-        reason: why it is not believed, empty where it is.
-        T_first_second: [4, 4] of the maps' worlds.
+        pair: registered submaps.
+        result: registration of the submaps.
+        reason: why verification rejected it; empty if verified.
+        T_first_second: [4, 4] transformation between the world frames of the maps.
     """
 
-    pair: AlikeSubmaps
+    pair: SubmapPair
     result: RegistrationResult
     reason: str
     T_first_second: Array
 
-    def agrees_with(self, other: MapRegistration, most_m: float, most_rad: float) -> bool:
-        """Whether both put the second map into the same place."""
+    def agrees_with(self, other: MapRegistration, max_m: float, max_rad: float) -> bool:
+        """Whether both transformations differ by at most `max_m` and `max_rad`."""
         difference = se3.inverse(self.T_first_second) @ other.T_first_second
         angle = se3.rotation_angle_rad(difference[:3, :3])
-        return bool(np.linalg.norm(difference[:3, 3]) <= most_m and angle <= most_rad)
+        return bool(np.linalg.norm(difference[:3, 3]) <= max_m and angle <= max_rad)
 
 
-def alike_submaps(
+def most_similar_submaps(
     first: Mapping[int, Submap], second: Mapping[int, Submap], count: int
-) -> list[AlikeSubmaps]:
-    """The pairs of submaps whose keyframes look most alike, the most alike first.
+) -> list[SubmapPair]:
+    """Return the submap pairs with the most similar keyframes, most similar first.
 
     Raises:
-        ValueError: descriptors of the two maps differ in length.
+        ValueError: the descriptors of the two maps differ in length.
     """
     descriptors = [{n: m[n].descriptors for n in m} for m in (first, second)]
     pairs = []
@@ -72,18 +77,18 @@ def alike_submaps(
             if 0 not in (*rows.shape, *others.shape):
                 squares = np.maximum(2.0 - 2.0 * rows @ others.T, 0.0)
                 nearest = np.sort(np.sqrt(squares.min(axis=1)))[:_KEYFRAMES]
-                pairs.append(AlikeSubmaps(a, b, float(nearest.mean())))
+                pairs.append(SubmapPair(a, b, float(nearest.mean())))
     return sorted(pairs, key=lambda p: (p.distance, p.first, p.second))[:count]
 
 
-def register_at(
-    pair: AlikeSubmaps,
+def register_submaps(
+    pair: SubmapPair,
     first: Mapping[int, Submap],
     second: Mapping[int, Submap],
     registrar: Registrar,
     verification: VerificationOptions,
 ) -> MapRegistration:
-    """Register a submap of each map from nothing, with a verdict.
+    """Register and verify one submap pair without an initial guess.
 
     Raises:
         ToolkitError: a submap cannot be read.
@@ -91,31 +96,40 @@ def register_at(
     a, b = first[pair.first], second[pair.second]
     result = register_pair(registrar, a, b)
     T = a.T_world_submap @ result.T_target_source @ se3.inverse(b.T_world_submap)
-    return MapRegistration(pair, result, objection(result, verification), se3.orthonormalise(T))
+    return MapRegistration(
+        pair, result, rejection_reason(result, verification), se3.orthonormalise(T)
+    )
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The registration that is believed, of so many verified ones, so many of which agree."""
+class Selection:
+    """The selected registration.
+
+    Attributes:
+        best: the registration that most others agree with.
+        verified: number of verified registrations.
+        agreeing: number of verified registrations that agree with `best`, itself included.
+    """
 
     best: MapRegistration
     verified: int
     agreeing: int
 
 
-def choose(
-    found: list[MapRegistration], most_m: float = 0.2, most_rad: float = 0.1
-) -> Choice | None:
-    """Of those verified, the one that most others agree with; of equals, most surface in common.
+def select_registration(
+    found: list[MapRegistration], max_m: float = 0.2, max_rad: float = 0.1
+) -> Selection | None:
+    """Select the verified registration with the most agreement, then the most common surface.
 
     Args:
-        most_m, most_rad: two that differ by less agree. Submaps far from each other differ by
-            what both maps drifted between them.
+        found: registrations of all pairs.
+        max_m, max_rad: maximum difference of registrations that agree. Registrations of distant
+            submaps differ by the drift of both maps between them.
     """
     verified = [f for f in found if not f.reason]
     if not verified:
         return None
-    votes = [sum(f.agrees_with(other, most_m, most_rad) for other in verified) for f in verified]
+    votes = [sum(f.agrees_with(other, max_m, max_rad) for other in verified) for f in verified]
     common = [f.result.overlap * f.result.inliers for f in verified]
-    place = max(range(len(verified)), key=lambda i: (votes[i], common[i], -i))
-    return Choice(verified[place], len(verified), votes[place])
+    index = max(range(len(verified)), key=lambda i: (votes[i], common[i], -i))
+    return Selection(verified[index], len(verified), votes[index])

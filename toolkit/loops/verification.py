@@ -1,8 +1,8 @@
-"""Whether a registration is a loop: what must hold before an edge enters the graph.
+"""Verification of a registration before it becomes a loop edge of the pose graph.
 
-A descriptor only suspects. Two submaps are taken for one place when enough of one lies on the
-surface of the other, in the same colours and of the same classes. Two identical rooms pass all
-of that; what tells them apart is the odometry, which `pose_graph.consistency` asks.
+Two submaps are accepted as the same place if enough of one lies on the surface of the other with
+the same colours and classes. Two identical rooms pass these tests; only odometry can distinguish
+them, which `pose_graph.consistency` checks.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from toolkit.loops.options import VerificationOptions
 from toolkit.registration.result import RegistrationResult
 
 
-def objection(result: RegistrationResult, options: VerificationOptions) -> str:
-    """Why a registration is no loop, in plain words; empty where it may be one."""
+def rejection_reason(result: RegistrationResult, options: VerificationOptions) -> str:
+    """Return why a registration is rejected as a loop; empty if it passes."""
     if not result.converged:
         return result.reason or "registration did not converge"
     if result.overlap < options.min_overlap:
         return f"only {100 * result.overlap:.0f} % overlap"
     if result.inliers < options.min_inliers:
         return f"surfaces agree on {100 * result.inliers:.0f} % of the overlap alone"
-    # Without semantics the agreement is nan, and nothing speaks against the loop.
+    # Without semantics the agreement is NaN and this comparison is false.
     if result.class_agreement < options.min_class_agreement:
         return f"classes agree on {100 * result.class_agreement:.0f} % of it alone"
     if not result.residual.depth_m <= options.max_depth_residual_m:
