@@ -103,7 +103,7 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
     mapper.add_keyframe(Keyframe.from_frame(labelled_frame, np.eye(4)))
     settings = LoopClosureOptions(landmarks=LandmarkOptions(counted=counted))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
-    closer.observe(atlas)
+    closer.keyframe_added(atlas)
     counter = {
         "pixels": PixelClassCounter(len(taxonomy)),
         "gaussians": GaussianClassCounter(reading, len(taxonomy), backend()),
