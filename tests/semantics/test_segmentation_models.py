@@ -211,7 +211,7 @@ def test_a_change_of_one_patch_shows_most_in_its_own_features(tiny_dinov2):
 
 
 def test_an_encoder_without_patches_is_refused(segformer):
-    with pytest.raises(FormatError, match="segformer model has no patches"):
+    with pytest.raises(FormatError, match="segformer model has no fixed patch size"):
         PatchEncoder(segformer, device="cpu")
 
 
