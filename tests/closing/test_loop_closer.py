@@ -325,7 +325,7 @@ class TestLost:
         atlas, closer, _ = closed([(f, far @ T if f.index >= 20 else T) for f, T in frames])
         lost, tried = frames[0][0], []
         monkeypatch.setattr(
-            Relocaliser, "_tried", lambda _, frame, keyframe, *rest: tried.append(keyframe.index)
+            Relocaliser, "_align", lambda _, frame, keyframe, *rest: tried.append(keyframe.index)
         )
 
         def order(last, anywhere=True):

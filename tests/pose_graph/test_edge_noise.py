@@ -1,4 +1,4 @@
-"""From the information of an alignment to the covariance of an edge."""
+"""Edge covariances from the information of an alignment."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOISE = OdometryNoise(
 )
 
 
-def test_every_term_is_where_it_belongs() -> None:
+def test_covariance_contains_every_term() -> None:
     information = np.diag([1.0, 2, 4, 5, 8, 10])
     covariance = NOISE.covariance(information, metres=2.0, radians=3.0)
     floor_m2 = 0.01 + 2 * 0.09 + 3 * 0.25
@@ -33,7 +33,7 @@ def test_every_term_is_where_it_belongs() -> None:
     np.testing.assert_allclose(covariance, np.diag(expected), rtol=1e-9)
 
 
-def test_what_was_not_seen_has_the_width_of_ignorance() -> None:
+def test_unobserved_directions_have_the_prior_covariance() -> None:
     noise = OdometryNoise(OdometryNoiseOptions(unseen=0.5))
     corridor = np.diag([0.0, 1e8, 1e8, 1e9, 1e9, 1e9])
     sigmas = np.sqrt(np.diag(noise.covariance(corridor, 0.0, 0.0)))
@@ -51,7 +51,7 @@ def steps_of(count: int, step: np.ndarray) -> list[np.ndarray]:
     return poses
 
 
-def test_the_path_counts_and_not_the_distance_of_its_ends() -> None:
+def test_drift_follows_the_path_length() -> None:
     there = steps_of(10, np.array([0.1, 0, 0, 0, 0, 0.05]))
     metres, radians = path_between([*there, *there[-2::-1]])
     assert metres == pytest.approx(2.0, rel=1e-3)
@@ -59,7 +59,7 @@ def test_the_path_counts_and_not_the_distance_of_its_ends() -> None:
     assert path_between(there[:1]) == (0.0, 0.0)
 
 
-def test_cutting_a_path_into_edges_adds_the_edges_constant_alone() -> None:
+def test_splitting_a_path_only_adds_the_constant_term() -> None:
     noise = OdometryNoise(
         OdometryNoiseOptions(edge_m=1e-6, edge_rad=1e-6, per_metre_rad=1e-9, per_radian_rad=1e-9)
     )
@@ -72,14 +72,14 @@ def test_cutting_a_path_into_edges_adds_the_edges_constant_alone() -> None:
     np.testing.assert_allclose(joined.covariance, whole.covariance, rtol=1e-3, atol=1e-10)
 
 
-def test_an_edge_is_the_motion_from_the_first_frame_to_the_last() -> None:
+def test_edge_is_the_relative_pose_of_first_and_last_frame() -> None:
     poses = steps_of(5, np.array([0.05, 0.0, 0.1, 0.0, 0.02, 0.0]))
     edge = OdometryNoise().along(3, 8, poses, 1e6 * np.eye(6))
     assert (edge.first, edge.second, edge.kind, edge.robust) == (3, 8, "odometry", False)
     np.testing.assert_allclose(poses[0] @ edge.T_first_second, poses[-1], atol=1e-12)
 
 
-def test_a_registration_becomes_a_loop() -> None:
+def test_registration_becomes_a_loop_edge() -> None:
     T = se3.exp(np.array([0.3, 0.0, 0.1, 0.0, 0.4, 0.0]))
     edge = LoopNoise(LoopNoiseOptions(scale=2.0, edge_m=0.1, edge_rad=0.2, unseen=1e6)).edge(
         4, 1, T, np.eye(6)

@@ -1,4 +1,4 @@
-"""Loops against odometry and each other; two rooms that look the same."""
+"""Consistency of loops with odometry and with each other."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_quantiles_of_the_chi_square() -> None:
 
 @FEW
 @given(seed=seeds, first=nodes, second=nodes)
-def test_any_piece_of_the_chain_is_its_edges_composed(seed: int, first: int, second: int) -> None:
+def test_section_of_the_chain_equals_its_composed_edges(seed: int, first: int, second: int) -> None:
     if first == second:
         return
     steps = walk(seed)
@@ -49,7 +49,7 @@ def test_any_piece_of_the_chain_is_its_edges_composed(seed: int, first: int, sec
     )
 
 
-def test_composed_covariance_is_that_of_draws() -> None:
+def test_composed_covariance_matches_samples() -> None:
     steps = walk(4)
     edges = steps.odometry[3:9]
     edge = composed(edges)
@@ -67,7 +67,7 @@ def test_composed_covariance_is_that_of_draws() -> None:
 
 
 def residual_of_cycle(steps, a: PoseEdge, b: PoseEdge, noise: np.ndarray) -> np.ndarray:
-    """The cycle a, odometry, b back, odometry with an error [6] of every edge and both loops."""
+    """Residual of the cycle through loops a and b with an error [6] on every edge and loop."""
     poses = [np.eye(4)]
     for edge, x in zip(steps.odometry, noise[:-2], strict=True):
         poses.append(poses[-1] @ edge.T_first_second @ se3.exp(x))
@@ -90,7 +90,7 @@ def residual_of_cycle(steps, a: PoseEdge, b: PoseEdge, noise: np.ndarray) -> np.
         ((3, 20), (20, 3)),  # and told backwards
     ],
 )
-def test_pair_chi2_weighs_every_edge_of_the_cycle(ends_a, ends_b) -> None:
+def test_pair_chi2_includes_every_edge_of_the_cycle(ends_a, ends_b) -> None:
     steps = walk(6)
     chain = OdometryChain(steps.odometry)
     x = 1e-4 * np.random.default_rng(1).normal(size=6)
@@ -121,7 +121,7 @@ def test_pair_chi2_weighs_every_edge_of_the_cycle(ends_a, ends_b) -> None:
     assert chi2 == pytest.approx(expected, rel=1e-2)
 
 
-def test_chi2_of_true_loops_is_distributed_as_it_should_be() -> None:
+def test_chi2_of_true_loops_is_chi_square_distributed() -> None:
     single, pairs = [], []
     for seed in range(80):
         steps = walk(seed)
@@ -136,7 +136,7 @@ def test_chi2_of_true_loops_is_distributed_as_it_should_be() -> None:
 
 @FEW
 @given(seed=seeds)
-def test_a_loop_says_the_same_from_both_ends(seed: int) -> None:
+def test_chi2_is_invariant_to_loop_direction(seed: int) -> None:
     steps = walk(seed)
     chain = OdometryChain(steps.odometry)
     a, b = steps.loop(2, 21), steps.loop(5, 24)
@@ -147,7 +147,7 @@ def test_a_loop_says_the_same_from_both_ends(seed: int) -> None:
 
 @FEW
 @given(seed=seeds)
-def test_twin_rooms_agree_with_each_other_and_not_with_the_way_there(seed: int) -> None:
+def test_loops_between_identical_rooms_contradict_the_odometry(seed: int) -> None:
     steps = walk(seed)
     chain = OdometryChain(steps.odometry)
     right = [steps.loop(k, 20 + k) for k in (1, 4)]
@@ -164,7 +164,7 @@ def test_twin_rooms_agree_with_each_other_and_not_with_the_way_there(seed: int) 
     assert "against the odometry" in found.reason(0)
 
 
-def test_a_loop_within_the_drift_that_contradicts_the_others_is_left_out() -> None:
+def test_loop_that_contradicts_the_others_is_rejected() -> None:
     steps = walk(8)
     chain = OdometryChain(steps.odometry)
     right = [steps.loop(k, 20 + k) for k in (2, 3, 5, 6)]
@@ -177,11 +177,11 @@ def test_a_loop_within_the_drift_that_contradicts_the_others_is_left_out() -> No
     assert found.reason(4) == "contradicts 4 of the 4 loops that agree"
 
 
-def test_chains_and_loops_that_are_refused() -> None:
+def test_invalid_chains_and_loops_raise() -> None:
     steps = walk(1)
     with pytest.raises(ValueError, match="at least one"):
         OdometryChain([])
-    with pytest.raises(ValueError, match="breaks off"):
+    with pytest.raises(ValueError, match="not connected"):
         OdometryChain([steps.odometry[0], steps.odometry[2]])
     back = PoseEdge(1, 0, np.eye(4), np.eye(6))
     with pytest.raises(ValueError, match="twice"):
@@ -190,11 +190,11 @@ def test_chains_and_loops_that_are_refused() -> None:
     assert 27 in chain
     assert 28 not in chain
     stray = PoseEdge.loop(3, 99, np.eye(4), np.eye(6))
-    with pytest.raises(ValueError, match="node 99 is not on the chain"):
+    with pytest.raises(ValueError, match="node 99 is not on the odometry chain"):
         consistent_loops(chain, [stray])
 
 
-def test_no_loops_are_consistent() -> None:
+def test_empty_set_of_loops_is_consistent() -> None:
     found = consistent_loops(OdometryChain(walk(1).odometry), [])
     assert found.kept == ()
     assert found.pair_chi2.shape == (0, 0)
@@ -211,7 +211,7 @@ def brute_force(agree: np.ndarray) -> int:
 
 @settings(deadline=None, max_examples=60)
 @given(seed=seeds, count=st.integers(0, 9), share=st.floats(0.1, 0.95))
-def test_the_largest_clique_is_the_largest(seed: int, count: int, share: float) -> None:
+def test_largest_clique_matches_brute_force(seed: int, count: int, share: float) -> None:
     upper = np.triu(np.random.default_rng(seed).uniform(size=(count, count)) < share, 1)
     agree = upper | upper.T
     found = largest_clique(agree)
@@ -223,7 +223,7 @@ def test_the_largest_clique_is_the_largest(seed: int, count: int, share: float) 
     assert len(greedy) >= min(count, 1)
 
 
-def test_of_equal_cliques_the_first_members_win() -> None:
+def test_tie_returns_the_lexicographically_smallest_clique() -> None:
     agree = np.zeros((6, 6), dtype=bool)
     for group in ((0, 3, 5), (1, 2, 4)):
         agree[np.ix_(group, group)] = True
@@ -233,8 +233,8 @@ def test_of_equal_cliques_the_first_members_win() -> None:
         largest_clique(np.triu(agree))
 
 
-def test_forty_loops_in_contradicting_pairs_are_searched_in_time() -> None:
-    """2^20 equally large sets: the bound must see that none is larger."""
+def test_exact_search_of_forty_contradicting_pairs_terminates() -> None:
+    """There are 2^20 sets of equal size; the colouring bound must prune them."""
     agree = ~np.kron(np.eye(20, dtype=bool), np.ones((2, 2), dtype=bool))
     assert len(largest_clique(agree, exact_up_to=40)) == 20
 

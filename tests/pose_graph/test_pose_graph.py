@@ -1,4 +1,4 @@
-"""Pose graphs as data: what they refuse, and the laws of their edges."""
+"""Pose graph data: validation and edge transformations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def information(seed: int) -> np.ndarray:
 
 @PATIENT
 @given(seed=seeds)
-def test_an_edge_told_from_the_other_end_says_the_same(seed: int) -> None:
+def test_inverted_edge_has_the_same_chi2(seed: int) -> None:
     edge = PoseEdge(3, 5, motion(seed), information(seed))
     # Off the measurement by a little: the information is a first-order matter.
     T_first = motion(seed + 1)
@@ -52,7 +52,7 @@ def test_an_edge_told_from_the_other_end_says_the_same(seed: int) -> None:
 
 @PATIENT
 @given(seed=seeds)
-def test_information_of_an_error_on_the_left(seed: int) -> None:
+def test_information_of_a_left_perturbation(seed: int) -> None:
     T, left = motion(seed), information(seed)
     y = np.random.default_rng(seed).normal(size=6)
     x = se3.log(se3.inverse(T) @ se3.exp(1e-6 * y) @ T) / 1e-6
@@ -62,7 +62,7 @@ def test_information_of_an_error_on_the_left(seed: int) -> None:
 
 @PATIENT
 @given(seed=seeds)
-def test_chi2_is_that_of_the_noise(seed: int) -> None:
+def test_chi2_equals_mahalanobis_norm_of_the_noise(seed: int) -> None:
     edge = PoseEdge(0, 1, motion(seed), information(seed))
     x = np.random.default_rng(seed + 1).normal(scale=0.1, size=6)
     T_world_first = motion(seed + 2)
@@ -73,7 +73,7 @@ def test_chi2_is_that_of_the_noise(seed: int) -> None:
 
 @PATIENT
 @given(seed=seeds)
-def test_the_spread_of_what_hangs_on_a_node(seed: int) -> None:
+def test_covariance_of_a_pose_attached_to_a_node(seed: int) -> None:
     T_a_b, T_world_a = motion(seed), motion(seed + 1)
     x = 1e-6 * np.random.default_rng(seed).normal(size=6)
     y = se3.log(se3.inverse(T_world_a @ T_a_b) @ (T_world_a @ se3.exp(x) @ T_a_b))
@@ -91,10 +91,10 @@ def test_covariance_and_information_are_inverses() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"second": 0}, "joins a node with itself"),
+        ({"second": 0}, "connects a node to itself"),
         ({"kind": "guess"}, "kind must be"),
-        ({"T_first_second": 1.1 * np.eye(4)}, "rigid motion"),
-        ({"T_first_second": np.eye(3)}, "rigid motion"),
+        ({"T_first_second": 1.1 * np.eye(4)}, "rigid transformation"),
+        ({"T_first_second": np.eye(3)}, "rigid transformation"),
         ({"information": np.eye(3)}, r"finite matrix \[6, 6\]"),
         ({"information": np.full((6, 6), np.nan)}, r"finite matrix \[6, 6\]"),
         ({"information": np.eye(6) + np.eye(6, k=1)}, "symmetric"),
@@ -102,7 +102,7 @@ def test_covariance_and_information_are_inverses() -> None:
         ({"information": -np.eye(6)}, "positive definite"),
     ],
 )
-def test_edges_that_are_refused(changes: dict, message: str) -> None:
+def test_invalid_edges_raise(changes: dict, message: str) -> None:
     values = {"first": 0, "second": 1, "T_first_second": np.eye(4), "information": np.eye(6)}
     with pytest.raises(ValueError, match=message):
         PoseEdge(**(values | changes))
@@ -120,13 +120,13 @@ def test_edges_that_are_refused(changes: dict, message: str) -> None:
         ({0: np.eye(4), 1: np.eye(4), 2: np.eye(4)}, [(0, 1)], 2, "node 0 is not connected"),
     ],
 )
-def test_graphs_that_are_refused(poses: dict, ends: list, fixed: int | None, message: str) -> None:
+def test_invalid_graphs_raise(poses: dict, ends: list, fixed: int | None, message: str) -> None:
     edges = tuple(PoseEdge(i, j, np.eye(4), np.eye(6)) for i, j in ends)
     with pytest.raises(ValueError, match=message):
         PoseGraph(poses, edges, fixed)
 
 
-def test_motions_of_float32_are_made_rigid() -> None:
+def test_float32_poses_are_orthonormalised() -> None:
     T = motion(3).astype(np.float32)
     edge = PoseEdge(0, 1, T, np.eye(6))
     assert se3.is_rigid(edge.T_first_second, 1e-12)
@@ -134,7 +134,7 @@ def test_motions_of_float32_are_made_rigid() -> None:
     assert se3.is_rigid(PoseGraph({0: T}, ()).T_world_node[0], 1e-12)
 
 
-def test_a_graph_keeps_what_it_was_given() -> None:
+def test_graph_keeps_its_input() -> None:
     T = np.eye(4)
     graph = PoseGraph({4: T, 2: T}, (PoseEdge(4, 2, T, np.eye(6)),))
     T[0, 3] = 5.0
@@ -144,7 +144,7 @@ def test_a_graph_keeps_what_it_was_given() -> None:
     assert str(graph) == "2 nodes, 1 edges, 0 of them loops"
 
 
-def test_poses_along_edges_take_the_fewest() -> None:
+def test_poses_along_uses_shortest_paths() -> None:
     step = se3.exp(np.array([1.0, 0, 0, 0, 0, 0.1]))
     edges = [PoseEdge(k, k + 1, step, np.eye(6)) for k in range(4)]
     edges.append(PoseEdge.loop(4, 0, np.eye(4), np.eye(6)))  # against its direction
@@ -154,11 +154,11 @@ def test_poses_along_edges_take_the_fewest() -> None:
     np.testing.assert_allclose(poses[2], motion(1) @ step @ step, atol=1e-12)
 
 
-def test_what_holds_without_an_edge() -> None:
+def test_is_connected_without_edges() -> None:
     steps = walk(2)
     graph = steps.graph(steps.loop(0, 27))
-    assert graph.holds_without([5])
-    assert not graph.holds_without([5, len(graph.edges) - 1])
+    assert graph.is_connected_without([5])
+    assert not graph.is_connected_without([5, len(graph.edges) - 1])
     with pytest.raises(ValueError, match="not connected"):
         graph.without([5, len(graph.edges) - 1])
 
@@ -174,7 +174,7 @@ def arrays_of(graph: PoseGraph) -> PoseGraphArrays:
     )
 
 
-def test_a_graph_has_the_nodes_and_edges_of_its_file() -> None:
+def test_graph_of_file_arrays() -> None:
     steps = walk(3)
     graph = steps.graph(steps.loop(0, 20), steps.loop(3, 23))
     again = graph_of(arrays_of(graph))
@@ -185,7 +185,7 @@ def test_a_graph_has_the_nodes_and_edges_of_its_file() -> None:
         assert np.array_equal(ours, theirs), name
 
 
-def test_a_file_without_poses_gets_them_along_its_edges() -> None:
+def test_missing_poses_are_composed_along_edges() -> None:
     steps = walk(3)
     arrays = arrays_of(steps.graph(steps.loop(0, 20)))
     bare = replace(arrays, nodes=np.zeros(0, int), T_world_node=np.zeros((0, 4, 4)))

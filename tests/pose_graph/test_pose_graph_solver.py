@@ -1,4 +1,4 @@
-"""GTSAM's optimum in our conventions: recovery, invariance, outliers, covariances."""
+"""Pose graph optimisation: accuracy, invariance, outliers and covariances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def all_loops(steps) -> list[PoseEdge]:
 
 @FEW
 @given(seed=seeds)
-def test_loops_take_the_drift_out(seed: int) -> None:
+def test_loops_remove_drift(seed: int) -> None:
     steps = walk(seed)
     graph = steps.graph(*all_loops(steps))
     solution = solve(graph)
@@ -64,7 +64,7 @@ def test_noise_free_edges_give_the_truth_from_any_start(seed: int) -> None:
 
 @FEW
 @given(seed=seeds)
-def test_the_world_does_not_matter(seed: int) -> None:
+def test_solution_is_invariant_to_the_world_frame(seed: int) -> None:
     steps = walk(seed)
     graph = steps.graph(*all_loops(steps))
     T_other_world = se3.exp(np.random.default_rng(seed).normal(size=6) * [9, 9, 9, 1, 1, 1])
@@ -78,7 +78,7 @@ def test_the_world_does_not_matter(seed: int) -> None:
     np.testing.assert_allclose(there.covariances, here.covariances, rtol=1e-2, atol=1e-8)
 
 
-def test_the_direction_and_order_of_edges_do_not_matter() -> None:
+def test_solution_is_invariant_to_edge_direction_and_order() -> None:
     steps = walk(5)
     graph = steps.graph(*all_loops(steps))
     turned = PoseGraph(graph.T_world_node, tuple(e.inverted() for e in graph.edges[::-1]))
@@ -120,7 +120,7 @@ def test_the_error_is_half_the_sum_of_the_kernel(kernel: str) -> None:
 @pytest.mark.parametrize("kernel", ["cauchy", "geman-mcclure"])
 @FEW
 @given(seed=seeds)
-def test_kernels_turn_wrong_loops_away(kernel: str, seed: int) -> None:
+def test_kernels_suppress_wrong_loops(kernel: str, seed: int) -> None:
     steps = walk(seed)
     right = all_loops(steps)
     clean = solve(steps.graph(*right), SolverOptions(kernel=kernel))
@@ -136,8 +136,8 @@ def test_kernels_turn_wrong_loops_away(kernel: str, seed: int) -> None:
     assert steps.errors_m(bent.T_world_node).max() > 0.5
 
 
-def test_covariances_are_those_of_repeated_walks() -> None:
-    """Of a chain with one loop: odometry's spread, translation first, in the node's frame."""
+def test_covariances_match_samples() -> None:
+    """A chain with one loop; translation first, in the node's frame."""
     errors = []
     for seed in range(80):
         steps = walk(seed)
@@ -153,7 +153,7 @@ def test_covariances_are_those_of_repeated_walks() -> None:
     assert spread[-1] < 1.8
 
 
-def test_a_chain_alone_keeps_its_poses_and_adds_up_its_covariance() -> None:
+def test_chain_without_loops_keeps_poses_and_accumulates_covariance() -> None:
     steps = walk(11)
     graph = steps.graph()
     solution = solve(graph)
@@ -166,7 +166,7 @@ def test_a_chain_alone_keeps_its_poses_and_adds_up_its_covariance() -> None:
     assert np.array_equal(solution.T_world_node[0], graph.T_world_node[0])
 
 
-def test_the_fixed_node_may_be_any() -> None:
+def test_any_node_can_be_fixed() -> None:
     steps = walk(12)
     graph = steps.graph(*all_loops(steps))
     other = PoseGraph(graph.T_world_node, graph.edges, fixed=13)
@@ -177,7 +177,7 @@ def test_the_fixed_node_may_be_any() -> None:
 
 
 def digest() -> str:
-    """Of all that a solution holds."""
+    """Hash of all fields of a solution."""
     steps = walk(9)
     s = solve(steps.graph(*all_loops(steps), steps.twin_loop(1, 12)))
     parts = [np.stack(list(s.T_world_node.values())), s.chi2, s.weights, s.covariances]
@@ -185,7 +185,7 @@ def digest() -> str:
     return hashlib.sha256(b"".join(p.tobytes() for p in [*parts, sums])).hexdigest()
 
 
-def test_the_same_bits_again_in_another_process(request) -> None:
+def test_solution_is_reproducible_in_another_process(request) -> None:
     program = "import sys; sys.path.insert(0, sys.argv[1]); import test_pose_graph_solver as t"
     command = [sys.executable, "-c", program + "; print(t.digest())", str(request.path.parent)]
     environment = os.environ | {"OMP_NUM_THREADS": "2"}
@@ -193,19 +193,19 @@ def test_the_same_bits_again_in_another_process(request) -> None:
     assert other.stdout.strip() == digest() == digest()
 
 
-def test_missing_gtsam_is_named(monkeypatch) -> None:
+def test_missing_gtsam_error_names_the_package(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(DependencyError, match="pip install 'gtsam>="):
         solve(walk(1).graph())
 
 
-def test_a_singular_graph_is_named() -> None:
+def test_singular_graph_raises() -> None:
     edges = (PoseEdge(0, 1, np.eye(4), 1e-30 * np.eye(6)), PoseEdge(1, 2, np.eye(4), np.eye(6)))
     with pytest.raises(ToolkitError, match=r"pose graph \(3 nodes, .* raise the smallest"):
         solve(PoseGraph({k: np.eye(4) for k in range(3)}, edges))
 
 
-def test_weights_of_nothing_left_over() -> None:
+def test_kernel_weights_at_zero_residual() -> None:
     for kernel in ("none", "huber", "cauchy", "geman-mcclure"):
         assert kernel_weights(np.zeros(2), SolverOptions(kernel=kernel)) == pytest.approx(1.0)
 

@@ -1,4 +1,4 @@
-"""Loops that the optimum contradicts are taken back, and only these."""
+"""Retraction of inconsistent loops."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ seeds = st.integers(0, 2**16)
 PLAIN = PoseGraphOptimiser(SolverOptions(kernel="none"))
 
 
-def taken_back(steps: Walk, optimiser: PoseGraphOptimiser, loops: list[PoseEdge]) -> set[int]:
-    """Places in `loops`, after checking that the poses are those of the rest alone."""
+def retracted_loops(steps: Walk, optimiser: PoseGraphOptimiser, loops: list[PoseEdge]) -> set[int]:
+    """Indices of retracted loops; checks that the poses equal those of the graph without them."""
     graph = steps.graph(*loops)
     solution = optimiser.optimise(graph)
     offset = len(steps.odometry)
@@ -40,48 +40,48 @@ def taken_back(steps: Walk, optimiser: PoseGraphOptimiser, loops: list[PoseEdge]
 
 @FEW
 @given(seed=seeds)
-def test_right_loops_stay(seed: int) -> None:
+def test_correct_loops_are_kept(seed: int) -> None:
     steps = walk(seed)
     loops = [steps.loop(k, 20 + k) for k in range(0, 8, 2)]
-    assert taken_back(steps, PoseGraphOptimiser(), loops) == set()
+    assert retracted_loops(steps, PoseGraphOptimiser(), loops) == set()
 
 
 @pytest.mark.parametrize("optimiser", [PoseGraphOptimiser(), PLAIN], ids=["cauchy", "plain"])
 @FEW
 @given(seed=seeds)
-def test_one_wrong_loop_among_right_ones_goes(optimiser: PoseGraphOptimiser, seed: int) -> None:
+def test_single_wrong_loop_is_retracted(optimiser: PoseGraphOptimiser, seed: int) -> None:
     steps = walk(seed)
     loops = [steps.loop(1, 21), steps.twin_loop(2, 12), steps.loop(5, 25)]
-    assert taken_back(steps, optimiser, loops) == {1}
+    assert retracted_loops(steps, optimiser, loops) == {1}
 
 
 @pytest.mark.parametrize("optimiser", [PoseGraphOptimiser(), PLAIN], ids=["cauchy", "plain"])
 @FEW
 @given(seed=seeds)
-def test_wrong_loops_that_agree_go_although_they_are_more(
+def test_consistent_majority_of_wrong_loops_is_retracted(
     optimiser: PoseGraphOptimiser, seed: int
 ) -> None:
     steps = walk(seed)
     wrong = [steps.twin_loop(k, 10 + k) for k in (0, 2, 4, 6)]
     loops = [*wrong, steps.loop(1, 21), steps.loop(5, 25)]
-    assert taken_back(steps, optimiser, loops) == {0, 1, 2, 3}
+    assert retracted_loops(steps, optimiser, loops) == {0, 1, 2, 3}
 
 
 @FEW
 @given(seed=seeds)
-def test_a_wrong_loop_that_only_bends_the_odometry_goes(seed: int) -> None:
-    """Alone and without a kernel it holds at the optimum: its own chi-square is small."""
+def test_wrong_loop_with_small_residual_is_retracted(seed: int) -> None:
+    """Without a kernel the odometry absorbs the error, and the loop's own chi-square is small."""
     steps = walk(seed)
     off = steps.loop(1, 21).T_first_second @ se3.exp(np.array([0.0, 0.9, 0, 0, 0, 0]))
     loop = PoseEdge.loop(1, 21, off, information_of(1e-7 * np.eye(6)))
     graph = steps.graph(loop)
     solution = solve(graph, PLAIN.solver)
     assert solution.chi2[-1] < 1.0
-    assert taken_back(steps, PLAIN, [loop]) == {0}
+    assert retracted_loops(steps, PLAIN, [loop]) == {0}
 
 
 def shifted(steps: Walk, first: int, second: int, shift_m: float, sigma: float) -> PoseEdge:
-    """A precise loop that puts the world at its second node aside."""
+    """A precise loop with a translation error."""
     T_wrong_world = np.eye(4)
     T_wrong_world[1, 3] = shift_m
     T = se3.inverse(steps.T_world_node[first]) @ T_wrong_world @ steps.T_world_node[second]
@@ -90,44 +90,44 @@ def shifted(steps: Walk, first: int, second: int, shift_m: float, sigma: float) 
 
 @FEW
 @given(seed=seeds)
-def test_wrong_loops_that_agree_to_the_millimetre_are_found_by_the_whole(seed: int) -> None:
-    """None is missed by the others when it goes, and each fits: the odometry alone suffers."""
+def test_consistent_wrong_loops_are_found_by_the_chi_square_sum(seed: int) -> None:
+    """Removing a single loop changes little; only the odometry residuals are large."""
     steps = walk(seed)
     loops = [shifted(steps, k, 20 + k, 2.0, 3e-4) for k in range(4)]
     solution = solve(steps.graph(*loops), PLAIN.solver)
     assert solution.chi2[-4:].max() < 5
-    assert taken_back(steps, PLAIN, loops) == {0, 1, 2, 3}
+    assert retracted_loops(steps, PLAIN, loops) == {0, 1, 2, 3}
 
 
-def test_one_wrong_loop_that_many_right_ones_hide_is_found_by_itself() -> None:
-    """The whole is plausible with it, and it fits: it bends a piece of the odometry."""
+def test_wrong_loop_among_many_correct_ones_is_found_by_removal() -> None:
+    """The chi-square sum is plausible; the loop distorts a section of the odometry."""
     steps = walk(4)
     loops = [*(steps.loop(k, 20 + k) for k in range(8)), shifted(steps, 12, 15, 0.15, 1e-3)]
     solution = solve(steps.graph(*loops), PLAIN.solver)
     assert solution.chi2[-1] < 1
     assert solution.chi2.sum() < quantile(0.999, 6 * 9)
-    assert taken_back(steps, PLAIN, loops) == {8}
+    assert retracted_loops(steps, PLAIN, loops) == {8}
 
 
-def test_right_loops_that_fell_to_a_wrong_majority_come_back() -> None:
+def test_correct_loops_are_readmitted() -> None:
     steps = walk(5)
     wrong = [shifted(steps, k, 20 + k, 2.0, 0.01) for k in range(6)]
     loops = [*wrong, steps.loop(6, 26), steps.loop(7, 27)]
     solution = solve(steps.graph(*loops), PLAIN.solver)
     # The first to go is a right one.
     assert solution.chi2[-8:].argmax() >= 6
-    assert taken_back(steps, PLAIN, loops) == {0, 1, 2, 3, 4, 5}
+    assert retracted_loops(steps, PLAIN, loops) == {0, 1, 2, 3, 4, 5}
 
 
-def test_the_only_connection_is_not_taken_back() -> None:
-    """After a gap in the odometry a relocalisation alone ties the rest to the map."""
+def test_loop_that_connects_the_graph_is_kept() -> None:
+    """After a gap in the odometry, one relocalisation connects the rest to the map."""
     steps = walk(3)
     graph = steps.graph(steps.loop(2, 22), steps.twin_loop(4, 14)).without([9])
     solution = PoseGraphOptimiser().optimise(graph)
     assert set(solution.retracted) < {len(graph.edges) - 2, len(graph.edges) - 1}
 
 
-def test_the_same_loops_go_each_time() -> None:
+def test_retraction_is_deterministic() -> None:
     steps = walk(21)
     loops = [steps.twin_loop(k, 10 + k) for k in range(3)] + [steps.loop(0, 20)]
     first, second = (PoseGraphOptimiser().optimise(steps.graph(*loops)) for _ in range(2))

@@ -1,4 +1,4 @@
-"""A walk through two rooms that look the same, with the drift of its odometry."""
+"""Synthetic camera path through two identical rooms with noisy odometry."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from toolkit.pose_graph.graph import PoseEdge, PoseGraph, information_of, poses_
 
 Array = NDArray[np.float64]
 
-ROOM = 8  # nodes of one round through a room
+ROOM = 8  # nodes of one circle through a room
 CORRIDOR = 2
 APART_M = 6.0
 
 
 def covariance(sigma_m: float, sigma_rad: float) -> Array:
-    """Of odometry and loops: not isotropic, and with translation tied to rotation."""
+    """Anisotropic covariance with correlated translation and rotation."""
     shape = np.eye(6)
     shape[:3, 3:] = 0.3 * se3.hat(np.array([0.2, 0.5, 1.0]))
     sigmas = np.array([1.0, 1.5, 0.7])
@@ -33,12 +33,12 @@ LOOP = covariance(0.02, 0.01)
 
 @dataclass(frozen=True)
 class Walk:
-    """Round room A, to room B and round it, back to A and round it again.
+    """Camera path: circle in room A, circle in room B, circle in room A.
 
     Attributes:
         T_world_node: [N, 4, 4] true poses; room A is nodes 0..7 and 20..27, B 10..17.
         odometry: noisy edges between neighbours.
-        seed: of the noise.
+        seed: random seed of the noise.
     """
 
     T_world_node: Array
@@ -51,11 +51,11 @@ class Walk:
         return PoseEdge.loop(first, second, self._noisy(T, first, second), information_of(LOOP))
 
     def twin_loop(self, first: int, second: int) -> PoseEdge:
-        """A wrong loop between the rooms: room B laid on room A, as precisely as a true one."""
+        """A wrong loop that aligns room B to room A, with the noise of a true loop."""
         T_a_b = np.eye(4)
         T_a_b[0, 3] = -APART_M
-        believed = T_a_b @ self.T_world_node[second]
-        T = se3.inverse(self.T_world_node[first]) @ believed
+        shifted = T_a_b @ self.T_world_node[second]
+        T = se3.inverse(self.T_world_node[first]) @ shifted
         return PoseEdge.loop(first, second, self._noisy(T, first, second), information_of(LOOP))
 
     def _noisy(self, T: Array, first: int, second: int) -> Array:
@@ -63,18 +63,18 @@ class Walk:
         return T @ se3.exp(np.linalg.cholesky(LOOP) @ rng.normal(size=6))
 
     def graph(self, *loops: PoseEdge) -> PoseGraph:
-        """At the poses that odometry gives."""
+        """Graph initialised with odometry poses."""
         poses = poses_along(self.odometry, 0, self.T_world_node[0])
         return PoseGraph(poses, (*self.odometry, *loops))
 
     def errors_m(self, T_world_node: dict[int, Array]) -> Array:
-        """[N] distance of poses from the truth."""
+        """[N] position errors, metres."""
         found = np.stack([T_world_node[n] for n in range(len(self.T_world_node))])
         return np.linalg.norm(found[:, :3, 3] - self.T_world_node[:, :3, 3], axis=1)
 
 
 def walk(seed: int) -> Walk:
-    """The walk with some noise."""
+    """The camera path with the noise of a seed."""
     rng = np.random.default_rng(seed)
     truth = np.stack(_true_poses())
     edges = []
@@ -101,7 +101,7 @@ def _true_poses() -> list[Array]:
 
 
 def composed(edges: Sequence[PoseEdge]) -> PoseEdge:
-    """One odometry edge for several that follow each other; their covariances add up.
+    """Compose consecutive odometry edges into one; their covariances are propagated.
 
     T_a_b exp(x) T_b_c exp(y) = T_a_b T_b_c exp(adjoint(T_c_b) x) exp(y), to first order.
     """

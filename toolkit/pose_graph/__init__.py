@@ -1,1 +1,1 @@
-"""Pose graphs: odometry and loops made consistent, and what that moves."""
+"""Pose graphs: consistency of loops, optimisation and correction of poses."""

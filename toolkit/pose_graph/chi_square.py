@@ -1,4 +1,4 @@
-"""The chi-square distribution, by which residuals are judged."""
+"""Quantiles of the chi-square distribution for residual tests."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from scipy.special import gammaincinv
 
 
 def quantile(confidence: float, degrees: int) -> float:
-    """The value that a sum of `degrees` squared unit normals stays below so often.
+    """Return the chi-square quantile for `degrees` degrees of freedom.
 
     Args:
-        confidence: in (0, 1]; at 1 no value is large enough, and the answer is infinite.
+        confidence: probability in (0, 1]; the quantile of 1 is infinite.
+        degrees: degrees of freedom.
 
     Raises:
-        ValueError: the confidence is outside.
+        ValueError: the confidence is out of range.
     """
     if not 0.0 < confidence <= 1.0:
         raise ValueError(f"confidence must be above 0 and at most 1, got {confidence}")

@@ -1,4 +1,4 @@
-"""The largest set of things that all agree with each other."""
+"""Maximum clique of a consistency graph."""
 
 from __future__ import annotations
 
@@ -7,50 +7,51 @@ from numpy.typing import NDArray
 
 
 def largest_clique(agree: NDArray[np.bool_], exact_up_to: int = 40) -> list[int]:
-    """Places, ascending, of the largest set whose members agree pairwise.
+    """Return the ascending indices of the largest set whose members agree pairwise.
 
-    The same answer each time: of equally large sets the one whose earliest members come
-    first, so that the caller's order is a preference.
+    The result is deterministic. Among sets of equal size, the lexicographically smallest one is
+    returned, so the caller's order expresses a preference.
 
     Args:
-        agree: [L, L] symmetric; the diagonal does not count.
-        exact_up_to: beyond so many the search, exponential at worst, becomes greedy.
+        agree: [L, L] symmetric bool; the diagonal is ignored.
+        exact_up_to: maximum L for the exact search, which is exponential in the worst case;
+            larger sets are searched greedily.
 
     Raises:
         ValueError: the matrix is not square and symmetric.
     """
     if agree.ndim != 2 or agree.shape[0] != agree.shape[1] or (agree != agree.T).any():
-        raise ValueError(f"agreement must be a symmetric matrix, got shape {list(agree.shape)}")
-    friends = [set(np.flatnonzero(row).tolist()) - {k} for k, row in enumerate(agree)]
-    if len(friends) > exact_up_to:
-        return _greedy(friends)
-    return _exact(friends)
+        raise ValueError(f"agree must be a symmetric matrix, got shape {list(agree.shape)}")
+    neighbours = [set(np.flatnonzero(row).tolist()) - {k} for k, row in enumerate(agree)]
+    if len(neighbours) > exact_up_to:
+        return _greedy(neighbours)
+    return _exact(neighbours)
 
 
-def _exact(friends: list[set[int]]) -> list[int]:
-    """Branch and bound: a set cannot have more members than its graph needs colours."""
+def _exact(neighbours: list[set[int]]) -> list[int]:
+    """Branch and bound: the number of colours of a graph bounds the size of its cliques."""
     best: list[int] = []
 
     def grow(current: list[int], candidates: list[int]) -> None:
         nonlocal best
         if len(current) > len(best):
             best = current
-        for place, node in enumerate(candidates):
-            remaining = candidates[place:]
-            if len(current) + _colours(remaining, friends) <= len(best):
+        for position, node in enumerate(candidates):
+            remaining = candidates[position:]
+            if len(current) + _colours(remaining, neighbours) <= len(best):
                 return
-            grow([*current, node], [c for c in remaining[1:] if c in friends[node]])
+            grow([*current, node], [c for c in remaining[1:] if c in neighbours[node]])
 
-    grow([], list(range(len(friends))))
+    grow([], list(range(len(neighbours))))
     return best
 
 
-def _colours(nodes: list[int], friends: list[set[int]]) -> int:
-    """Colours that suffice for no two friends to share one."""
+def _colours(nodes: list[int], neighbours: list[set[int]]) -> int:
+    """Number of colours of a greedy colouring in which no two neighbours share a colour."""
     classes: list[list[int]] = []
     for node in nodes:
         for members in classes:
-            if friends[node].isdisjoint(members):
+            if neighbours[node].isdisjoint(members):
                 members.append(node)
                 break
         else:
@@ -58,12 +59,12 @@ def _colours(nodes: list[int], friends: list[set[int]]) -> int:
     return len(classes)
 
 
-def _greedy(friends: list[set[int]]) -> list[int]:
-    """Always the candidate that leaves most of the others."""
+def _greedy(neighbours: list[set[int]]) -> list[int]:
+    """Repeatedly add the candidate that agrees with most remaining candidates."""
     chosen: list[int] = []
-    candidates = set(range(len(friends)))
+    candidates = set(range(len(neighbours)))
     while candidates:
-        node = max(sorted(candidates), key=lambda k: len(friends[k] & candidates))
+        node = max(sorted(candidates), key=lambda k: len(neighbours[k] & candidates))
         chosen.append(node)
-        candidates &= friends[node]
+        candidates &= neighbours[node]
     return sorted(chosen)

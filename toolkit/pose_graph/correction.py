@@ -1,8 +1,8 @@
-"""What a solved pose graph moves: anchors of submaps, or keyframes with their Gaussians.
+"""Apply a solved pose graph to submap anchors, or to keyframes and their Gaussians.
 
-G prints one update for both, inverse(T_new) T_old in front of every pose of a submap. With
-poses in the submap's own frame nothing inside has to move when an anchor does, and within a
-submap a Gaussian follows the keyframe that measured it, by T_new inverse(T_old).
+G multiplies every pose of a submap by inverse(T_new) T_old. Here poses are stored in the submap's
+frame, so the content of a submap is unchanged when its anchor moves. Within a submap, Gaussians
+follow the keyframe that seeded them by T_new inverse(T_old).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PoseCorrection:
-    """New poses of a graph's nodes beside those they had.
+    """Poses of a graph's nodes before and after optimisation.
 
     Attributes:
-        T_old, T_new: [4, 4] float64 by node: a submap's number (T_world_submap), or a
-            keyframe's frame index (T_submap_camera).
-        covariances: [6, 6] of x in T_new exp(x), by node; empty where not computed.
+        T_old, T_new: [4, 4] float64 by node. A node is a submap number (T_world_submap) or the
+            frame index of a keyframe (T_submap_camera).
+        covariances: [6, 6] covariance of x in T_new exp(x), by node; empty if not computed.
     """
 
     T_old: Mapping[int, Array] = field(repr=False)
@@ -38,11 +38,11 @@ class PoseCorrection:
 
     def __post_init__(self) -> None:
         if self.T_old.keys() != self.T_new.keys():
-            raise ValueError("a correction needs the old and the new pose of the same nodes")
+            raise ValueError("T_old and T_new must contain the same nodes")
 
     @classmethod
     def of(cls, graph: PoseGraph, solution: PoseGraphSolution) -> PoseCorrection:
-        """From the graph's own poses to the solution's."""
+        """Correction from the poses of the graph to those of the solution."""
         covariances: dict[int, Array] = {}
         if solution.covariances is not None:
             covariances = dict(zip(graph.nodes, solution.covariances, strict=True))
@@ -50,22 +50,22 @@ class PoseCorrection:
 
     @property
     def moved(self) -> list[int]:
-        """Nodes whose pose differs in any bit, ascending."""
+        """Ascending nodes whose old and new poses are not identical."""
         return sorted(n for n, T in self.T_new.items() if not np.array_equal(T, self.T_old[n]))
 
     def motion(self, node: int) -> Array:
-        """[4, 4] T_new inverse(T_old): what moves along with the node moves by this."""
+        """[4, 4] T_new inverse(T_old), which moves everything attached to the node."""
         return self.T_new[node] @ se3.inverse(self.T_old[node])
 
     @property
     def largest_m(self) -> float:
-        """How far the origin of the node that moves farthest moves, metres."""
+        """Largest translation of a node, metres."""
         steps = [self.T_new[n][:3, 3] - T[:3, 3] for n, T in self.T_old.items()]
         return max((float(np.linalg.norm(step)) for step in steps), default=0.0)
 
     @property
     def largest_rad(self) -> float:
-        """How far the node that turns most turns, radians."""
+        """Largest rotation of a node, radians."""
         turns = [T[:3, :3].T @ self.T_new[n][:3, :3] for n, T in self.T_old.items()]
         return max((float(se3.rotation_angle_rad(R)) for R in turns), default=0.0)
 
@@ -75,16 +75,16 @@ def submap_graph(
     odometry: Iterable[PoseEdge],
     registrations: Iterable[PoseEdge],
 ) -> PoseGraph:
-    """The graph between submaps, with the first one's anchor fixed.
+    """Build the pose graph of submaps, with the anchor of the first submap fixed.
 
     Args:
-        T_world_submap: [4, 4] of each submap, by number.
-        odometry: edges between neighbouring anchors, as measured when the
-            submap closed: not from poses that were corrected since.
-        registrations: loop edges, made by `LoopNoise.edge`.
+        T_world_submap: [4, 4] anchor pose by submap number.
+        odometry: edges between consecutive anchors as measured when the submap was closed, not
+            computed from poses corrected since.
+        registrations: loop edges made by `LoopNoise.edge`.
 
     Raises:
-        ValueError: an edge has the wrong kind, or the graph falls apart.
+        ValueError: an edge has the wrong kind, or the graph is not connected.
     """
     return _graph(T_world_submap, odometry, registrations)
 
@@ -92,40 +92,40 @@ def submap_graph(
 def keyframe_graph(
     submap: Submap, odometry: Iterable[PoseEdge], loops: Iterable[PoseEdge]
 ) -> PoseGraph:
-    """The graph of one submap's keyframes, in its frame, with its first keyframe fixed.
+    """Build the pose graph of a submap's keyframes in its frame, with the first keyframe fixed.
 
     Args:
-        odometry: edges between neighbouring keyframes (`OdometryNoise.along`); nodes are the
-            keyframes' frame indices.
-        loops: measured between what the two keyframes observed; two renders of the same map
-            would agree whatever the drift.
+        submap: its keyframes are the nodes, numbered by frame index.
+        odometry: edges between consecutive keyframes (`OdometryNoise.along`).
+        loops: loop edges measured between the images of two keyframes. Two renderings of the same
+            map would agree regardless of the drift.
 
     Raises:
-        ValueError: an edge has the wrong kind, or the graph falls apart.
+        ValueError: an edge has the wrong kind, or the graph is not connected.
     """
     return _graph({k.index: k.T_map_camera for k in submap.keyframes}, odometry, loops)
 
 
 def correct_keyframes(submap: Submap, correction: PoseCorrection) -> None:
-    """Move a submap's keyframes, and with each the Gaussians that it seeded.
+    """Move the keyframes of a submap and the Gaussians that each keyframe seeded.
 
-    Centres alone move: Gaussians are isotropic. They move by float64, and those of keyframes
-    that did not move keep their bits.
+    Gaussians are isotropic, so only their centres change. Centres are transformed in float64;
+    Gaussians of unchanged keyframes stay bit-identical.
 
     Raises:
-        ValueError: a keyframe that moves stands elsewhere than the correction starts from, or
-            a Gaussian was seeded by none of the submap's keyframes.
+        ValueError: the old pose of a moved keyframe does not match the submap, or a Gaussian was
+            not seeded by a keyframe of the submap.
     """
     moved = correction.moved
     keyframes = {keyframe.index: keyframe for keyframe in submap.keyframes}
     for node in moved:
         keyframe = keyframes.get(node)
         T_old = correction.T_old[node]
-        # A graph makes poses rigid that are not quite.
+        # PoseGraph orthonormalises poses, so they differ slightly from those of the submap.
         if keyframe is None or np.abs(keyframe.T_map_camera - T_old).max() > 1e-4:
             raise ValueError(
-                f"keyframe {node} of submap {submap.number} is not where the correction found "
-                f"it; build the graph from the submap as it is"
+                f"the pose of keyframe {node} of submap {submap.number} differs from T_old of the "
+                f"correction; build the graph from the current submap"
             )
     motions = [correction.motion(node) for node in moved]
     means = _moved_means(submap, moved, motions)
@@ -136,20 +136,20 @@ def correct_keyframes(submap: Submap, correction: PoseCorrection) -> None:
 
 
 def _moved_means(submap: Submap, moved: list[int], motions: list[Array]) -> torch.Tensor | None:
-    """Centres [N, 3] after each keyframe's motion; None where none moves."""
+    """Centres [N, 3] after the motion of their keyframes; None if no centre moves."""
     means = submap.gaussians.means
     if submap.seeded_by.shape != (len(means),):
         raise ValueError(
-            f"submap {submap.number} has {len(means)} Gaussians, but names the keyframe of "
-            f"{len(submap.seeded_by)}"
+            f"submap {submap.number} has {len(means)} Gaussians, but seeded_by has "
+            f"{len(submap.seeded_by)} entries"
         )
     if not moved:
         return None
     seeded_by = submap.seeded_by.detach().cpu().numpy()
-    strangers = np.setdiff1d(seeded_by, [keyframe.index for keyframe in submap.keyframes])
-    if len(strangers):
+    unknown = np.setdiff1d(seeded_by, [keyframe.index for keyframe in submap.keyframes])
+    if len(unknown):
         raise ValueError(
-            f"submap {submap.number} holds Gaussians of frame {strangers[0]}, which is none of "
+            f"submap {submap.number} has Gaussians seeded by frame {unknown[0]}, not one of "
             f"its keyframes"
         )
     row = np.minimum(np.searchsorted(moved, seeded_by), len(moved) - 1)
@@ -171,5 +171,5 @@ def _graph(
     for kind, edges in (("odometry", odometry), ("loop", loops)):
         for edge in edges:
             if edge.kind != kind:
-                raise ValueError(f"{edge} is of kind {edge.kind!r} where {kind!r} is meant")
+                raise ValueError(f"{edge} has kind {edge.kind!r}, expected {kind!r}")
     return PoseGraph(poses, (*odometry, *loops))

@@ -1,4 +1,4 @@
-"""Pose graphs to and from the arrays of their files."""
+"""Conversion of pose graph files to pose graphs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from toolkit.pose_graph.graph import PoseEdge, PoseGraph, poses_along
 
 
 def graph_of(arrays: PoseGraphArrays) -> PoseGraph:
-    """The graph of a file: an edge from one number to the next is odometry, others are loops.
+    """Build a pose graph from file arrays; edges k to k + 1 are odometry, all others loops.
 
-    Nodes without a pose in the file get it along the edges. Files know one fixed node here:
-    the first that they name, or the lowest number.
+    If the file has no poses, they are composed along the edges. The fixed node is the first fixed
+    node in the file, or else the lowest node number.
 
     Raises:
-        ValueError: an edge or the graph is not as `PoseEdge` and `PoseGraph` want it.
+        ValueError: an edge or the graph is invalid (see `PoseEdge` and `PoseGraph`).
     """
     edges = tuple(
         PoseEdge(int(i), int(j), T, information)

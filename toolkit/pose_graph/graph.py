@@ -1,7 +1,7 @@
-"""Pose graphs as plain data: poses of nodes, and measured motions between them.
+"""Pose graph data: poses of nodes and relative pose measurements between them.
 
-A node is a submap's anchor or a keyframe; `T_world_node` is its pose in the graph's own
-world, which for the keyframes of a submap is the submap's frame.
+A node is a submap anchor or a keyframe. `T_world_node` is its pose in the graph's world frame,
+which is the submap's frame for the keyframes of a submap.
 """
 
 from __future__ import annotations
@@ -19,25 +19,26 @@ from toolkit.geometry import se3
 Array = NDArray[np.float64]
 EdgeKind = Literal["odometry", "loop"]
 
-# Motions that were float32 on their way pass, and are made rigid; float64 ones keep their bits.
+# Tolerances: poses within _RIGID (float32 precision) are orthonormalised; poses within _EXACT are
+# kept unchanged.
 _RIGID, _EXACT = 1e-5, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEdge:
-    """A measured motion between two nodes.
+    """A relative pose measurement between two nodes.
 
     Attributes:
-        first, second: the nodes' numbers.
+        first, second: node numbers.
         T_first_second: [4, 4] float64, the measurement of inverse(T_first) @ T_second.
         information: [6, 6] float64 inverse covariance of x in T_first_second exp(x), with
             x = (translation m, rotation rad): a perturbation in the second node's frame.
-        kind: "odometry", which is believed, or "loop", which may be refused.
-        robust: whether the solver puts its robust kernel on it.
+        kind: "odometry", which is always kept, or "loop", which may be retracted.
+        robust: whether the solver applies its robust kernel.
 
     Raises:
-        ValueError: the motion is not rigid, the information not symmetric and positive
-            definite, or both ends are one node.
+        ValueError: the transformation is not rigid, the information is not symmetric positive
+            definite, or both nodes are the same.
     """
 
     first: int
@@ -50,7 +51,7 @@ class PoseEdge:
     def __post_init__(self) -> None:
         name = f"edge {self.first}-{self.second}"
         if self.first == self.second:
-            raise ValueError(f"{name} joins a node with itself")
+            raise ValueError(f"{name} connects a node to itself")
         if self.kind not in ("odometry", "loop"):
             raise ValueError(f"{name}: kind must be 'odometry' or 'loop', got {self.kind!r}")
         T = _rigid(f"{name}: T_first_second", self.T_first_second)
@@ -61,7 +62,7 @@ class PoseEdge:
 
     @classmethod
     def loop(cls, first: int, second: int, T_first_second: Array, information: Array) -> PoseEdge:
-        """A loop edge, under the robust kernel."""
+        """Make a loop edge with the robust kernel."""
         return cls(first, second, T_first_second, information, "loop", robust=True)
 
     @property
@@ -70,7 +71,7 @@ class PoseEdge:
         return _symmetric_inverse(self.information)
 
     def inverted(self) -> PoseEdge:
-        """The same measurement told from the second node."""
+        """The inverse measurement, from the second node to the first."""
         T_second_first = se3.inverse(self.T_first_second)
         information = information_in_frame(self.information, T_second_first)
         return PoseEdge(
@@ -78,53 +79,53 @@ class PoseEdge:
         )
 
     def residual(self, T_world_first: Array, T_world_second: Array) -> Array:
-        """[6] log of the measurement's inverse times the motion between two poses."""
+        """[6] log of the inverse measurement times the relative pose of two nodes."""
         predicted = se3.inverse(T_world_first) @ T_world_second
         return se3.log(se3.inverse(self.T_first_second) @ predicted)
 
     def chi2(self, T_world_first: Array, T_world_second: Array) -> float:
-        """Squared length of the residual in standard deviations, of 6 degrees of freedom."""
+        """Squared Mahalanobis norm of the residual (6 degrees of freedom)."""
         residual = self.residual(T_world_first, T_world_second)
         return float(residual @ self.information @ residual)
 
 
 def information_in_frame(information_a: Array, T_a_b: Array) -> Array:
-    """Information [6, 6] of a perturbation in frame a, told as one in frame b.
+    """Transform the information [6, 6] of a perturbation in frame a to frame b.
 
-    exp(y) T_a_b = T_a_b exp(x) makes y = adjoint(T_a_b) x. So the information of an error
-    on the left of a measurement T, exp(y) T, becomes that on its right by T itself; and
-    that of inverse(T) follows from T's by inverse(T).
+    exp(y) T_a_b = T_a_b exp(x) implies y = adjoint(T_a_b) x. Called with a measurement T, this
+    converts the information of a left perturbation exp(y) T to that of a right perturbation.
+    Called with inverse(T), it converts the information of T to that of inverse(T).
     """
     A = se3.adjoint(T_a_b)
     return A.T @ information_a @ A
 
 
 def covariance_in_frame(covariance_a: Array, T_a_b: Array) -> Array:
-    """Covariance [6, 6] of a pose T_world_a, as that of T_world_b where b hangs on a.
+    """Transform the covariance [6, 6] of a pose T_world_a to that of T_world_b = T_world_a T_a_b.
 
-    So the spread of an anchor or a keyframe becomes that of a camera placed relative to it.
+    This yields the covariance of a camera from that of the anchor or keyframe it is attached to.
     """
     A = se3.adjoint(se3.inverse(T_a_b))
     return A @ covariance_a @ A.T
 
 
 def information_of(covariance: Array) -> Array:
-    """Information [6, 6] of a covariance, symmetric to the bit."""
+    """Exactly symmetric information [6, 6] of a covariance."""
     return _symmetric_inverse(covariance)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
-    """Poses and the edges between them.
+    """Node poses and the edges between them.
 
     Attributes:
-        T_world_node: [4, 4] float64 of each node, by number: where optimisation starts.
-        edges: in an order that results keep.
-        fixed: the node that does not move; None takes the lowest number.
+        T_world_node: [4, 4] float64 pose by node number, the initial values of the optimisation.
+        edges: edges; per-edge results use the same order.
+        fixed: node that does not move; None selects the lowest number.
 
     Raises:
-        ValueError: a pose is not rigid, an edge ends at no node, or a part of the graph has
-            no connection to the fixed node.
+        ValueError: a pose is not rigid, an edge refers to an unknown node, or a node is not
+            connected to the fixed node.
     """
 
     T_world_node: Mapping[int, Array]
@@ -147,12 +148,12 @@ class PoseGraph:
         for edge in self.edges:
             missing = {edge.first, edge.second} - poses.keys()
             if missing:
-                raise ValueError(f"{edge} ends at node {min(missing)}, which has no pose")
-        apart = poses.keys() - _reachable(self.anchor, self.edges)
-        if apart:
+                raise ValueError(f"{edge} refers to node {min(missing)}, which has no pose")
+        unreachable = poses.keys() - _reachable(self.anchor, self.edges)
+        if unreachable:
             raise ValueError(
-                f"node {min(apart)} is not connected to the fixed node {self.fixed}; "
-                f"every node needs a chain of edges to it"
+                f"node {min(unreachable)} is not connected to the fixed node {self.fixed}; "
+                f"add an edge that connects them"
             )
 
     def __str__(self) -> str:
@@ -167,35 +168,35 @@ class PoseGraph:
 
     @property
     def nodes(self) -> list[int]:
-        """Numbers of the nodes, ascending: the order of all arrays over nodes."""
+        """Ascending node numbers, the order of all arrays over nodes."""
         return list(self.T_world_node)
 
     def chi2(self, T_world_node: Mapping[int, Array] | None = None) -> Array:
-        """[E] chi-square of each edge, at the graph's own poses or at others."""
+        """[E] chi-square of each edge at the given poses, by default those of the graph."""
         poses = self.T_world_node if T_world_node is None else T_world_node
         return np.array([e.chi2(poses[e.first], poses[e.second]) for e in self.edges])
 
-    def without(self, places: Iterable[int]) -> PoseGraph:
-        """The graph without the edges at some places of `edges`."""
-        left_out = set(places)
-        kept = tuple(e for k, e in enumerate(self.edges) if k not in left_out)
+    def without(self, indices: Iterable[int]) -> PoseGraph:
+        """Copy of the graph without the edges at the given indices."""
+        removed = set(indices)
+        kept = tuple(e for k, e in enumerate(self.edges) if k not in removed)
         return PoseGraph(self.T_world_node, kept, self.fixed)
 
-    def holds_without(self, places: Iterable[int]) -> bool:
-        """Whether every node is still connected when the edges at some places are left out."""
-        left_out = set(places)
-        kept = [e for k, e in enumerate(self.edges) if k not in left_out]
+    def is_connected_without(self, indices: Iterable[int]) -> bool:
+        """Whether the graph stays connected without the edges at the given indices."""
+        removed = set(indices)
+        kept = [e for k, e in enumerate(self.edges) if k not in removed]
         return len(_reachable(self.anchor, kept)) == len(self.T_world_node)
 
     def at(self, T_world_node: Mapping[int, Array]) -> PoseGraph:
-        """The same edges at other poses."""
+        """Copy of the graph with other poses."""
         return PoseGraph(T_world_node, self.edges, self.fixed)
 
 
 def poses_along(edges: Iterable[PoseEdge], start: int, T_world_start: Array) -> dict[int, Array]:
-    """A pose for every node that edges connect with `start`, by the fewest edges.
+    """Compose poses along edges for all nodes connected to `start` (breadth-first search).
 
-    Of equally short ways the edges that come first count.
+    Each node uses a shortest path; ties are resolved by the order of the edges.
     """
     neighbours: dict[int, list[tuple[int, Array]]] = defaultdict(list)
     for edge in edges:
@@ -222,7 +223,7 @@ def _rigid(name: str, T: Array) -> Array:
     if se3.is_rigid(T, _EXACT):
         return T
     if not se3.is_rigid(T, _RIGID):
-        raise ValueError(f"{name} must be a rigid motion [4, 4]")
+        raise ValueError(f"{name} must be a rigid transformation [4, 4]")
     return se3.orthonormalise(T)
 
 

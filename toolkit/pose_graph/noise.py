@@ -1,16 +1,15 @@
-"""What an alignment's word is worth: covariances of odometry and loop edges.
+"""Noise models: covariances of odometry and loop edges.
 
-The information that tracking and registration give is that of Gauss-Newton, where each pixel
-is a measurement of its own. But pixels err together (calibration, exposure, depth that is
-wrong over whole surfaces, the map itself), which no number of them averages out, so the
-information is far too large. An edge's covariance is therefore
+Tracking and registration return the Gauss-Newton information, which treats pixels as independent
+measurements. Pixel errors are correlated (calibration, exposure, depth bias over whole surfaces,
+errors of the map), so this information is far too large. The covariance of an edge is therefore
 
-    scale * inverse(information)      its shape: which directions were seen badly
-    + edge^2                          the least error of an alignment, on the diagonal
-    + per_metre^2 * metres + per_radian^2 * radians      of odometry, on the diagonal
+    scale * inverse(information)      shape: weakly constrained directions
+    + edge^2                          minimum error of an alignment, on the diagonal
+    + per_metre^2 * metres + per_radian^2 * radians      odometry only, on the diagonal
 
-What grows with the path grows as a variance, so that cutting a path into shorter edges adds
-no more than the constant of an edge.
+Path-dependent terms grow linearly in variance. Splitting a path into shorter edges therefore only
+adds the constant term of each edge.
 """
 
 from __future__ import annotations
@@ -39,14 +38,14 @@ class LoopNoise:
         Args:
             information: [6, 6] positive semi-definite, of (translation m, rotation rad).
         """
-        # A weak prior holds the directions that nothing was seen of.
+        # A weak prior constrains unobserved directions.
         weak = np.eye(6) / self.options.unseen**2
         measured = np.linalg.inv(0.5 * (information + information.T) / self.options.scale + weak)
         floor = np.diag([self.options.edge_m**2] * 3 + [self.options.edge_rad**2] * 3)
         return 0.5 * (measured + measured.T) + floor
 
     def edge(self, first: int, second: int, T_first_second: Array, information: Array) -> PoseEdge:
-        """The loop edge of a registration: `T_target_source` is the edge target-source."""
+        """Make the loop edge of a registration; `T_target_source` is the edge target-source."""
         covariance = self.alignment(information)
         return PoseEdge.loop(first, second, T_first_second, information_of(covariance))
 
@@ -63,8 +62,8 @@ class OdometryNoise(LoopNoise):
         """Covariance [6, 6] of an edge that ends at a tracked frame.
 
         Args:
-            information: [6, 6] of that frame, zero where poses were given.
-            metres, radians: path and turns along the edge, as `path_between` sums them.
+            information: [6, 6] of that frame, zero for given poses.
+            metres, radians: length and total rotation of the path (`path_between`).
         """
         drift_m2 = self.options.per_metre_m**2 * metres + self.options.per_radian_m**2 * radians
         drift_rad2 = (
@@ -75,13 +74,14 @@ class OdometryNoise(LoopNoise):
     def along(
         self, first: int, second: int, T_map_camera: Sequence[Array], information: Array
     ) -> PoseEdge:
-        """The odometry edge of the frames from one node to the next.
+        """Make the odometry edge between two nodes from the tracked frames between them.
 
-        The map that a frame is aligned to was built from the keyframes before it and has
-        their errors, so of the frames only the last one's alignment counts.
+        Frames are aligned to a map that contains the errors of the previous keyframes, so only
+        the information of the last frame is used.
 
         Args:
-            T_map_camera: [4, 4] of each frame, from the first node's to the second's.
+            first, second: node numbers.
+            T_map_camera: [4, 4] pose of each frame, from the first node to the second.
             information: [6, 6] of the last frame.
         """
         T_first_second = se3.inverse(T_map_camera[0]) @ T_map_camera[-1]
@@ -90,7 +90,7 @@ class OdometryNoise(LoopNoise):
 
 
 def path_between(T_map_camera: Sequence[Array]) -> tuple[float, float]:
-    """Length of a path (m) and the sum of its turns (rad), frame by frame."""
+    """Length (m) and total rotation (rad) of a path, summed over consecutive frames."""
     poses = np.asarray(T_map_camera, dtype=np.float64)
     steps = se3.inverse(poses[:-1]) @ poses[1:]
     metres = np.linalg.norm(steps[:, :3, 3], axis=1).sum()

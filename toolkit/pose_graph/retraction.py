@@ -1,16 +1,16 @@
-"""Loops taken back after optimisation, where they and the rest cannot both be right.
+"""Retraction of loops that contradict the rest of the graph after optimisation.
 
-If every covariance is right, the graph's chi-square at the optimum is that of 6 degrees of
-freedom for each edge beyond a tree, and a loop adds that of 6. Both are tested:
+If all covariances are correct, the chi-square sum at the optimum has 6 degrees of freedom per edge
+beyond a spanning tree, and a loop contributes 6 of them. Two tests follow:
 
-- A loop is refused by the rest if the sum over the graph falls by more than its share when
-  the loop is left out. This holds its own residual, and what it bends the odometry by.
-- Several wrong loops may agree (two rooms that look the same), and each then explains the
-  others. What gives them away is the odometry, which they strain together: the sum over the
-  whole graph is too large, and goes on being so until the last of them is gone.
+- A loop is retracted if removing it lowers the chi-square sum by more than the quantile for 6
+  degrees of freedom. This includes its own residual and the residuals it causes in the odometry.
+- Several wrong loops may agree with each other (two rooms that look the same), so that no single
+  one stands out. The odometry residuals then make the chi-square sum of the graph too large, and
+  loops are removed until the sum is plausible.
 
-The worst goes first, and the rest is solved again. Loops that agreed with the truth can fall
-to a wrong majority on the way, so at the end each one taken back is tried again.
+The worst loop is removed first and the graph is solved again. Correct loops can be removed while a
+wrong majority remains, so every retracted loop is tested once more at the end.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 
 class PoseGraphOptimiser:
-    """Solves pose graphs and takes back loops that contradict the rest."""
+    """Optimises pose graphs and retracts loops that contradict the rest."""
 
     def __init__(
         self,
@@ -41,18 +41,22 @@ class PoseGraphOptimiser:
         self.retraction = retraction or RetractionOptions()
 
     def optimise(self, graph: PoseGraph) -> PoseGraphSolution:
-        """The poses that agree best, without the loops that had to go.
+        """Optimise the graph and retract inconsistent loops.
 
-        With L loops this solves the graph about L times, and again for each that goes.
+        With L loops the graph is solved about L times, and again for each retracted loop.
 
         Raises:
-            DependencyError: GTSAM is missing.
+            DependencyError: GTSAM is not installed.
             ToolkitError: the system is singular to working precision.
         """
         retracted = self._readmit(graph, self._retract(graph))
-        for place in retracted:
-            edge = graph.edges[place]
-            _log.info("loop %d-%d contradicts the rest, taken back", edge.first, edge.second)
+        for index in retracted:
+            edge = graph.edges[index]
+            _log.info(
+                "Retracted loop %d-%d: it contradicts the rest of the graph",
+                edge.first,
+                edge.second,
+            )
         solution = solve(graph.without(retracted), self.solver)
         used = [k for k in range(len(graph.edges)) if k not in retracted]
         weights = np.zeros(len(graph.edges))
@@ -65,55 +69,56 @@ class PoseGraphOptimiser:
         )
 
     def _retract(self, graph: PoseGraph) -> list[int]:
-        """Places of the loops to take back, worst first."""
+        """Indices of the loops to retract, worst first."""
         retracted: list[int] = []
         while (worst := self._worst(_Trial.of(graph, retracted, self.solver))) is not None:
             retracted.append(worst)
         return retracted
 
     def _worst(self, trial: _Trial) -> int | None:
-        """Place of the loop that has to go first; None where all may stay."""
-        loops = trial.dispensable_loops()
+        """Index of the loop to retract next, None if all loops can be kept."""
+        loops = trial.removable_loops()
         if not loops:
             return None
-        # Most wrong loops show without being left out.
+        # Most wrong loops have a large residual of their own; test this before solving again.
         worst = max(loops, key=lambda k: trial.chi2[k])
-        if trial.chi2[worst] > self._share:
+        if trial.chi2[worst] > self._loop_bound:
             return worst
-        saved = {k: trial.total - trial.leaving_out(k).total for k in loops}
-        worst = max(loops, key=lambda k: saved[k])
-        return worst if saved[worst] > self._share or not self._plausible(trial) else None
+        reduction = {k: trial.total - trial.without(k).total for k in loops}
+        worst = max(loops, key=lambda k: reduction[k])
+        return worst if reduction[worst] > self._loop_bound or not self._plausible(trial) else None
 
     def _readmit(self, graph: PoseGraph, retracted: list[int]) -> list[int]:
-        """What stays taken back when each loop has a second chance, the best first."""
+        """Test each retracted loop again, best first; returns those that stay retracted."""
         trial = _Trial.of(graph, retracted, self.solver)
-        waiting = sorted(retracted, key=lambda k: trial.chi2[k]) if len(retracted) > 1 else []
-        for place in waiting:
-            again = trial.taking_in(place)
-            if again.total - trial.total <= self._share and self._plausible(again):
+        candidates = sorted(retracted, key=lambda k: trial.chi2[k]) if len(retracted) > 1 else []
+        for index in candidates:
+            again = trial.including(index)
+            if again.total - trial.total <= self._loop_bound and self._plausible(again):
                 trial = again
         return list(trial.retracted)
 
     @property
-    def _share(self) -> float:
-        """What one loop may add to the sum."""
+    def _loop_bound(self) -> float:
+        """Maximum chi-square that one loop may add to the sum."""
         return quantile(self.retraction.confidence, 6)
 
     def _plausible(self, trial: _Trial) -> bool:
-        """Whether a sum is one that its degrees of freedom explain."""
+        """Whether the chi-square sum is plausible for its degrees of freedom."""
         degrees = trial.degrees_of_freedom
         return degrees == 0 or trial.total <= quantile(self.retraction.confidence, degrees)
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A graph solved without some of its edges.
+    """A graph solved without the retracted edges.
 
     Attributes:
-        graph: with all its edges, at the poses found.
-        retracted: places of the edges left out.
-        chi2: [E] of all edges.
-        total: sum of those that are used.
+        graph: graph with all edges at the optimised poses.
+        retracted: indices of the retracted edges.
+        solver: solver options.
+        chi2: [E] chi-square of all edges.
+        total: chi-square sum of the edges in use.
     """
 
     graph: PoseGraph
@@ -127,23 +132,23 @@ class _Trial:
         solution = solve(graph.without(retracted), solver, covariances=False)
         chi2 = graph.chi2(solution.T_world_node)
         used = np.setdiff1d(np.arange(len(chi2)), list(retracted))
-        found = graph.at(solution.T_world_node)
-        return cls(found, tuple(retracted), solver, chi2, float(chi2[used].sum()))
+        solved = graph.at(solution.T_world_node)
+        return cls(solved, tuple(retracted), solver, chi2, float(chi2[used].sum()))
 
-    def leaving_out(self, place: int) -> _Trial:
-        return _Trial.of(self.graph, (*self.retracted, place), self.solver)
+    def without(self, index: int) -> _Trial:
+        return _Trial.of(self.graph, (*self.retracted, index), self.solver)
 
-    def taking_in(self, place: int) -> _Trial:
-        rest = tuple(k for k in self.retracted if k != place)
+    def including(self, index: int) -> _Trial:
+        rest = tuple(k for k in self.retracted if k != index)
         return _Trial.of(self.graph, rest, self.solver)
 
-    def dispensable_loops(self) -> list[int]:
-        """Loops in use without which the graph still hangs together."""
+    def removable_loops(self) -> list[int]:
+        """Indices of loops in use whose removal keeps the graph connected."""
         loops = [k for k, edge in enumerate(self.graph.edges) if edge.kind == "loop"]
         return [
             k
             for k in loops
-            if k not in self.retracted and self.graph.holds_without((*self.retracted, k))
+            if k not in self.retracted and self.graph.is_connected_without((*self.retracted, k))
         ]
 
     @property

@@ -1,8 +1,8 @@
-"""Pose graphs solved by GTSAM: this module alone imports it.
+"""Pose graph optimisation with GTSAM; the only module that imports it.
 
-GTSAM's tangent is (rotation, translation), perturbations are on the right as ours, and
-`BetweenFactorPose3(i, j, Z)` means Z = inverse(X_i) X_j. It runs on one thread and gives
-the same bits each time.
+GTSAM orders tangent vectors as (rotation, translation) and uses right perturbations, as we do.
+`BetweenFactorPose3(i, j, Z)` measures Z = inverse(X_i) X_j. The solver runs on one thread, so
+results are reproducible.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ Array = NDArray[np.float64]
 
 # (translation, rotation) <-> (rotation, translation); its own inverse.
 _SWAP = np.array([3, 4, 5, 0, 1, 2])
-# The prior on the fixed node only removes the freedom of the whole: at the optimum it costs
-# nothing, and its width (m, rad) shows in the covariances alone.
+# Standard deviation (m, rad) of the prior on the fixed node, which removes the gauge freedom. Its
+# error is zero at the optimum; it only affects the covariances.
 _FIXED_SIGMA = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGraphSolution:
-    """The poses that agree best with all edges.
+    """Result of a pose graph optimisation.
 
     Attributes:
-        T_world_node: [4, 4] float64 of each node; the fixed one's bits are the graph's.
-        chi2: [E] of each edge of the graph that was asked for, those taken back as well.
-        weights: [E] in [0, 1], what the kernel left of each edge; 0 for those taken back.
+        T_world_node: [4, 4] float64 pose of each node; that of the fixed node is unchanged.
+        chi2: [E] chi-square of each edge of the input graph, retracted edges included.
+        weights: [E] robust kernel weights in [0, 1]; 0 for retracted edges.
         covariances: [N, 6, 6] of x in T_world_node exp(x), x = (translation m, rotation
-            rad), nodes ascending; zero at the fixed node. None where not asked for.
-        error_before, error_after: half the sum of the (robust) chi-squares of the edges
-            that were used, at the graph's poses and at the optimum: GTSAM's error.
-        iterations: Levenberg-Marquardt steps.
-        converged: the steps ended by the tolerance.
-        retracted: places, in the graph's edges, of loops that were taken back, in order.
+            rad), nodes ascending; zero at the fixed node. None if not requested.
+        error_before, error_after: GTSAM's error, half the sum of the (robust) chi-squares of the
+            edges in use, at the initial poses and at the optimum.
+        iterations: number of Levenberg-Marquardt iterations.
+        converged: whether the tolerance was reached.
+        retracted: indices of retracted loops in the graph's edges, in order of retraction.
     """
 
     T_world_node: dict[int, Array] = field(repr=False)
@@ -61,21 +61,23 @@ def solve(
     """Minimise the chi-squares of all edges by Levenberg-Marquardt.
 
     Args:
-        covariances: whether to compute them; on thousands of nodes they take seconds.
+        graph: graph to optimise.
+        options: solver options; default if None.
+        covariances: whether to compute covariances; takes seconds for thousands of nodes.
 
     Raises:
-        DependencyError: GTSAM is missing.
+        DependencyError: GTSAM is not installed.
         ToolkitError: the system is singular to working precision.
     """
     gtsam = _gtsam()
     options = options or SolverOptions()
     factors = _factors(gtsam, graph, options)
-    given = _values(gtsam, graph)
+    initial = _values(gtsam, graph)
     try:
-        start = gtsam.InitializePose3.initialize(factors) if options.initialise else given
+        start = gtsam.InitializePose3.initialize(factors) if options.initialise else initial
         optimizer = gtsam.LevenbergMarquardtOptimizer(factors, start, _parameters(gtsam, options))
         values = optimizer.optimize()
-        spread = _covariances(gtsam, graph, factors, values) if covariances else None
+        marginals = _covariances(gtsam, graph, factors, values) if covariances else None
     except RuntimeError as error:
         raise ToolkitError(
             f"the pose graph ({graph}) is singular to working precision; raise the smallest "
@@ -91,8 +93,8 @@ def solve(
         T_world_node=poses,
         chi2=chi2,
         weights=np.where(robust, kernel_weights(chi2, options), 1.0),
-        covariances=spread,
-        error_before=float(factors.error(given)),
+        covariances=marginals,
+        error_before=float(factors.error(initial)),
         error_after=float(factors.error(values)),
         iterations=steps,
         converged=steps < options.iterations,
@@ -100,7 +102,7 @@ def solve(
 
 
 def kernel_weights(chi2: Array, options: SolverOptions) -> Array:
-    """[E] weight that the kernel gives to edges of some chi-square."""
+    """[E] robust kernel weights for chi-square values [E]."""
     width2 = options.kernel_width**2
     if options.kernel == "huber":
         return np.minimum(1.0, options.kernel_width / np.sqrt(np.maximum(chi2, 1e-300)))
@@ -116,7 +118,7 @@ def _gtsam() -> ModuleType:
         import gtsam
     except ImportError as error:
         raise DependencyError(
-            f"pose graphs need GTSAM, which cannot be loaded ({error}); fix it with: "
+            f"pose graph optimisation needs GTSAM, which cannot be loaded ({error}); fix it with: "
             f"pip install 'gtsam>=4.3'"
         ) from error
     return gtsam
