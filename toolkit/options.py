@@ -14,7 +14,7 @@ import difflib
 import inspect
 import textwrap
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_type_hints
 
@@ -72,6 +72,10 @@ PositiveInt = Annotated[int, Range(ge=1)]
 NonNegativeInt = Annotated[int, Range(ge=0)]
 
 
+# Default of an option that must be given.
+REQUIRED = MISSING
+
+
 @dataclass(frozen=True)
 class Option:
     """One option of a dataclass of options or of a dataclass nested in it."""
@@ -82,6 +86,8 @@ class Option:
     """Type annotation, with its `Range`."""
     description: str
     """Docstring of the field."""
+    default: Any = REQUIRED
+    """Default value; `REQUIRED` without one."""
 
     @property
     def range(self) -> Range | None:
@@ -124,16 +130,24 @@ def as_plain(options: Any) -> dict[str, Any]:
 
 
 @cache
-def nested_options(kind: type) -> tuple[Option, ...]:
-    """All options of a dataclass, those of nested dataclasses included, in declaration order."""
+def nested_options(kind: type, defaults: Any = REQUIRED) -> tuple[Option, ...]:
+    """All options of a dataclass, those of nested dataclasses included, in declaration order.
+
+    Args:
+        kind: the dataclass.
+        defaults: an instance of it with the default values; those declared if absent.
+    """
     found: list[Option] = []
-    descriptions = field_docstrings(kind)
-    for name, hint in field_types(kind).items():
+    descriptions, types = field_docstrings(kind), field_types(kind)
+    for field in fields(kind):
+        hint, default = types[field.name], field.default
+        if defaults is not REQUIRED:
+            default = getattr(defaults, field.name)
         if is_dataclass(hint):
-            inner = nested_options(hint)  # type: ignore[arg-type]
-            found += [Option(f"{name}.{o.key}", o.type, o.description) for o in inner]
+            inner = nested_options(hint, default)  # type: ignore[arg-type]
+            found += [replace(option, key=f"{field.name}.{option.key}") for option in inner]
         else:
-            found.append(Option(name, hint, descriptions.get(name, "")))
+            found.append(Option(field.name, hint, descriptions.get(field.name, ""), default))
     return tuple(found)
 
 

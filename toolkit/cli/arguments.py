@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import tyro
 
+from toolkit.cli.help import FLAGS, help_page
 from toolkit.errors import SettingsError
 from toolkit.options import suggestion, validated
 
@@ -28,10 +29,16 @@ def parse_arguments(
         job: name of the job.
         options: passed to `tyro.cli`, for instance a default.
 
+    Returns:
+        The arguments. `--help` and `--help-all` print a help page instead and end the program.
+
     Raises:
         SettingsError: an option is unknown or a value is invalid; the message is one line.
-        SystemExit: help was requested and printed.
+        SystemExit: help was requested.
     """
+    if FLAGS & set(argv):
+        print(help_page(kind, job, "--help-all" in argv), end="")
+        raise SystemExit(0)
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):

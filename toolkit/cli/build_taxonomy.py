@@ -7,15 +7,13 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.datasets.options import DatasetKind
+from toolkit.cli.programs import BuildTaxonomyOptions, DatasetChoice
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
@@ -50,52 +48,6 @@ _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 # Frames of a scan that are measured; more hardly change a class's shape.
 _MOST_FRAMES = 100
 _SUFFIXES = (".yaml", ".yml", ".json")
-
-
-@dataclass(frozen=True)
-class DatasetChoice:
-    """A data set, for its classes and its labelled frames."""
-
-    kind: DatasetKind = "folder"
-    """Its layout (docs/guides/datasets.md)."""
-    path: Path | None = None
-    """Its folder."""
-
-
-@dataclass(frozen=True)
-class BuildTaxonomyOptions:
-    """Build the tree of groups that the semantic codes follow (docs/guides/taxonomies.md)."""
-
-    classes: Path | None = None
-    """Names: a data set's classes.json, or a text file of one name a line ('#' comments)."""
-    dataset: DatasetChoice = DatasetChoice()
-    out: Path | None = None
-    """File to write, .yaml or .json."""
-    picture: Path | None = None
-    """Picture of the tree to write, .png, .svg or .pdf."""
-    review: bool = False
-    """Print the tree, for a human eye."""
-    grouper: Literal["rules", "language-model"] = "rules"
-    """Who sorts: built-in rules, offline; or a model behind an OpenAI-compatible endpoint."""
-    base_url: str | None = None
-    """The endpoint, or else SEMSPLAT_LLM_BASE_URL; its key is SEMSPLAT_LLM_API_KEY."""
-    model: str | None = None
-    """The model's name there, or else SEMSPLAT_LLM_MODEL."""
-    cache: Path | None = None
-    """Folder of answers: nothing is asked twice."""
-    record: Path | None = None
-    """File to write all questions and answers to, for --replay."""
-    replay: Path | None = None
-    """File to take all answers from, without network."""
-    fall_back: bool = False
-    """Build by the rules where no model answers, instead of ending."""
-    shapes: tuple[Literal["scans"]] | tuple[Literal["table", "meshes"], Path] | None = None
-    """Sort the last level by shapes: 'scans' measures --dataset's labelled frames, 'table FILE'
-    and 'meshes DIR' give them; without it names alone decide."""
-    mesh_up: Literal["y", "z"] = "z"
-    """The axis of the meshes that points up."""
-    seed: int = 0
-    """Of clustering and of the model."""
 
 
 def main(argv: Sequence[str]) -> int:

@@ -4,26 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import CheckDataOptions
 from toolkit.datasets.checks import check_dataset
-
-
-@dataclass(frozen=True)
-class CheckDataOptions:
-    """Read a data set frame by frame and say, in plain lines, what is wrong with it."""
-
-    kind: Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
-    """Layout of the data set (docs/guides/datasets.md)."""
-    path: Path
-    """Its folder."""
-    image_size: tuple[int, int] | None = None
-    """Width and height in pixels to resize to, as a run would; native size without it."""
 
 
 def main(argv: Sequence[str]) -> int:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-
-import tyro
+from dataclasses import replace
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.errors import FormatError, SettingsError
+from toolkit.cli.programs import EvaluateOptions
+from toolkit.errors import FormatError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.runs.evaluation import evaluate
@@ -37,33 +35,6 @@ _SHOWN = (
 _SHOWN_SUBSET = ("miou_percent", "miou_subset_percent", "miou_subset_unseen_percent")
 
 
-@dataclass(frozen=True)
-class DatasetPlace:
-    """The run's data set."""
-
-    path: Path | None = None
-    """Its folder, if it has moved since the run."""
-
-
-@dataclass(frozen=True)
-class EvaluateOptions:
-    """Measure a finished run again and rewrite its metrics.json; times and memory stay."""
-
-    run: tyro.conf.Positional[Path]
-    """The run folder."""
-    dataset: DatasetPlace = DatasetPlace()
-    max_views: int = 100
-    """Maximum number of views evaluated in each group (mapped, held out, unseen), evenly
-    spaced."""
-    lpips_weights: tuple[Path, ...] = ()
-    """Files with the weights of LPIPS: torchvision's AlexNet (alexnet-owt-7be5be79.pth) and the
-    linear weights of the lpips package (alex.pth), or one file (.pth, .safetensors) with both.
-    Default: those that the run was given."""
-    subset: bool = False
-    """Compute the papers' subset mIoU as well: each view is decoded among the classes of its
-    true labels alone."""
-
-
 def main(argv: Sequence[str]) -> int:
     """Evaluate a run.
 
@@ -75,8 +46,6 @@ def main(argv: Sequence[str]) -> int:
             read, or a value is out of range.
     """
     options = parse_arguments(EvaluateOptions, argv, "evaluate")
-    if options.max_views < 1:
-        raise SettingsError(f"--max-views must be at least 1, got {options.max_views}")
     run = load_run(options.run)
     evaluation = _evaluation_settings(run, options)
     figures = evaluate(run, options.dataset.path, options.max_views, evaluation)

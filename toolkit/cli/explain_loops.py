@@ -5,15 +5,14 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import ExplainLoopsOptions
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.frame import Frame
@@ -50,20 +49,6 @@ _NEEDED = {
     "retracted": ("first", "second", "reason"),
     "found": ("first", "second"),
 }
-
-
-@dataclass(frozen=True)
-class ExplainLoopsOptions:
-    """Draw each suspected loop of a run: its two views, their overlap, the numbers, the verdict."""
-
-    run: tyro.conf.Positional[Path]
-    """The run folder."""
-    out: Path | None = None
-    """Folder for the pictures; RUN/loops without it."""
-    refused: bool = False
-    """Draw those, too, that the search itself refused."""
-    dataset_path: Path | None = None
-    """The data set's folder, if it has moved since the run."""
 
 
 def main(argv: Sequence[str]) -> int:

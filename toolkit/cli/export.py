@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import ExportOptions
 from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
@@ -20,31 +19,6 @@ from toolkit.runs.labelled import load_labelled_run
 from toolkit.runs.shapes import MeshOptions, part_mesh, surface_mesh, write_solid_points
 
 _ENDINGS = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """Write the map of a finished run for other programs."""
-
-    run: tyro.conf.Positional[Path]
-    """The run folder."""
-    to: Path
-    """File to write: splats as .ply, .splat or .spz; a mesh as .mesh.ply; points as .pcd."""
-    mesh: bool = False
-    """Write a mesh (.ply), fused from rendered depth and colour at the run's poses."""
-    points: bool = False
-    """Write a point cloud (.ply, .pcd): the centres of the solid Gaussians."""
-    voxel_m: float = 0.015
-    """Edge of the mesh's voxels in metres; memory grows with its inverse square."""
-    max_depth_m: float = 6.0
-    """Farthest depth that enters the mesh, metres."""
-    every: int = 3
-    """Of the run's poses, the mesh uses every n-th."""
-    keep: tuple[str, ...] = ()
-    """Classes and groups of the run's taxonomy to write, and nothing else: names, or paths such
-    as "large items > furnishings"; "void" is what has no label."""
-    drop: tuple[str, ...] = ()
-    """Classes and groups to leave out."""
 
 
 @dataclass(frozen=True)

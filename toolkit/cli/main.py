@@ -64,8 +64,22 @@ def _run_job(job: str, argv: list[str]) -> int:
             file=sys.stderr,
         )
         return 2
+    if {"-h", "--help", "--help-all"} & set(argv) and _print_help(job, argv):
+        return 0
     module = importlib.import_module(f"toolkit.cli.{JOBS[job][0]}")
     return int(module.main(argv))
+
+
+def _print_help(job: str, argv: list[str]) -> bool:
+    """Print the help of a job without importing what it needs to run, if it has any."""
+    from toolkit.cli.help import help_page
+    from toolkit.cli.programs import PROGRAMS
+    from toolkit.cli.run import RunProgram
+
+    kind = (PROGRAMS | {"run": RunProgram}).get(job)
+    if kind is not None:
+        print(help_page(kind, job, "--help-all" in argv), end="")
+    return kind is not None
 
 
 def _help() -> str:
@@ -73,7 +87,7 @@ def _help() -> str:
     jobs = "\n".join(f"  {job:<{width}}  {meaning}" for job, (_, meaning) in JOBS.items())
     return (
         f"{_USAGE}\n\nSemantic 3D Gaussian Splatting SLAM.\n\njobs:\n{jobs}\n\n"
-        "`semsplat JOB --help` lists what a job takes; --verbose may stand anywhere.\n"
+        "`semsplat JOB --help` lists the options of a job. --verbose may be given anywhere.\n"
     )
 
 

@@ -6,15 +6,13 @@ import json
 import logging
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-import tyro
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import QueryProgram
 from toolkit.errors import SettingsError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES, write_mesh
@@ -26,44 +24,6 @@ from toolkit.semantics.scene import SceneReader
 _log = logging.getLogger(__name__)
 
 _HEADINGS = ("", "what", "Gaussians", "sure", "size m", "position m", "away m", "floor m2")
-
-
-@dataclass(frozen=True)
-class QueryProgram:
-    """Ask the map of a finished run with labels: what is there, how many, where, how large."""
-
-    run: tyro.conf.Positional[Path]
-    """The run folder."""
-    nodes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Classes or groups of the run's taxonomy: a name, or a path such as "large items >
-    furnishings" that may start anywhere. Without any, the tree is listed."""
-    list: bool = False
-    """Print the tree with the number of Gaussians of each class and group, the default."""
-    json: bool = False
-    """Print JSON instead of tables."""
-    cloud: Path | None = None
-    """Write what was asked for as a point cloud (.ply, .pcd): the centres of its Gaussians."""
-    mesh: Path | None = None
-    """Write what was asked for as a mesh (.ply), drawn alone at the run's poses and fused."""
-    summary: Path | None = None
-    """Write the whole scene as JSON: the tree with counts, all objects with boxes, the room."""
-    min_confidence: float = 0.0
-    """Leave out Gaussians that are less sure of what they are, 0 to 1."""
-    link_m: float = 0.06
-    """Gaussians of a class that are nearer to each other, in metres, are one object."""
-    min_gaussians: int = 50
-    """Pieces with fewer are noise."""
-    floor: tuple[str, ...] = ()
-    """Classes of the floor, which tell what is up; without any those named floor, ground, rug
-    and carpet, as far as the taxonomy has them."""
-    distance_from: Literal["first", "last"] = "first"
-    """Camera of the run that distances are measured from."""
-    voxel_m: float = 0.01
-    """Edge of the mesh's voxels in metres."""
-    max_depth_m: float = 6.0
-    """Farthest depth that enters the mesh, metres."""
-    every: int = 1
-    """Of the run's poses, the mesh uses every n-th."""
 
 
 def main(argv: Sequence[str]) -> int:

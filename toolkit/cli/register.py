@@ -6,24 +6,22 @@ import json
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from toolkit.baselines.factory import build_registrar, needs_describer
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import RegisterOptions
 from toolkit.errors import RunFolderError, SettingsError, ToolkitError
 from toolkit.features.factory import build_describer
 from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.two_maps import (
     MapRegistration,
     Selection,
@@ -32,28 +30,11 @@ from toolkit.loops.two_maps import (
     select_registration,
 )
 from toolkit.registration.factory import build_drawer
-from toolkit.registration.options import RegistrationOptions
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
 from toolkit.submaps.saved import SavedSubmaps
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class RegisterOptions:
-    """Find where the map of RUN_B lies in that of RUN_A, and write both as one map in A's frame."""
-
-    run_a: tyro.conf.Positional[Path]
-    """The run whose frame the merged map has."""
-    run_b: tyro.conf.Positional[Path]
-    """The run that is moved."""
-    out: Path
-    """Folder to write, new or empty: map.ply, register.json, trajectory_a.txt, trajectory_b.txt."""
-    pairs: int = 6
-    """Pairs of submaps that are registered, the most alike first."""
-    registration: RegistrationOptions = field(default_factory=RegistrationOptions)
-    verification: VerificationOptions = field(default_factory=VerificationOptions)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -101,11 +82,8 @@ def _check(options: RegisterOptions) -> None:
     """What can be told before a long job.
 
     Raises:
-        SettingsError: a value is out of range.
         RunFolderError: --out is in use.
     """
-    if options.pairs < 1:
-        raise SettingsError(f"--pairs must be at least 1, got {options.pairs}")
     out = options.out
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RunFolderError(f"{out} is not an empty folder; choose another --out")

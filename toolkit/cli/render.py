@@ -8,14 +8,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import RenderProgram
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.resize import ImageGrid
 from toolkit.errors import DatasetError, SettingsError
@@ -52,35 +51,6 @@ _LEGEND_ROWS = 8
 _SPAN_VIEWS = 8
 # Where nothing says more: about 60 degrees wide, as most RGB-D cameras are.
 _DEFAULT_CAMERA = Camera(fx=550.0, fy=550.0, cx=319.5, cy=239.5, width=640, height=480)
-
-
-@dataclass(frozen=True)
-class RenderProgram:
-    """Draw views of a map as PNG: along the run's own path, any trajectory, or from one place."""
-
-    map: tyro.conf.Positional[Path]
-    """A run folder, or a splat file (.ply, .splat, .spz)."""
-    out: Path | None = None
-    """Folder of the PNGs; by default RUN/renders/views, or FILE_views beside a splat file."""
-    trajectory: Path | None = None
-    """Poses to draw, in the map's frame: a TUM file (time tx ty tz qx qy qz qw)."""
-    view: tuple[tuple[float, float, float, float, float], ...] = ()
-    """x y z yaw pitch of a view, five more for the next: metres right, down, forward, and degrees
-    right, up, as seen from the run's first camera, or in the axes of a bare splat file."""
-    every: int = 1
-    """Draw every n-th pose."""
-    what: tuple[Literal["colour", "depth", "silhouette", "strip", "labels", "levels"], ...] = (
-        "colour",
-        "depth",
-        "silhouette",
-    )
-    """Pictures of each view. A strip holds colour, depth and silhouette beside the input where
-    there is one; labels are one picture a level of the class tree, with a legend; levels are
-    all of them side by side."""
-    camera: tuple[float, float, float, float] | None = None
-    """Intrinsics fx fy cx cy in pixels. By default, those of the run."""
-    image_size: tuple[int, int] | None = None
-    """Width and height in pixels; by default the run's."""
 
 
 @dataclass(frozen=True)
@@ -151,10 +121,6 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _check_values(program: RenderProgram) -> None:
-    if program.every < 1:
-        raise SettingsError(f"--every must be at least 1, got {program.every}")
-    if program.image_size is not None and min(program.image_size) < 1:
-        raise SettingsError("--image-size must be two positive numbers")
     if program.trajectory is not None and program.view:
         raise SettingsError("give --trajectory or --view, not both")
     if not np.isfinite(np.array(program.view)).all():

@@ -4,57 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.programs import TrainHeadOptions
 from toolkit.datasets.base import Dataset
-from toolkit.datasets.options import DatasetKind
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.frame import Frame
-
-
-@dataclass(frozen=True)
-class LabelledData:
-    """The frames to learn from."""
-
-    kind: DatasetKind
-    """Layout of the data set (docs/guides/datasets.md)."""
-    path: Path
-    """Its folder; it must have labels."""
-
-
-@dataclass(frozen=True)
-class TrainHeadOptions:
-    """Train a linear head on the patch features of a vision transformer such as DINOv2.
-
-    The head is for `--semantics.segmenter.kind model` with the same model folder.
-    """
-
-    dataset: LabelledData
-    model: Path
-    """Folder of the encoder, for transformers; nothing is downloaded."""
-    out: Path
-    """The head to write, a .safetensors file."""
-    every: int = 1
-    """Use every n-th frame."""
-    hold_out: int = 5
-    """Of those, keep every n-th out of training, to measure the head on it."""
-    image_size: tuple[int, int] | None = None
-    """Width and height in pixels, as a run would resize; native size without it."""
-    longest_side: int = 518
-    """Pixels of the longer side of what the encoder sees; images are scaled to it."""
-    patches_per_frame: int = 400
-    """Most patches of a frame that take part."""
-    seed: int = 0
-    """Of the choice of patches."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the encoder runs."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -103,12 +62,6 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _check(options: TrainHeadOptions) -> None:
-    least = {"every": 1, "hold_out": 2, "longest_side": 14, "patches_per_frame": 1, "seed": 0}
-    for name, bound in least.items():
-        value = getattr(options, name)
-        if value < bound:
-            word = name.replace("_", "-")
-            raise SettingsError(f"--{word} must be at least {bound}, got {value}")
     if options.out.suffix != ".safetensors":
         raise SettingsError(f"--out must end in .safetensors, got {options.out}")
 

@@ -14,6 +14,6 @@ class DatasetOptions:
     """The dataset of a run."""
 
     kind: DatasetKind = "synthetic"
-    """Layout of the dataset."""
+    """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet or folder."""
     path: Path | None = None
     """Folder of the dataset. By default, a synthetic room is created beside the run folder."""

@@ -38,7 +38,7 @@ class RunSettings:
 
     dataset: DatasetOptions = DatasetOptions()
     image_size: tuple[PositiveInt, PositiveInt] | None = None
-    """Width and height in pixels to which images are resized. By default, they keep their size."""
+    """Width and height in pixels to which images are resized. By default, they are not resized."""
     seed: NonNegativeInt = 0
     """Seed of all random choices."""
     max_frames: PositiveInt | None = None

@@ -65,9 +65,8 @@ class SegmenterOptions:
     """Source of the labels."""
 
     kind: Literal["auto", "recorded", "images", "geometric", "model", "none"] = "auto"
-    """Source of the labels: the dataset (recorded), label images (images), depth alone
-    (geometric), a segmentation model (model) or none. auto: recorded if available, otherwise
-    geometric."""
+    """Source of the labels: the dataset (recorded), label images (images), depth alone (geometric),
+    a segmentation model (model), none, or recorded if available and else geometric (auto)."""
     images: LabelImageOptions = LabelImageOptions()
     model: ModelOptions = ModelOptions()
     geometric: GeometricOptions = GeometricOptions()
@@ -78,8 +77,8 @@ class CodeOptions:
     """The code by which Gaussians store classes."""
 
     kind: CodeKind = "one-hot"
-    """Code of the classes: one softmax over all (flat), one per level of the tree (one-hot), bits
-    per level (binary), colours as in GauSem-SLAM (colour), or no semantics (none)."""
+    """Code of the classes: one softmax (flat), one per level of the tree (one-hot), bits per level
+    (binary), colours as in GauSem-SLAM (colour), or no semantics (none)."""
     start_confidence: Annotated[float, Range(gt=0.5, lt=1)] = 0.9
     """Probability of the observed class in the code of a new Gaussian."""
     normalise: bool = True

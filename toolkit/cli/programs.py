@@ -1,0 +1,302 @@
+"""Arguments of the jobs, apart from what the jobs do, so that help does not load torch.
+
+`semsplat run` declares its arguments in `run.py`, which loads the method after they are parsed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional
+
+from toolkit.datasets.options import DatasetKind
+from toolkit.loops.options import VerificationOptions
+from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
+from toolkit.registration.options import RegistrationOptions
+
+ImageSize = tuple[PositiveInt, PositiveInt]
+
+
+@dataclass(frozen=True)
+class DatasetLocation:
+    """The dataset of the run."""
+
+    path: Path | None = None
+    """Folder of the dataset, if it was moved after the run."""
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Evaluate a finished run again and update its metrics.json; times and memory are kept."""
+
+    run: Positional[Path]
+    """Run folder."""
+    dataset: DatasetLocation = DatasetLocation()
+    max_views: PositiveInt = 100
+    """Maximum number of views evaluated in each group (mapped, held out, unseen), evenly
+    spaced."""
+    lpips_weights: tuple[Path, ...] = ()
+    """Files with the weights of LPIPS: torchvision's AlexNet (alexnet-owt-7be5be79.pth) and the
+    linear weights of the lpips package (alex.pth), or one file (.pth, .safetensors) with both.
+    By default, those of the run."""
+    subset: bool = False
+    """Compute the papers' subset mIoU, for which each view is decoded among the classes of its
+    ground-truth labels only."""
+
+
+@dataclass(frozen=True)
+class RenderProgram:
+    """Render views of a map to PNG: along the run's path, a trajectory, or from given positions."""
+
+    map: Positional[Path]
+    """Run folder, or a splat file (.ply, .splat, .spz)."""
+    out: Path | None = None
+    """Folder for the images. By default, RUN/renders/views, or FILE_views beside a splat file."""
+    trajectory: Path | None = None
+    """Poses to render, in the map's frame: a TUM file (time tx ty tz qx qy qz qw)."""
+    view: tuple[tuple[float, float, float, float, float], ...] = ()
+    """Views to render, five numbers each: x y z in metres (right, down, forward), yaw (right) and
+    pitch (up) in degrees, relative to the run's first camera or the axes of a splat file."""
+    every: PositiveInt = 1
+    """Interval of the poses that are rendered: every n-th one."""
+    what: tuple[Literal["colour", "depth", "silhouette", "strip", "labels", "levels"], ...] = (
+        "colour",
+        "depth",
+        "silhouette",
+    )
+    """Images of each view. A strip shows colour, depth and silhouette beside the input; labels are
+    one image per level of the class tree with a legend; levels show all levels side by side."""
+    camera: tuple[float, float, float, float] | None = None
+    """Camera intrinsics fx fy cx cy, in pixels. By default, those of the run."""
+    image_size: ImageSize | None = None
+    """Width and height of the images, in pixels. By default, those of the run."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Export the map of a finished run for other programs."""
+
+    run: Positional[Path]
+    """Run folder."""
+    to: Path
+    """File to write: splats (.ply, .splat, .spz), a mesh (.mesh.ply) or points (.pcd)."""
+    mesh: bool = False
+    """Write a mesh (.ply), fused from rendered depth and colour at the poses of the run."""
+    points: bool = False
+    """Write a point cloud (.ply, .pcd): the centres of opaque Gaussians."""
+    voxel_m: float = 0.015
+    """Voxel size of the mesh, in metres. Memory grows with its inverse square."""
+    max_depth_m: float = 6.0
+    """Maximum depth fused into the mesh, in metres."""
+    every: int = 3
+    """Interval of the poses fused into the mesh: every n-th one."""
+    keep: tuple[str, ...] = ()
+    """Classes and groups of the taxonomy to export: names, or paths such as
+    "large items > furnishings"; "void" is what has no label. By default, all."""
+    drop: tuple[str, ...] = ()
+    """Classes and groups of the taxonomy to exclude."""
+
+
+@dataclass(frozen=True)
+class ExplainLoopsOptions:
+    """Draw the loop candidates of a run: both views, their overlap, the measures, the verdict."""
+
+    run: Positional[Path]
+    """Run folder."""
+    out: Path | None = None
+    """Folder for the images. By default, RUN/loops."""
+    refused: bool = False
+    """Include the candidates that the search itself rejected."""
+    dataset_path: Path | None = None
+    """Folder of the dataset, if it was moved after the run."""
+
+
+@dataclass(frozen=True)
+class RegisterOptions:
+    """Register the map of RUN_B with that of RUN_A, and write both as one map in A's frame."""
+
+    run_a: Positional[Path]
+    """Folder of the run that defines the frame of the merged map."""
+    run_b: Positional[Path]
+    """Folder of the run that is moved."""
+    out: Path
+    """Folder to write, new or empty: map.ply, register.json, trajectory_a.txt, trajectory_b.txt."""
+    pairs: PositiveInt = 6
+    """Number of pairs of submaps that are registered, the most similar first."""
+    registration: RegistrationOptions = RegistrationOptions()
+    verification: VerificationOptions = VerificationOptions()
+
+
+@dataclass(frozen=True)
+class QueryProgram:
+    """Query the labelled map of a finished run: which objects, how many, where, how large."""
+
+    run: Positional[Path]
+    """Run folder."""
+    nodes: Positional[tuple[str, ...]] = ()
+    """Classes or groups of the taxonomy: a name, or a path such as "large items > furnishings"
+    that may start anywhere. By default, the tree is listed."""
+    list: bool = False
+    """Print the tree with the number of Gaussians of each class and group."""
+    json: bool = False
+    """Print JSON instead of tables."""
+    cloud: Path | None = None
+    """Write the selected classes as a point cloud (.ply, .pcd): the centres of their Gaussians."""
+    mesh: Path | None = None
+    """Write the selected classes as a mesh (.ply), fused from renderings at the run's poses."""
+    summary: Path | None = None
+    """Write the whole scene as JSON: the tree with counts, all objects with boxes, the room."""
+    min_confidence: Fraction = 0.0
+    """Minimum probability of the class of a Gaussian."""
+    link_m: PositiveFloat = 0.06
+    """Maximum distance of Gaussians of a class that belong to one object, in metres."""
+    min_gaussians: PositiveInt = 50
+    """Minimum number of Gaussians of an object."""
+    floor: tuple[str, ...] = ()
+    """Classes of the floor, which determine the vertical. By default, floor, ground, rug and
+    carpet, where the taxonomy has them."""
+    distance_from: Literal["first", "last"] = "first"
+    """Camera of the run from which distances are measured."""
+    voxel_m: float = 0.01
+    """Voxel size of the mesh, in metres."""
+    max_depth_m: float = 6.0
+    """Maximum depth fused into the mesh, in metres."""
+    every: int = 1
+    """Interval of the poses fused into the mesh: every n-th one."""
+
+
+@dataclass(frozen=True)
+class CheckDataOptions:
+    """Read a dataset frame by frame and report its defects."""
+
+    kind: DatasetKind
+    """Layout of the dataset (docs/guides/datasets.md)."""
+    path: Path
+    """Folder of the dataset."""
+    image_size: ImageSize | None = None
+    """Width and height in pixels to which images are resized. By default, they keep their size."""
+
+
+@dataclass(frozen=True)
+class MakeRoomOptions:
+    """Create a furnished room and a recording of it: colour, depth, labels, poses and a mesh."""
+
+    out: Path
+    """Folder to write: new, empty, or an earlier synthetic room."""
+    layout: Literal["room", "rooms", "hall", "ring", "twins"] = "room"
+    """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring),
+    or three of which two are equal (twins)."""
+    seed: NonNegativeInt = 0
+    """Seed of furniture, textures, camera motion and sensor noise."""
+    frames: PositiveInt | None = None
+    """Number of frames along the path. By default, the camera moves at walking pace."""
+    share: Annotated[float, Range(gt=0, le=1)] = 1.0
+    """Fraction of the path that is recorded."""
+    image_size: ImageSize = (320, 240)
+    """Width and height of the images, in pixels."""
+    sensor_noise: bool = False
+    """Simulate a real camera (noise, holes, blur, exposure, wrong labels)."""
+    unseen: NonNegativeInt = 20
+    """Number of ideal views off the path, in the folder unseen."""
+
+
+@dataclass(frozen=True)
+class LabelledData:
+    """Frames for training."""
+
+    kind: DatasetKind
+    """Layout of the dataset (docs/guides/datasets.md)."""
+    path: Path
+    """Folder of the dataset, which must have labels."""
+
+
+@dataclass(frozen=True)
+class TrainHeadOptions:
+    """Train a linear head on the patch features of a vision transformer such as DINOv2.
+
+    The head is for `--semantics.segmenter.kind model` with the same model folder.
+    """
+
+    dataset: LabelledData
+    model: Path
+    """Local folder of the encoder, in the format of transformers."""
+    out: Path
+    """File of the head to write (.safetensors)."""
+    every: PositiveInt = 1
+    """Interval of the frames that are used: every n-th one."""
+    hold_out: Annotated[int, Range(ge=2)] = 5
+    """Interval of the used frames that are held out to evaluate the head: every n-th one."""
+    image_size: ImageSize | None = None
+    """Width and height in pixels to which images are resized. By default, they keep their size."""
+    longest_side: Annotated[int, Range(ge=14)] = 518
+    """Length in pixels of the longer image side for the encoder."""
+    patches_per_frame: PositiveInt = 400
+    """Maximum number of patches per frame used for training."""
+    seed: NonNegativeInt = 0
+    """Seed of the selection of patches."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device that runs the encoder."""
+
+
+@dataclass(frozen=True)
+class DatasetChoice:
+    """A dataset, for its classes and its labelled frames."""
+
+    kind: DatasetKind = "folder"
+    """Layout of the dataset (docs/guides/datasets.md)."""
+    path: Path | None = None
+    """Folder of the dataset."""
+
+
+@dataclass(frozen=True)
+class BuildTaxonomyOptions:
+    """Build the tree of classes that the semantic codes follow (docs/guides/taxonomies.md)."""
+
+    classes: Path | None = None
+    """Names of classes: a dataset's classes.json, or a text file with one name per line ('#'
+    starts a comment)."""
+    dataset: DatasetChoice = DatasetChoice()
+    out: Path | None = None
+    """File of the tree to write (.yaml, .json)."""
+    picture: Path | None = None
+    """Drawing of the tree to write (.png, .svg, .pdf)."""
+    review: bool = False
+    """Print the tree for review."""
+    grouper: Literal["rules", "language-model"] = "rules"
+    """Source of the groups: built-in rules (rules) or a model behind an OpenAI-compatible endpoint
+    (language-model)."""
+    base_url: str | None = None
+    """URL of the endpoint. By default, SEMSPLAT_LLM_BASE_URL; the key is SEMSPLAT_LLM_API_KEY."""
+    model: str | None = None
+    """Name of the model at the endpoint. By default, SEMSPLAT_LLM_MODEL."""
+    cache: Path | None = None
+    """Folder in which answers of the model are cached."""
+    record: Path | None = None
+    """File to which all questions and answers are written, for --replay."""
+    replay: Path | None = None
+    """File from which all answers are read, without network access."""
+    fall_back: bool = False
+    """Build the tree by rules if no model answers."""
+    shapes: tuple[Literal["scans"]] | tuple[Literal["table", "meshes"], Path] | None = None
+    """Shapes by which the last level is sorted: 'scans' measures the labelled frames of --dataset;
+    'table FILE' and 'meshes DIR' read them. By default, names alone decide."""
+    mesh_up: Literal["y", "z"] = "z"
+    """Axis of the meshes that points up."""
+    seed: NonNegativeInt = 0
+    """Seed of clustering and of the model."""
+
+
+PROGRAMS: dict[str, type] = {
+    "evaluate": EvaluateOptions,
+    "render": RenderProgram,
+    "export": ExportOptions,
+    "explain-loops": ExplainLoopsOptions,
+    "register": RegisterOptions,
+    "query": QueryProgram,
+    "check-data": CheckDataOptions,
+    "make-room": MakeRoomOptions,
+    "train-head": TrainHeadOptions,
+    "build-taxonomy": BuildTaxonomyOptions,
+}
