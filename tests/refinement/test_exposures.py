@@ -1,4 +1,4 @@
-"""Submaps of one place in several exposures come to one."""
+"""Exposure compensation between overlapping submaps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from toolkit.exposure import IDENTITY
-from toolkit.refinement.exposures import agreed_exposures
+from toolkit.refinement.exposures import estimate_exposures
 
 
 def submap(keys, truth, gain, bias=0.0, noise=0.0, seed=0):
@@ -22,39 +22,39 @@ def truth():
 
 
 @pytest.mark.parametrize("biases", [(0.0, 0.0), (-0.05, 0.1)])
-def test_a_chain_of_overlaps_is_followed(truth, biases):
+def test_exposures_propagate_along_overlaps(truth, biases):
     submaps = {
         0: submap(range(1500), truth, 1.0),
         3: submap(range(1000, 2500), truth, 1.3, biases[0]),
         5: submap(range(2000, 4000), truth, 0.8, biases[1]),
     }
-    found = agreed_exposures(submaps)
+    found = estimate_exposures(submaps)
     assert found[0] == IDENTITY
     assert astuple(found[3]) == pytest.approx((1.3, biases[0]), abs=0.01)
     assert astuple(found[5]) == pytest.approx((0.8, biases[1]), abs=0.01)
 
 
-def test_noise_of_many_submaps_does_not_fade_the_last(truth):
+def test_noise_does_not_reduce_contrast_over_many_submaps(truth):
     submaps = {
         n: submap(range(150 * n, 150 * n + 300), truth, 1.0, noise=0.03, seed=n) for n in range(20)
     }
-    assert astuple(agreed_exposures(submaps)[19]) == pytest.approx((1.0, 0.0), abs=0.05)
+    assert astuple(estimate_exposures(submaps)[19]) == pytest.approx((1.0, 0.0), abs=0.05)
 
 
-def test_other_things_in_the_same_place_do_not_count(truth):
+def test_changed_voxels_are_outliers(truth):
     keys, colours = submap(range(1000), truth, 1.2, noise=0.01)
     colours[:200] = np.random.default_rng(2).uniform(0, 1, (200, 3))
-    found = agreed_exposures({0: submap(range(1000), truth, 1.0), 1: (keys, colours)})
+    found = estimate_exposures({0: submap(range(1000), truth, 1.0), 1: (keys, colours)})
     assert astuple(found[1]) == pytest.approx((1.2, 0.0), abs=0.05)
 
 
-def test_without_overlap_an_exposure_stays(truth):
+def test_submap_without_overlap_keeps_its_exposure(truth):
     submaps = {0: submap(range(1000), truth, 1.0), 1: submap(range(2000, 3000), truth, 2.0)}
-    assert agreed_exposures(submaps) == {0: IDENTITY, 1: IDENTITY}
+    assert estimate_exposures(submaps) == {0: IDENTITY, 1: IDENTITY}
 
 
-def test_voxels_without_a_surface_say_nothing(truth):
+def test_voxels_without_a_surface_are_ignored(truth):
     keys, colours = submap(range(1000), truth, 1.2)
     colours[::2] = np.nan
-    found = agreed_exposures({0: submap(range(1000), truth, 1.0), 1: (keys, colours)})
+    found = estimate_exposures({0: submap(range(1000), truth, 1.0), 1: (keys, colours)})
     assert astuple(found[1]) == pytest.approx((1.2, 0.0), abs=0.01)

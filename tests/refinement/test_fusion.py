@@ -1,4 +1,4 @@
-"""Submaps become one map: a surface that several show is told by one of them."""
+"""Fusion of submaps without duplicated surfaces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toolkit.submaps.submap import Submap
 
 
 def wall(number, left_m, right_m, steps, colour=0.5):
-    """A wall at z = 2.02 m in the world, told in a frame of its own."""
+    """A wall at z = 2.02 m in the world, stored in a submap frame."""
     generator = np.random.default_rng(number)
     count = int(12000 * (right_m - left_m))
     places = generator.uniform((left_m, 0.0, 2.02), (right_m, 1.0, 2.021), (count, 3))
@@ -36,7 +36,7 @@ def fused_of(parts):
     return fuse_submaps(sorted(by_number), by_number.__getitem__)
 
 
-def test_a_wall_seen_by_two_is_told_by_the_surer_one():
+def test_overlap_is_kept_from_the_submap_with_more_steps():
     parts = [wall(0, 0.0, 2.0, steps=10), wall(7, 1.0, 3.0, steps=50)]
     fused = fused_of(parts)
     x = fused.gaussians.means[:, 0].numpy()
@@ -46,7 +46,7 @@ def test_a_wall_seen_by_two_is_told_by_the_surer_one():
     assert abs(len(x) - 36000) < 2400
 
 
-def test_colours_come_to_the_first_ones_exposure():
+def test_colours_are_converted_to_the_exposure_of_the_first_submap():
     parts = [wall(0, 0.0, 2.0, 10, 0.4), wall(1, 1.0, 3.0, 50, 0.5)]
     fused = fused_of(parts)
     means, colours = fused.gaussians.means.numpy(), fused.gaussians.colours.numpy()
@@ -55,7 +55,7 @@ def test_colours_come_to_the_first_ones_exposure():
     assert fused.exposures[0] == IDENTITY
 
 
-def test_a_view_is_drawn_from_the_parts_that_reach_into_it():
+def test_view_uses_only_visible_parts():
     parts = [wall(number, 4.0 * number, 4.0 * number + 2.0, 10) for number in range(5)]
     fused = fused_of(parts)
     camera = Camera(60.0, 60.0, 39.5, 29.5, 80, 60)

@@ -1,1 +1,1 @@
-"""What happens once all frames are in: refinement of submaps, and fusion into one map."""
+"""Global refinement after the last frame: optimisation of submaps and fusion into one map."""

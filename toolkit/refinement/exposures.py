@@ -1,12 +1,12 @@
-"""One exposure for all submaps.
+"""Exposure compensation between submaps.
 
-A camera adapts, and each submap has the exposure of its anchor. Where two of them show the same
-place their colours differ by a gain and a bias; all of these together say what each submap has
-to be multiplied by, with the first one left as it is.
+With automatic exposure, each submap has the exposure of its anchor. Where two submaps overlap,
+their colours differ by a gain and a bias. The exposure of every submap relative to the first one
+is estimated from all overlapping pairs.
 
-Both submaps of a pair count alike (`exposure_between`). Least squares of one to the next come
-out the flatter the noisier the colours are: after twenty submaps a fourth of the contrast was
-left.
+The estimate of a pair is symmetric (`exposure_between`). Ordinary least squares from one submap to
+the next underestimates the gain when colours are noisy: after twenty submaps a quarter of the
+contrast was left.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from toolkit.alignment.exposure import IntensityStatistics, exposure_between
 from toolkit.exposure import Exposure
 
-# Fewer common voxels say nothing about a pair.
-_FEWEST = 100
-# Differences of colour far beyond it are of other things, not of exposure.
+# Minimum number of common voxels of a pair.
+_MIN_COMMON = 100
+# Scale of the robust weight; larger colour differences are not caused by exposure.
 _SCALE = 0.05
 _ROUNDS = 10
-# Without overlaps a submap keeps its exposure: so many colours hold it where it is.
+# Weight of the prior that keeps the exposure of a submap without overlaps.
 _PRIOR = 1.0
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ Voxels = tuple[NDArray[np.int64], Array]
 
 @dataclass(frozen=True)
 class _Link:
-    """Colours of the first = gain * colours of the second + bias, by so many colours."""
+    """Relative exposure of two submaps: colours of first = gain * colours of second + bias."""
 
     first: int
     second: int
@@ -43,18 +43,17 @@ class _Link:
     weight: float
 
 
-def agreed_exposures(submaps: dict[int, Voxels]) -> dict[int, Exposure]:
-    """Exposure of each submap against the whole map, by number; the identity for the first.
+def estimate_exposures(submaps: dict[int, Voxels]) -> dict[int, Exposure]:
+    """Estimate the exposure of each submap relative to the map; the first is the identity.
 
-    Least squares over all pairs that share enough voxels, of the gains' logarithms and then of
-    the biases.
+    Solves least squares over all pairs with enough common voxels, for log gains and then biases.
     """
     numbers = sorted(submaps)
     links = []
     for k, b in enumerate(numbers):
         for i, a in enumerate(numbers[:k]):
             first, second = _common(submaps[a], submaps[b])
-            if len(first) >= 3 * _FEWEST:
+            if len(first) >= 3 * _MIN_COMMON:
                 links.append(_link(i, k, first, second))
     gains = np.exp(_potentials(len(numbers), links, [np.log(link.gain) for link in links]))
     biases = _potentials(len(numbers), links, [gains[x.first] * x.bias for x in links])
@@ -62,7 +61,7 @@ def agreed_exposures(submaps: dict[int, Voxels]) -> dict[int, Exposure]:
 
 
 def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:
-    """Colours [3 M] of the voxels that both have, channels one after another."""
+    """Colours [3 M] of the voxels common to both submaps, channel by channel."""
     _, in_a, in_b = np.intersect1d(a[0], b[0], assume_unique=True, return_indices=True)
     first, second = a[1][in_a].T.ravel(), b[1][in_b].T.ravel()
     known = np.isfinite(first) & np.isfinite(second)
@@ -70,7 +69,7 @@ def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:
 
 
 def _link(a: int, b: int, first: Array, second: Array) -> _Link:
-    """The exposure between two submaps, robust against what is not the same thing."""
+    """Estimate the relative exposure of two submaps by iteratively reweighted least squares."""
     exposure = Exposure(float(np.median(first) / max(np.median(second), 1e-3)))
     for _ in range(_ROUNDS):
         residual = first - (exposure.gain * second + exposure.bias)
@@ -86,7 +85,7 @@ def _statistics(colours: Array, weight: Array) -> IntensityStatistics:
 
 
 def _potentials(count: int, links: list[_Link], differences: list[float]) -> Array:
-    """Values [count] whose differences, second less first, are the links'; the first is 0."""
+    """Values [count] whose differences (second - first) fit the links; the first is 0."""
     H, g = np.diag(np.full(count, _PRIOR)), np.zeros(count)
     for link, difference in zip(links, differences, strict=True):
         ends = [link.first, link.second]

@@ -1,4 +1,4 @@
-"""Stage 1 of global refinement: each submap over all its keyframes (G, end of III.C)."""
+"""Stage 1 of global refinement: optimise each submap on all its keyframes (G, end of III.C)."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from toolkit.submaps.atlas import Atlas
 
 
 def refine_submaps(atlas: Atlas) -> None:
-    """Optimise every submap that can be read; all of them rest afterwards.
+    """Optimise every readable submap of this run; all submaps are inactive afterwards.
 
-    Those of a saved map were refined at the end of the run that made them.
+    Submaps of a saved map were refined at the end of the run that created them.
     """
     mapper = atlas.mapper
     if len(atlas) == 1:
-        # With the optimiser's moments, which a submap that rests gives up.
+        # The active submap still has its optimiser state.
         mapper.refine()
         atlas.rest()
         return
