@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ from benchmarks.gpu_scene import (
     touched_pixels,
 )
 from toolkit.errors import DependencyError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import NEAR_M
@@ -69,7 +69,7 @@ def check(plan: Plan) -> bool:
         camera = camera_of(64, 40) if plan.timed else camera_of(20, 16)
         count = 4000 if plan.timed else 120
         cloud = surface_cloud(camera, count, channels - 4, seed=channels)
-        exact = GaussianCloud(*(getattr(cloud, f.name).double() for f in fields(cloud)))
+        exact = GaussianCloud(*(getattr(cloud, f).double() for f in PARAMETERS))
         generator = torch.Generator().manual_seed(channels)
         weights = torch.randn(channels + 1, camera.height, camera.width, generator=generator)
         expected = _drawn(ReferenceBackend(), exact, camera, weights.double())

@@ -50,8 +50,7 @@ def main() -> None:
     for index in range(half):
         slam.process_frame(dataset[index])
     gaussians = slam.finish().gaussians
-    # The finished map's colours fit pixels.
-    back = DenseTracker(centred=False)
+    back = DenseTracker()
     back.restore(tracker.state())
     depth_filter = DepthFilter()
     values, lost = [], 0

@@ -106,9 +106,9 @@ class TestAgainstNumpy:
         images = torch.rand(5, 33, 45, generator=torch.Generator().manual_seed(0))
         drawn = surface_view(images, Camera(40.0, 41.0, 20.0, 17.0, 45, 33))
         use(None)
-        expected = view_level(drawn, 0.6, centred=False)
+        expected = view_level(drawn, 0.6)
         use(module)
-        actual = view_level(drawn, 0.6, centred=False)
+        actual = view_level(drawn, 0.6)
         assert_close(actual.intensity[..., None], expected.intensity[..., None])
         assert_close(actual.depth_m[..., None], expected.depth_m[..., None])
 
@@ -350,7 +350,7 @@ def test_views_show_the_colour_as_composited(use):
     images = 0.6 * torch.ones(5, 4, 4)
     images[4, :, :2] = 0.95
     images[:3, :, :2] = 0.57
-    view = view_level(surface_view(images, Camera(4, 4, 2, 2, 4, 4)), 0.9, centred=False)
+    view = view_level(surface_view(images, Camera(4, 4, 2, 2, 4, 4)), 0.9)
     assert torch.allclose(view.intensity[:, :2], torch.tensor(0.57))
     assert (view.intensity[:, 2:] == 0).all()
 

@@ -172,7 +172,7 @@ def test_judgement_agrees_with_the_dense_tracker(room):
     first = FirstOrderTracker(FirstOrderOptions(iterations=1)).locate(
         room.frames[1], gaussians, pose
     )
-    dense = DenseTracker(centred=False).locate(room.frames[1], gaussians, pose)
+    dense = DenseTracker().locate(room.frames[1], gaussians, pose)
     assert first.visible_fraction == pytest.approx(dense.visible_fraction, rel=0.1)
     # One step of Adam has left the true pose: measured 4.3e-4 m against 1.4e-4 m.
     assert 0.25 < first.depth_residual_m / dense.depth_residual_m < 4.0

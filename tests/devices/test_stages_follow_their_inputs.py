@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.errors import DependencyError, SettingsError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
@@ -70,8 +69,8 @@ def mapped_here(walk):
 def test_mapping(walk, mapped_here):
     """The same map but for rounding, which sends a few pixels and Gaussians another way."""
     mapper = mapped(GPU, walk)
-    for field in fields(GaussianCloud):
-        assert getattr(mapper.gaussians, field.name).is_cuda, field.name
+    for field in PARAMETERS:
+        assert getattr(mapper.gaussians, field).is_cuda, field
     assert mapper.map.seeded_by.is_cuda and mapper.map.optimiser.steps.is_cuda
     assert len(mapper.gaussians) == pytest.approx(len(mapped_here.gaussians), rel=0.01)
     for actual, expected in zip(shown(mapper), shown(mapped_here), strict=True):

@@ -80,7 +80,7 @@ def test_the_mapping_loss_and_its_derivative() -> None:
 
 
 def test_where_the_colours_of_a_view_belong() -> None:
-    view = SurfaceView(SimpleNamespace(images=image(8)), image(), CAMERA, np.eye(4))
+    view = SurfaceView(SimpleNamespace(images=image(8)), image(), CAMERA, np.eye(4), True)
     assert resample_at_centres(image(3), view).shape == (3, 36, 48)
     assert view_level(view, 0.9).intensity.device == META
 

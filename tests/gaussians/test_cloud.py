@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry import se3
-
-NAMES = tuple(f.name for f in fields(GaussianCloud))
 
 
 def random_cloud(seed: int = 0, count: int = 8, channels: int = 3) -> GaussianCloud:
@@ -28,7 +26,7 @@ def random_cloud(seed: int = 0, count: int = 8, channels: int = 3) -> GaussianCl
 
 
 def assert_equal(a: GaussianCloud, b: GaussianCloud) -> None:
-    for name in NAMES:
+    for name in PARAMETERS:
         assert torch.equal(getattr(a, name), getattr(b, name)), name
 
 
@@ -55,7 +53,7 @@ def test_radii_and_opacities_round_trip(radius_m: float, opacity: float) -> None
 )
 def test_wrong_shapes_raise(name: str, shape: tuple[int, ...], message: str) -> None:
     cloud = random_cloud()
-    parts = {n: getattr(cloud, n) for n in NAMES} | {name: torch.zeros(shape)}
+    parts = {n: getattr(cloud, n) for n in PARAMETERS} | {name: torch.zeros(shape)}
     with pytest.raises(ValueError, match=message):
         GaussianCloud(**parts)
 
@@ -92,7 +90,7 @@ def test_rigid_motion_changes_only_the_means(seed: int) -> None:
         moved.means.numpy(), se3.transform_points(T_new_old, cloud.means.numpy()), atol=1e-5
     )
     assert moved.means.dtype == torch.float32
-    for name in NAMES[1:]:
+    for name in PARAMETERS[1:]:
         assert torch.equal(getattr(moved, name), getattr(cloud, name)), name
     back = moved.transformed(se3.inverse(T_new_old))
     np.testing.assert_allclose(back.means.numpy(), cloud.means.numpy(), atol=1e-5)
@@ -107,3 +105,16 @@ def test_gradients_are_propagated_unless_detached() -> None:
     moved.means.sum().backward()
     assert cloud.means.grad is not None
     assert cloud.means.grad.sum(dim=1).tolist() == [0, 3, 3, 0, 0, 0, 0, 0]
+
+
+def test_operations_keep_how_colours_were_fitted() -> None:
+    cloud = replace(GaussianCloud.empty(), centred_colours=True)
+    for result in (
+        cloud.select(torch.zeros(0, dtype=torch.int64)),
+        cloud.transformed(np.eye(4)),
+        cloud.to("meta"),
+        cloud.detached(),
+        GaussianCloud.concatenate([cloud, cloud]),
+    ):
+        assert result.centred_colours
+    assert not GaussianCloud.concatenate([cloud, GaussianCloud.empty()]).centred_colours

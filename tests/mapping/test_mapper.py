@@ -57,6 +57,19 @@ def test_refinement_makes_all_keyframes_better(room):
     assert np.mean(after) > np.mean(before) + 0.3
 
 
+def test_refinement_fits_colours_at_pixels(room):
+    """The map says so itself, also after a checkpoint; without refinement colours stay centred."""
+    for rounds in (0, 1):
+        options = replace(FEW, first_iterations=1, final_iterations=rounds)
+        mapper, restored = fed(Mapper(options), room, [0]), Mapper(replace(options, centred=False))
+        assert mapper.gaussians.centred_colours
+        assert mapper.view(mapper.keyframes[0]).centred_colours
+        mapper.refine()
+        assert mapper.gaussians.centred_colours == (rounds == 0)
+        restored.restore(*mapper.state())
+        assert restored.gaussians.centred_colours == (rounds == 0)
+
+
 def test_refinement_leaves_centres_on_their_surfaces(room):
     moved = {}
     for stays in (True, False):

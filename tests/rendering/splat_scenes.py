@@ -10,14 +10,14 @@ bends the gradient in the same way and is treated alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import load_variant
@@ -55,7 +55,7 @@ class Scene:
         return weights * ~torch.from_numpy(discontinuous_pixels(self))
 
     def with_cloud(self, **changes: Tensor) -> Scene:
-        parts = {f.name: getattr(self.cloud, f.name) for f in fields(GaussianCloud)}
+        parts = {f: getattr(self.cloud, f) for f in PARAMETERS}
         return Scene(GaussianCloud(**(parts | changes)), self.camera, self.T_camera_map)
 
 
@@ -128,7 +128,7 @@ def _tensor(array: NDArray) -> Tensor:
 
 def exact(scene: Scene) -> Scene:
     """Convert float32 parameters to float64."""
-    parts = {f.name: getattr(scene.cloud, f.name).double() for f in fields(GaussianCloud)}
+    parts = {f: getattr(scene.cloud, f).double() for f in PARAMETERS}
     return scene.with_cloud(**parts)
 
 

@@ -27,7 +27,7 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.native.constants import MIN_TRANSMITTANCE
 from toolkit.rendering import GaussianGradients, backend
 from toolkit.rendering.backend import ForwardPass
@@ -65,7 +65,7 @@ class OnDevice:
 
     def backward(self, image_gradients: Tensor, **options: bool) -> GaussianGradients:
         found = self.drawn.backward(image_gradients.to(DEVICE), **options)
-        moved = {f.name: getattr(found, f.name) for f in fields(found)}
+        moved = {f: getattr(found, f) for f in fields(found)}
         return GaussianGradients(**{k: None if v is None else v.cpu() for k, v in moved.items()})
 
 
@@ -78,7 +78,7 @@ class Cuda:
         self._backend = CudaBackend(tuning)
 
     def forward(self, gaussians, camera, T_camera_map, features, region, centres=False):
-        cloud = GaussianCloud(*(getattr(gaussians, f.name).to(DEVICE) for f in fields(gaussians)))
+        cloud = GaussianCloud(*(getattr(gaussians, f).to(DEVICE) for f in PARAMETERS))
         features = None if features is None else features.to(DEVICE)
         return OnDevice(
             self._backend.forward(cloud, camera, T_camera_map, features, region, centres)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.gsplat import GsplatBackend
 from toolkit.rendering.reference import ReferenceBackend, composite
@@ -83,7 +82,7 @@ def test_gsplat_agrees_with_the_reference(device: str) -> None:
     pixels = [(14.0 + i % 4, 19.0 + i // 4) for i in range(16)]
     depths = [1.0 + 0.1 * i for i in range(16)]
     scene = scene_at_pixels(pixels, skewed_camera(33, 33), depths, channels=3)
-    cloud = GaussianCloud(*(getattr(scene.cloud, f.name).to(device) for f in fields(GaussianCloud)))
+    cloud = GaussianCloud(*(getattr(scene.cloud, f).to(device) for f in PARAMETERS))
     drawn = GsplatBackend().forward(
         cloud, scene.camera, scene.T_camera_map, cloud.features, None, centres=True
     )

@@ -87,6 +87,8 @@ def test_the_camera_is_found_and_the_world_is_the_saved_ones(room, saved):
     assert not results[0].lost and results[0].mapping is None
     assert slam.atlas.active == len(saved) and slam.atlas.saved == len(saved)
     assert max(errors_m(slam, room)) < 0.03
+    assert not slam.atlas.submap(0).gaussians.centred_colours, "the saved map was refined"
+    assert slam.mapper.gaussians.centred_colours
     assert min(slam.result().keyframe_indices) == 0, "keyframes of the saved map are not its own"
 
 

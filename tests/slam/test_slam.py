@@ -112,7 +112,7 @@ class TestPath:
         errors = {}
         for centred in (True, False):
             options = MapperOptions(iterations=6, first_iterations=15, centred=centred)
-            slam = Slam(DenseTracker(centred=centred), Mapper(options, np.random.default_rng(0)))
+            slam = Slam(DenseTracker(), Mapper(options, np.random.default_rng(0)))
             fed(slam, frames)
             away = slam.result().trajectory.T_world_camera - T_first_world @ truth.T_world_camera
             errors[centred] = float(np.sqrt((away[:, :3, 3] ** 2).sum(axis=1).mean()))

@@ -53,8 +53,9 @@ def test_known_motion_is_recovered(room, gaussians):
 
 def test_a_view_of_the_map_itself_is_found_almost_exactly(room, gaussians):
     pose = small_motion(0, metres=0.03, degrees=2.0)
+    gaussians = replace(gaussians, centred_colours=False)
     frame = ideal_frame(gaussians, room.frames[1], pose)
-    tracker = DenseTracker(centred=False)
+    tracker = DenseTracker()
     tracker.first_pose(room.frames[0])
     result = tracker.track(frame, gaussians)
     assert_same_place(result.T_map_camera, pose, mm=0.5, deg=0.02)
@@ -169,6 +170,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
     bounds are a factor of two either way, so an information matrix off by that factor fails.
     """
     pose = room.T_map_camera[1]
+    gaussians = replace(gaussians, centred_colours=False)
     clean = ideal_frame(gaussians, room.frames[1], pose)
     generator = np.random.default_rng(0)
     squares = []
@@ -180,7 +182,7 @@ def test_errors_are_as_large_as_the_information_says(room, gaussians):
             rgb=rgb.clip(0, 1).astype(np.float32),
             depth_m=np.where(clean.depth_m > 0, depth, 0).astype(np.float32),
         )
-        result = DenseTracker(centred=False).locate(noisy, gaussians, pose)
+        result = DenseTracker().locate(noisy, gaussians, pose)
         error = se3.log(se3.inverse(pose) @ result.T_map_camera)
         squares.append(error @ result.information @ error)
     assert 6.6 < np.mean(squares) < 26.0

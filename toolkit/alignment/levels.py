@@ -66,13 +66,9 @@ def limited_to_width(level: FrameLevel, max_width: int) -> FrameLevel:
     return level
 
 
-def view_level(view: SurfaceView, min_silhouette: float, centred: bool = True) -> FrameLevel:
-    """Intensity and surface depth of a rendered view, 0 where its silhouette is below a minimum.
-
-    Args:
-        centred: the map's colours belong to the centres of its Gaussians, as mapping fits them.
-            False if they belong to the pixels, as after the final refinement.
-    """
+def view_level(view: SurfaceView, min_silhouette: float) -> FrameLevel:
+    """Intensity and surface depth of a rendered view, 0 where its silhouette is below a minimum."""
+    centred = view.centred_colours
     intensity = centred_intensity(view, min_silhouette) if centred else None
     if intensity is None:
         intensity = backend_for(view.images).intensity(view.images, min_silhouette)

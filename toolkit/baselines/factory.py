@@ -28,17 +28,15 @@ def build_tracker(
     backend_name: str = "auto",
     recorder: Recorder | None = None,
     code: SemanticCode | None = None,
-    centred: bool = True,
 ) -> Tracker:
     """Build the tracker that the options name.
 
     Args:
         code: semantic code of the map's features.
-        centred: the map's colours belong to the Gaussians' centres, see `MapperOptions`.
     """
     if options.kind == "first-order":
         return FirstOrderTracker(options.first_order, options.health, backend_name, recorder, code)
-    return DenseTracker(options.dense, options.health, backend_name, recorder, centred)
+    return DenseTracker(options.dense, options.health, backend_name, recorder)
 
 
 def build_registrar(

@@ -126,7 +126,7 @@ def _registered(
     submaps: tuple[SavedSubmaps, SavedSubmaps],
 ) -> list[MapRegistration]:
     backend = a.settings.backend
-    drawer = build_drawer(options.registration, shared_reading(a, b), backend, centred=False)
+    drawer = build_drawer(options.registration, shared_reading(a, b), backend)
     describer = None
     if needs_describer(options.registration):
         describer = build_describer(a.settings.loops.features)

@@ -39,14 +39,12 @@ class ClosingContext:
     Attributes:
         seed: of random choices. backend_name: the renderer.
         semantics: reads the features of submaps. taxonomy: of labels, None without.
-        centred: how colours are fitted, see `MapperOptions`.
     """
 
     seed: int
     backend_name: str
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
-    centred: bool = True
 
 
 def build_loop_closer(
@@ -73,9 +71,7 @@ def build_loop_closer(
             return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
 
     detector = LoopDetector(describer, finder, _class_counter(options.landmarks, context), painter)
-    drawer = build_drawer(
-        options.registration, context.semantics, context.backend_name, context.centred
-    )
+    drawer = build_drawer(options.registration, context.semantics, context.backend_name)
     matching = options.registration.coarse.matching
     pose_graph = options.pose_graph
     parts = ClosingParts(

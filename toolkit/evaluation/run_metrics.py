@@ -138,7 +138,7 @@ def measure_run(
     ]
     unseen_quality, refined_quality = [], []
     T_map_world = _map_from_world(estimate, truth, options.alignment)
-    tracker = DenseTracker(backend_name=options.backend_name, centred=False)
+    tracker = DenseTracker(backend_name=options.backend_name)
     for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
         unseen_quality.append(_quality(scene, view, options, scores[1]))
         refined = _refined(view, scene, tracker)
@@ -243,6 +243,8 @@ def _wall_metrics(
 def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
     """The view at the pose and exposure that fit the map best; itself where that fails."""
     gaussians = scene.seen_from(view.frame.camera, view.T_map_camera)
+    # As in the map's file, which does not store how colours were fitted.
+    gaussians = replace(gaussians, centred_colours=False)
     result = tracker.locate(view.frame, gaussians, view.T_map_camera)
     if result.lost:
         return view

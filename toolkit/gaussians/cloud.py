@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from torch import Tensor
+
+# The tensors of a cloud, one row for each Gaussian.
+PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,9 @@ class GaussianCloud:
         opacity_logits: [N] float32.
         colours: [N, 3] float32, RGB in [0, 1] (clamped only for display and export).
         features: [N, S] float32, S >= 0.
+        centred_colours: how the colours were fitted. True: at the centres of the Gaussians, for
+            dense tracking. False: at the pixels that show them, for rendering. See
+            `rendering/texture.py`.
 
     Raises:
         ValueError: shapes do not match.
@@ -32,6 +39,7 @@ class GaussianCloud:
     opacity_logits: Tensor
     colours: Tensor
     features: Tensor
+    centred_colours: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         n = self.means.shape[0]
@@ -90,33 +98,32 @@ class GaussianCloud:
 
     @classmethod
     def concatenate(cls, clouds: list[GaussianCloud]) -> GaussianCloud:
-        """Concatenate several clouds in order."""
-        return cls(*(torch.cat([getattr(c, f.name) for c in clouds]) for f in fields(cls)))
+        """Concatenate several clouds in order; colours are centred if all of them are."""
+        tensors = {name: torch.cat([getattr(c, name) for c in clouds]) for name in PARAMETERS}
+        return cls(**tensors, centred_colours=all(cloud.centred_colours for cloud in clouds))
 
     def select(self, index: Tensor) -> GaussianCloud:
         """Select Gaussians by a boolean mask [N] or integer indices [M]."""
         if index.dtype == torch.bool:
             index = index.nonzero().squeeze(1)
-        return GaussianCloud(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
+        return self._mapped(lambda tensor: tensor.index_select(0, index))
 
     def transformed(self, T_new_old: np.ndarray) -> GaussianCloud:
         """Return the cloud transformed by a rigid motion [4, 4]; radii do not change."""
         R = torch.as_tensor(T_new_old[:3, :3], dtype=self.means.dtype, device=self.means.device)
         t = torch.as_tensor(T_new_old[:3, 3], dtype=self.means.dtype, device=self.means.device)
-        return GaussianCloud(
-            self.means @ R.T + t,
-            self.log_radii,
-            self.opacity_logits,
-            self.colours,
-            self.features,
-        )
+        return replace(self, means=self.means @ R.T + t)
 
     def to(self, device: str | torch.device) -> GaussianCloud:
         """Return the cloud on a device; the same object if it is already there."""
         if self.means.device == torch.device(device):
             return self
-        return GaussianCloud(*(getattr(self, f.name).to(device) for f in fields(self)))
+        return self._mapped(lambda tensor: tensor.to(device))
 
     def detached(self) -> GaussianCloud:
         """Return the cloud detached from the autograd graph."""
-        return GaussianCloud(*(getattr(self, f.name).detach() for f in fields(self)))
+        return self._mapped(torch.Tensor.detach)
+
+    def _mapped(self, function: Callable[[Tensor], Tensor]) -> GaussianCloud:
+        tensors = (function(getattr(self, name)) for name in PARAMETERS)
+        return GaussianCloud(*tensors, centred_colours=self.centred_colours)

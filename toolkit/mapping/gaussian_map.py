@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.options import LearningRates
-from toolkit.mapping.sparse_adam import PARAMETERS, SparseAdam
+from toolkit.mapping.sparse_adam import SparseAdam
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class GaussianMap:
         rates: learning rates of the optimiser.
         feature_channels: S of the Gaussians.
         device: where the Gaussians are.
+        centred_colours: of new Gaussians, as in `GaussianCloud`.
 
     Attributes:
         gaussians: N Gaussians.
@@ -50,9 +51,16 @@ class GaussianMap:
         seeded_by: [N] int32, as in `MapContent`.
     """
 
-    def __init__(self, rates: LearningRates, feature_channels: int, device: torch.device) -> None:
+    def __init__(
+        self,
+        rates: LearningRates,
+        feature_channels: int,
+        device: torch.device,
+        centred_colours: bool,
+    ) -> None:
         self.device = device
-        self.gaussians = GaussianCloud.empty(feature_channels, device)
+        empty = GaussianCloud.empty(feature_channels, device)
+        self.gaussians = replace(empty, centred_colours=centred_colours)
         self.keyframes: list[Keyframe] = []
         self.optimiser = SparseAdam(rates, feature_channels, device)
         self.seeded_by = torch.zeros(0, dtype=torch.int32, device=device)
@@ -74,7 +82,9 @@ class GaussianMap:
 
     def append(self, seeds: GaussianCloud, keyframe: Keyframe) -> None:
         """Add Gaussians that a keyframe seeded."""
-        self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds.to(self.device)])
+        centred = self.gaussians.centred_colours
+        seeds = replace(seeds.to(self.device), centred_colours=centred)
+        self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
         self.optimiser.extend(len(seeds))
         origin = self.seeded_by.new_full((len(seeds),), keyframe.index)
         self.seeded_by = torch.cat([self.seeded_by, origin])
@@ -89,7 +99,7 @@ class GaussianMap:
         """Replace the centres [N, 3]."""
         self.gaussians = replace(self.gaussians, means=means)
 
-    def state(self) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
         arrays = {
             f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS
@@ -100,15 +110,19 @@ class GaussianMap:
         arrays = {name: array.copy() for name, array in arrays.items()}
         for number, keyframe in enumerate(self.keyframes):
             arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
-        return arrays, [keyframe.values() for keyframe in self.keyframes]
+        return arrays, {
+            "keyframes": [keyframe.values() for keyframe in self.keyframes],
+            "centred_colours": self.gaussians.centred_colours,
+        }
 
-    def restore(self, arrays: dict[str, NDArray], keyframes: list[dict[str, Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
         tensors = {n: torch.from_numpy(np.array(arrays[f"gaussians/{n}"])) for n in PARAMETERS}
-        self.gaussians = GaussianCloud(**tensors).to(self.device)
+        centred = bool(values["centred_colours"])
+        self.gaussians = GaussianCloud(**tensors, centred_colours=centred).to(self.device)
         self.optimiser.restore(arrays_below(arrays, "optimiser/"))
         self.seeded_by = torch.from_numpy(np.array(arrays["seeded_by"])).to(self.device)
         self.keyframes = [
-            Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), values)
-            for number, values in enumerate(keyframes)
+            Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), keyframe)
+            for number, keyframe in enumerate(values["keyframes"])
         ]

@@ -66,7 +66,7 @@ class Mapper:
         self.device = torch.device(device)
         rates = self.options.rates
         rates = replace(rates, features=rates.features * self.semantics.unit)
-        self.map = GaussianMap(rates, self.semantics.channels, self.device)
+        self.map = GaussianMap(rates, self.semantics.channels, self.device, self.options.centred)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -138,7 +138,7 @@ class Mapper:
         chosen = [keyframe for keyframe in self.keyframes if keyframe.index in wanted]
         if not chosen or iterations == 0:
             return
-        objective = Objective(self.options.centred)
+        objective = Objective()
         for done in range(iterations):
             for number, place in enumerate(self._generator.permutation(len(chosen))):
                 progress = (done * len(chosen) + number, iterations * len(chosen))
@@ -175,14 +175,13 @@ class Mapper:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
-        arrays, keyframes = self.map.state()
+        arrays, values = self.map.state()
         arrays |= {f"semantics/{name}": a for name, a in self.semantics.state().items()}
-        generator = self._generator.bit_generator.state
-        return arrays, {"keyframes": keyframes, "generator": generator}
+        return arrays, values | {"generator": self._generator.bit_generator.state}
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
-        self.map.restore(arrays, values["keyframes"])
+        self.map.restore(arrays, values)
         self.semantics.restore(arrays_below(arrays, "semantics/"))
         self._generator.bit_generator.state = values["generator"]
 
@@ -207,7 +206,7 @@ class Mapper:
             self.keyframes, self.options.window, self.options.min_overlap, self._generator
         )
         adjust_poses = poses or self.options.bundle_adjustment
-        objective = Objective(self.options.centred, adjust_poses)
+        objective = Objective(adjust_poses)
         loss = float("nan")
         for number in range(steps):
             loss = self.step(self._pick(window), (number, steps), objective)

@@ -31,13 +31,10 @@ class Objective:
     """What a step optimises.
 
     Attributes:
-        centred_colours: fit colours at the centres of the Gaussians, for tracking; otherwise at
-            the pixels, for rendering (`rendering/texture.py`).
         adjust_poses: optimise the poses of keyframes too, except the first keyframe's.
         feature: an additional term on the whole image.
     """
 
-    centred_colours: bool
     adjust_poses: bool = False
     feature: FeatureLoss | None = None
 
@@ -82,7 +79,8 @@ class MapOptimisation:
                 self._backend, gaussian_map.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed("map loss"):
-            rgb = resample_at_centres(rgb, view) if objective.centred_colours else rgb
+            if view.centred_colours:
+                rgb = resample_at_centres(rgb, view)
             images = view.drawn.images
             by_images = images.new_empty(len(images) - 3, *images.shape[1:])
             loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, by_images[:BASE_CHANNELS])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from toolkit.features.builtin import BuiltinEncoder
@@ -24,23 +26,26 @@ def refine(
 ) -> None:
     """Optimise a map over all keyframes, each equally often, in random order.
 
+    Colours are fitted at the pixels from now on, no longer at the centres of the Gaussians.
+
     Args:
         generator: chooses the order.
     """
     optimiser, count = gaussian_map.optimiser, len(gaussian_map.keyframes)
     steps_before = optimiser.steps
-    if options.centred:
+    if gaussian_map.gaussians.centred_colours:
         optimiser.steps = steps_before.clamp(max=_MAX_STEPS_BEFORE)
     removed_steps = steps_before - optimiser.steps
     feature = None
     if options.final_feature > 0:
         feature = FeatureLoss(BuiltinEncoder(), options.final_feature)
     objective = Objective(
-        centred_colours=False,
         adjust_poses=options.final_poses or options.bundle_adjustment,
         feature=feature,
     )
     rounds, surfaces = options.final_iterations, None
+    if rounds:
+        gaussian_map.gaussians = replace(gaussian_map.gaussians, centred_colours=False)
     if options.final_on_surfaces and rounds:
         surfaces = Surfaces.of(gaussian_map.gaussians.means)
     for done in range(rounds):

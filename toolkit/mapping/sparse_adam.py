@@ -7,12 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.mapping.options import LearningRates
 from toolkit.native import address, kernels_for
-
-PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
-
 
 BETA1, BETA2 = 0.9, 0.99
 

@@ -11,7 +11,6 @@ def build_drawer(
     options: RegistrationOptions,
     semantics: SemanticMapping | None = None,
     backend_name: str = "auto",
-    centred: bool = True,
 ) -> ViewDrawer:
     """Build the renderer of submaps for registration and its checks.
 
@@ -19,8 +18,6 @@ def build_drawer(
         options: of registration.
         semantics: decodes the features of the submaps; None leaves classes out.
         backend_name: the renderer.
-        centred: how the colours of the submaps were fitted, see `MapperOptions`; False after the
-            final refinement.
     """
     drawing = options.drawing
-    return ViewDrawer(backend_name, semantics, drawing.min_silhouette, drawing.max_width, centred)
+    return ViewDrawer(backend_name, semantics, drawing.min_silhouette, drawing.max_width)

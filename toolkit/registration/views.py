@@ -50,7 +50,6 @@ class ViewDrawer:
         semantics: decodes the features of the submaps; None leaves classes out.
         min_silhouette: thinner pixels have no surface.
         max_width: images are halved until they are no wider.
-        centred: as `view_level` takes it.
     """
 
     def __init__(
@@ -59,14 +58,12 @@ class ViewDrawer:
         semantics: SemanticMapping | None = None,
         min_silhouette: float = 0.9,
         max_width: int = 400,
-        centred: bool = True,
     ) -> None:
         self.renders = 0
         self._backend = backend(backend_name)
         self._semantics = semantics if semantics is not None and semantics.channels else None
         self._min_silhouette = min_silhouette
         self._max_width = max_width
-        self._centred = centred
 
     @property
     def semantics(self) -> SemanticMapping | None:
@@ -91,7 +88,7 @@ class ViewDrawer:
         options = DrawOptions(self._min_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
         surface = draw_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
-        level = view_level(surface, self._min_silhouette, self._centred)
+        level = view_level(surface, self._min_silhouette)
         if self._semantics is None:
             return View(level)
         class_ids = self._semantics.decode_view(surface).class_ids

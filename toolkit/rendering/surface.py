@@ -51,12 +51,14 @@ class SurfaceView:
         drawn: the forward pass, whose last three channels are the centres.
         depth_m: [H, W] depth of the surface along each ray, 0 where the silhouette is too small.
         camera, T_camera_map: intrinsics and pose of the view.
+        centred_colours: of the Gaussians, as in `GaussianCloud`.
     """
 
     drawn: ForwardPass
     depth_m: Tensor
     camera: Camera
     T_camera_map: NDArray[np.float64]
+    centred_colours: bool = False
 
     @property
     def images(self) -> Tensor:
@@ -90,7 +92,7 @@ def draw_surface(
     channels = gaussians.features if options.features else None
     drawn = backend.forward(gaussians, camera, T_camera_map, channels, None, centres=True)
     depth_m = surface_depth(drawn.images, camera, T_camera_map, options.min_silhouette)
-    return SurfaceView(drawn, depth_m, camera, T_camera_map)
+    return SurfaceView(drawn, depth_m, camera, T_camera_map, gaussians.centred_colours)
 
 
 def surface_depth(

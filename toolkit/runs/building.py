@@ -61,13 +61,11 @@ def build_slam(
     )
     atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if settings.poses == "slam":
-        tracker = build_tracker(settings.tracking, settings.backend, recorder, code, centred)
+        tracker = build_tracker(settings.tracking, settings.backend, recorder, code)
         closer = None
         if settings.loops.use:
             taxonomy = labeller.taxonomy if labeller else None
-            context = ClosingContext(
-                settings.seed, settings.backend, mapper.semantics, taxonomy, centred
-            )
+            context = ClosingContext(settings.seed, settings.backend, mapper.semantics, taxonomy)
             log = LoopLog(folder.loops) if folder else None
             closer = build_loop_closer(settings.loops, context, log, recorder)
         # The papers' tracker is there to be compared with.

@@ -227,6 +227,7 @@ class Atlas:
             view = self.mapper.draw(cloud, anchor.camera, T_around_camera)
             index = shown_by(view, cloud, anchor.camera, T_camera_around)
         moved = cloud.select(index).transformed(T_camera_around)
+        moved = replace(moved, centred_colours=self.mapper.options.centred)
         origin = torch.full((len(index),), anchor.index, dtype=torch.int32)
         return MapContent(moved, [], origin, around.steps.index_select(0, index))
 

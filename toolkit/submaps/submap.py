@@ -10,11 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.gaussian_map import MapContent
-from toolkit.mapping.sparse_adam import PARAMETERS
 
 
 def _none() -> Tensor:
@@ -79,8 +78,11 @@ class Submap:
         }
         for number, keyframe in enumerate(self.keyframes):
             arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
-        values = {"number": self.number, "keyframes": [k.values() for k in self.keyframes]}
-        return arrays, values
+        return arrays, {
+            "number": self.number,
+            "keyframes": [k.values() for k in self.keyframes],
+            "centred_colours": self.gaussians.centred_colours,
+        }
 
     @classmethod
     def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Submap:
@@ -96,7 +98,11 @@ class Submap:
         return cls(
             number=int(values["number"]),
             T_world_submap=np.array(arrays["T_world_submap"]),
-            gaussians=GaussianCloud(**{n: tensor(f"gaussians/{n}") for n in PARAMETERS}),
+            gaussians=GaussianCloud(
+                **{n: tensor(f"gaussians/{n}") for n in PARAMETERS},
+                # Files of older runs hold refined submaps without the key.
+                centred_colours=bool(values.get("centred_colours", False)),
+            ),
             keyframes=keyframes,
             seeded_by=tensor("seeded_by"),
             descriptors=np.array(arrays["descriptors"]),

@@ -91,12 +91,7 @@ class _Task:
 
 
 class DenseTracker(MovingTracker):
-    """Tracks frames against a map of Gaussians by second-order optimisation.
-
-    Args:
-        centred: colours of the map belong to its Gaussians' centres, as mapping fits them; False
-            for a map that was refined (`rendering/texture.py`).
-    """
+    """Tracks frames against a map of Gaussians by second-order optimisation."""
 
     def __init__(
         self,
@@ -104,12 +99,10 @@ class DenseTracker(MovingTracker):
         limits: HealthLimits | None = None,
         backend_name: str = "auto",
         recorder: Recorder | None = None,
-        centred: bool = True,
     ) -> None:
         super().__init__(limits)
         self.options = options or DenseOptions()
         self._ahead = FramesAhead(self.options.levels)
-        self._centred = centred
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = INITIAL_SCALES
@@ -189,7 +182,7 @@ class DenseTracker(MovingTracker):
         with self._recorder.timed("tracking render"):
             options = DrawOptions(thin)
             surface = draw_surface(self._backend, task.gaussians, camera, T_view_map, options)
-            levels = pyramid(view_level(surface, thin, self._centred), self.options.levels)
+            levels = pyramid(view_level(surface, thin), self.options.levels)
             return _View(T_map_view.copy(), [model_level(level) for level in levels])
 
     def _best_start(
