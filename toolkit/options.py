@@ -88,6 +88,8 @@ class Option:
     """Docstring of the field."""
     default: Any = REQUIRED
     """Default value; `REQUIRED` without one."""
+    group: str = ""
+    """First paragraph of the docstring of the dataclass that declares the option."""
 
     @property
     def range(self) -> Range | None:
@@ -139,6 +141,7 @@ def nested_options(kind: type, defaults: Any = REQUIRED) -> tuple[Option, ...]:
     """
     found: list[Option] = []
     descriptions, types = field_docstrings(kind), field_types(kind)
+    group = " ".join((kind.__doc__ or "").split("\n\n")[0].split())
     for field in fields(kind):
         hint, default = types[field.name], field.default
         if defaults is not REQUIRED:
@@ -147,7 +150,7 @@ def nested_options(kind: type, defaults: Any = REQUIRED) -> tuple[Option, ...]:
             inner = nested_options(hint, default)  # type: ignore[arg-type]
             found += [replace(option, key=f"{field.name}.{option.key}") for option in inner]
         else:
-            found.append(Option(field.name, hint, descriptions.get(field.name, ""), default))
+            found.append(Option(field.name, hint, descriptions.get(field.name, ""), default, group))
     return tuple(found)
 
 

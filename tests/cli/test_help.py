@@ -20,6 +20,12 @@ KINDS = {**PROGRAMS, "run": RunProgram}
 
 @dataclass(frozen=True)
 class _Inner:
+    """Options of the
+    inner part.
+
+    More about it.
+    """
+
     levels: PositiveInt = 4
     """Number of levels."""
     use: bool = True
@@ -57,6 +63,7 @@ def test_a_page_shows_flags_types_defaults_and_ranges(monkeypatch):
     # The default is that of the program, not of the nested class.
     assert "--inner.levels INT Number of levels. (default: 2, range: >= 1)" in lines
     assert "--inner.use, --inner.no-use" in lines
+    assert lines[lines.index("inner:") + 1] == "Options of the inner part."
 
 
 def test_the_help_of_run_fits_on_a_screen(monkeypatch, capsys):

@@ -58,7 +58,7 @@ def test_an_unreadable_file_is_an_error(tmp_path):
         load_settings(tmp_path / "config.yaml")
 
 
-@pytest.mark.parametrize("option", nested_options(RunSettings), ids=lambda option: option.key)
-def test_every_option_is_described_by_a_complete_phrase(option):
-    assert option.description.endswith(".")
-    assert option.description[0].isupper()
+def test_every_option_is_described_by_a_complete_phrase():
+    for option in nested_options(RunSettings):
+        assert option.description.endswith("."), option.key
+        assert option.description[:1].isupper(), option.key

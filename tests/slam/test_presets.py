@@ -47,8 +47,8 @@ def test_a_preset_builds_a_system_that_tracks_and_maps(name):
     slam = build_slam(TinyDataset(), validated(RunSettings, settings))
     for frame in frames:
         slam.process_frame(frame)
-    slam.finish()
-    assert len(slam.gaussians) > 0 and slam.gaussians.features.shape[1] == 3
+    gaussians = slam.finish().gaussians
+    assert len(gaussians) > 0 and gaussians.features.shape[1] == 3
 
 
 def test_a_name_that_is_no_file_and_no_preset_is_an_error():

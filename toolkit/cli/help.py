@@ -84,7 +84,9 @@ def help_page(kind: type, job: str, everything: bool = False) -> str:
         ),
     )
     for title, keys in groups.items():
-        group = parser.add_argument_group(title)
+        nested = groups is not common and title != "options"
+        described = options[keys[0]].group.replace("%", "%%") if nested else None
+        group = parser.add_argument_group(title, described)
         for key in keys:
             _add(group, options[key])
     return parser.format_help()
@@ -94,7 +96,8 @@ def _by_prefix(options: Mapping[str, Option]) -> dict[str, list[str]]:
     """Keys by the dataclass that declares them; those of the job itself first."""
     groups: dict[str, list[str]] = {"options": []}
     for key in options:
-        groups.setdefault(key.rpartition(".")[0] or "options", []).append(key)
+        title = key.rpartition(".")[0].replace("_", "-") or "options"
+        groups.setdefault(title, []).append(key)
     return {title: keys for title, keys in groups.items() if keys}
 
 
