@@ -2,9 +2,9 @@
 
 Options are frozen dataclasses with a docstring after each field. A stage declares its own in
 `options.py` of its package, which imports neither torch nor any other heavy library. A run
-composes them (`toolkit/runs/settings.py`), validates them with pydantic, shows them with tyro and
-stores them as YAML. This module needs the standard library alone, so that stages can be imported
-where pydantic is not installed.
+composes them (`toolkit/runs/settings.py`), validates them with pydantic and stores them as YAML;
+tyro parses them from the command line. This module needs the standard library alone, so that
+stages can be imported where pydantic is not installed.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Range:
         return True
 
     def __iter__(self) -> Iterator[Any]:
-        import annotated_types  # comes with pydantic
+        import annotated_types
 
         constraints = (
             (self.ge, annotated_types.Ge),
