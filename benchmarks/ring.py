@@ -256,17 +256,17 @@ def loop_counts(run: FinishedSlam) -> Metrics:
 
 def add_drift(atlas: Atlas, metres: float, seed: int) -> None:
     """Displace each new submap from where the camera is."""
-    begin_next, generator = atlas.begin_next, np.random.default_rng(seed)
+    start_next, generator = atlas.start_next, np.random.default_rng(seed)
 
     def begin_displaced() -> NDArray[np.float64]:
-        T_new_old = begin_next()
+        T_new_old = start_next()
         directions = generator.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         error = se3.exp(metres * np.concatenate([directions[0], RADIANS_PER_METRE * directions[1]]))
         atlas.move(atlas.active, atlas.T_world_submap(atlas.active) @ error)
         return T_new_old
 
-    atlas.begin_next = begin_displaced  # type: ignore[method-assign]
+    atlas.start_next = begin_displaced  # type: ignore[method-assign]
 
 
 def at_boundaries(result: SlamResult, dataset: Dataset, settings: RunSettings) -> Metrics:

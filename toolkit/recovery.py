@@ -76,7 +76,8 @@ class Recovery:
         with self._recorder.timed("relocalisation"):
             last = self._path.last_position(self._atlas)
             found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
-        if found is not None and self._atlas.begun and found.submap == self._atlas.active:
+        active = self._atlas.active if self._atlas.has_active_submap else None
+        if found is not None and found.submap == active:
             tracker.continue_from(frame.timestamp_s, found.T_submap_camera)
             _log.info("Relocalised frame %d in active submap %d.", frame.index, found.submap)
             return Located(found.T_submap_camera, found.result)
@@ -98,9 +99,9 @@ class Recovery:
         self._closer.submap_ending(atlas)
         with self._recorder.timed("mapping"):
             if found is None:
-                atlas.begin_at(anchor, *self._path.last_place(atlas), inherit=False)
+                atlas.start_at(anchor, *self._path.last_place(atlas), inherit=False)
             else:
-                atlas.begin_at(anchor, found.submap, found.T_submap_camera)
+                atlas.start_at(anchor, found.submap, found.T_submap_camera)
         self._closer.submap_recovered(atlas, found)
         _log.warning(
             "Started submap %d at frame %d: %s.",

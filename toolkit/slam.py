@@ -79,14 +79,14 @@ class Slam:
         loaded map, or relocalisation runs out of patience and a new submap starts.
 
         Args:
-            submaps: as `Atlas.begin_in` takes them, with descriptors of this run's kind.
+            submaps: as `Atlas.load_map` takes them, with descriptors of this run's kind.
 
         Raises:
             ValueError: nothing in this system can relocalise a frame.
         """
         if self._closer.relocaliser is None or not isinstance(self.tracker, LocatingTracker):
             raise ValueError("loading a map requires loop closure and a tracker that can locate")
-        self.atlas.begin_in(submaps)
+        self.atlas.load_map(submaps)
         self._closer.map_loaded(self.atlas)
 
     def prepare(self, frame: Frame) -> None:
@@ -151,7 +151,7 @@ class Slam:
                 number,
                 atlas.T_world_submap(number),
                 list(atlas.keyframe_poses(number)),
-                readable=number not in atlas.lost,
+                readable=number not in atlas.unreadable,
             )
             for number in range(len(atlas))
         ]
@@ -179,7 +179,7 @@ class Slam:
 
     def _locate(self, frame: Frame, may_map: bool) -> Located:
         """Estimate the pose of a frame in the active submap."""
-        if not self.atlas.begun:
+        if not self.atlas.has_active_submap:
             lost = not_tracked("the camera has not been relocalised in the loaded map")
             return self._recovery.recover(frame, lost, may_map)
         if not self.mapper.keyframes:
@@ -220,7 +220,7 @@ class Slam:
         if T_new_old is not None:
             self.tracker.change_frame(T_new_old)
         with self._recorder.timed("mapping"):
-            self.tracker.change_frame(self.atlas.begin_next())
+            self.tracker.change_frame(self.atlas.start_next())
         _log.info(
             "Started submap %d at frame %d: %s.", self.atlas.active, verdict.index, verdict.reason
         )

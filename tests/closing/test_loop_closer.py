@@ -122,7 +122,7 @@ def closed(
         mapper.add_keyframe(Keyframe.from_frame(frame, T_map_world @ drift @ T_world_camera))
         closer.keyframe_added(atlas)
         if atlas.judge().begins:
-            atlas.begin_next()
+            atlas.start_next()
             closer.add_odometry(atlas, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))

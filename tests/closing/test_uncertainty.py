@@ -21,7 +21,7 @@ def test_a_frame_is_the_less_sure_the_farther_its_anchor():
     spread = np.trace(found, axis1=1, axis2=2)
     assert (np.diff(spread) > 0).all()
     # After 1.9 m in a straight line.
-    assert found[-1][0, 0] > NOISE.per_metre_m**2 * 1.9
+    assert found[-1][0, 0] > NOISE.options.per_metre_m**2 * 1.9
     np.testing.assert_allclose(found, np.swapaxes(found, 1, 2))
 
 

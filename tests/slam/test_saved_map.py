@@ -117,7 +117,7 @@ def test_frames_are_lost_until_one_is_found(room, saved):
 def test_a_held_out_frame_begins_nothing(room, saved):
     slam = begun(saved)
     frame = back(room)[0]
-    assert slam.process_frame(frame, may_map=False).lost and not slam.atlas.begun
+    assert slam.process_frame(frame, may_map=False).lost and not slam.atlas.has_active_submap
 
 
 def strange(frames):
@@ -146,7 +146,7 @@ def test_it_goes_on_from_a_checkpoint_to_the_same_bits(room, saved, cut, tmp_pat
     shutil.copytree(tmp_path / "whole", tmp_path / "other")
     other = new_slam(patience=50, folder=tmp_path / "other")
     other.restore(state[0], json.loads(json.dumps(state[1])))
-    assert other.atlas.saved == len(saved) and other.atlas.begun == (cut == 4)
+    assert other.atlas.saved == len(saved) and other.atlas.has_active_submap == (cut == 4)
     fed(whole, frames[cut:])
     fed(other, frames[cut:])
     assert fingerprint(whole) == fingerprint(other)

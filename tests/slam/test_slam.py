@@ -123,7 +123,7 @@ class TestPath:
 def test_an_empty_atlas_is_not_replaced():
     mapper = Mapper(FEW)
     atlas = Atlas(mapper)
-    atlas.begin_in([])
+    atlas.load_map([])
     assert len(atlas) == 0
     assert Slam(DenseTracker(), mapper, atlas=atlas).atlas is atlas
 

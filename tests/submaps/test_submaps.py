@@ -388,7 +388,7 @@ class TestFusion:
         assert len(separate) < 1.25 * len(together)
 
     def test_a_lost_submap_is_left_out(self, cut):
-        cut.atlas.lost.append(0)
+        cut.atlas.unreadable.append(0)
         assert 0 not in cut.finish().map.submap.unique().tolist()
 
 

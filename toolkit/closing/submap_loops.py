@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import Record, figures_of, verdict
-from toolkit.closing.sights import Sights
+from toolkit.closing.visibility import Visibility
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
@@ -49,7 +49,7 @@ class SubmapLoops:
 
         Of the latter, those that share most, until both have `max_partners`.
         """
-        views = {number: Sights.of(atlas.submap(number)) for number in atlas.readable()}
+        views = {number: Visibility.of(atlas.submap(number)) for number in atlas.readable()}
         # Two submaps of a saved map stay as they are.
         pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
         chosen = [pair for pair in pairs if pair in held]

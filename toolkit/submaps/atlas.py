@@ -1,4 +1,4 @@
-"""All submaps and their anchors: one is active, in the mapper's hands, the others rest."""
+"""All submaps and their anchors: the mapper works on the active one, the others are stored."""
 
 from __future__ import annotations
 
@@ -36,8 +36,9 @@ class Atlas:
         allocation: when the next one begins; None keeps a single one.
 
     Attributes:
-        saved: so many submaps, the first ones, are of an earlier run: they are known, and
-            neither optimised nor moved any more.
+        saved: number of submaps loaded from an earlier run, which come first. They are neither
+            optimised nor moved.
+        unreadable: numbers of the submaps whose file was lost or damaged.
     """
 
     def __init__(
@@ -49,13 +50,13 @@ class Atlas:
     ) -> None:
         self.mapper = mapper
         self.verdicts: list[AllocationVerdict] = []
-        self.lost: list[int] = []
+        self.unreadable: list[int] = []
         self.saved = 0
         self._allocation = allocation
         self._store = store or SubmapStore()
         self._boundary = boundary or BoundaryOptions()
         self._anchors = [np.eye(4)]
-        # Frame indices and poses of each resting submap's keyframes: small, and asked for often.
+        # Frame indices and poses of the keyframes of each stored submap: small and used often.
         self._keyframes: list[dict[int, NDArray[np.float64]]] = []
         self._checkpoints: list[dict[str, int]] = []
         self._descriptors: list[NDArray[np.float32]] = [np.zeros((0, 0), np.float32)]
@@ -69,14 +70,14 @@ class Atlas:
         return len(self._anchors)
 
     @property
-    def begun(self) -> bool:
-        """Whether a submap is being mapped; not before the camera is found in a saved map."""
+    def has_active_submap(self) -> bool:
+        """Whether a submap is being mapped; not before the camera is found in a loaded map."""
         return self._in_mapper(self.active)
 
-    def begin_in(self, submaps: Iterable[Submap]) -> None:
-        """Begin with the submaps of an earlier run, before the first frame.
+    def load_map(self, submaps: Iterable[Submap]) -> None:
+        """Load the submaps of an earlier run, before the first frame.
 
-        No submap is active until `begin_at` begins one.
+        No submap is active until `start_at` starts one.
 
         Args:
             submaps: numbered from 0, at least one; their keyframes have negative indices.
@@ -157,7 +158,7 @@ class Atlas:
         self.verdicts.append(verdict)
         return verdict
 
-    def begin_next(self) -> NDArray[np.float64]:
+    def start_next(self) -> NDArray[np.float64]:
         """Start the next submap at the newest keyframe, which then belongs to both submaps.
 
         Returns:
@@ -166,10 +167,10 @@ class Atlas:
         self.mapper.settle(self._boundary.steps, self._boundary.bundle_adjustment)
         old, last = self.submap(self.active), self.mapper.keyframes[-1]
         anchor = replace(last, T_map_camera=np.eye(4), pose_moments=None)
-        self._begin(anchor, old, last.T_map_camera)
+        self._start(anchor, old, last.T_map_camera)
         return se3.inverse(last.T_map_camera)
 
-    def begin_at(
+    def start_at(
         self,
         anchor: Keyframe,
         number: int,
@@ -186,15 +187,15 @@ class Atlas:
         around = self.submap(number)
         if not inherit:
             around = replace(around, gaussians=around.gaussians.select(_NONE), steps=_NONE.int())
-        self._begin(anchor, around, T_submap_camera)
+        self._start(anchor, around, T_submap_camera)
 
-    def _begin(
+    def _start(
         self, anchor: Keyframe, around: Submap, T_around_camera: NDArray[np.float64]
     ) -> None:
         """Start a submap at a keyframe that has a pose in an older submap."""
         old = self.submap(self.active)
         content = self._inherited(anchor, around, T_around_camera)
-        if self.begun:
+        if self.has_active_submap:
             self.rest()
         self._anchors.append(around.T_world_submap @ T_around_camera)
         self._descriptors.append(self._boundary_row(old, anchor.index))
@@ -215,7 +216,7 @@ class Atlas:
 
     def readable(self) -> list[int]:
         """Numbers of the submaps whose content is there."""
-        return [number for number in range(len(self)) if number not in self.lost]
+        return [number for number in range(len(self)) if number not in self.unreadable]
 
     def _inherited(
         self, anchor: Keyframe, around: Submap, T_around_camera: NDArray[np.float64]
@@ -263,7 +264,7 @@ class Atlas:
         ]
         self.saved = int(values["saved"])
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
-        self.lost = self._store.restore(values["store"])
+        self.unreadable = self._store.restore(values["store"])
         self._checkpoints = [dict(values["store"])]
 
 

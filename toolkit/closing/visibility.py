@@ -1,4 +1,4 @@
-"""What the keyframes of a submap look at, in the world: little enough to keep for all submaps."""
+"""What the keyframes of a submap observe: small enough to be kept for all submaps."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from toolkit.geometry.frustum import Frustum, far_depth_m
 from toolkit.submaps.submap import Submap
 
-# Of a submap's keyframes, so many are asked, evenly spread.
-_MOST_VIEWS = 30
+# Maximum number of keyframes of a submap, evenly spread.
+_MAX_VIEWS = 30
 
 
 @dataclass(frozen=True)
-class Sights:
-    """Viewing volumes of some keyframes, and the points [P, 3] in the world that each observed."""
+class Visibility:
+    """Viewing volumes of some keyframes, and the points [P, 3] that each observed, in the world."""
 
     volumes: list[Frustum]
     points: list[NDArray[np.float64]]
 
     @classmethod
-    def of(cls, submap: Submap) -> Sights:
-        """Those of a submap."""
+    def of(cls, submap: Submap) -> Visibility:
+        """Compute the visibility of a submap."""
         count = len(submap.keyframes)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_VIEWS)).round().astype(int))
+        chosen = np.unique(np.linspace(0, count - 1, min(count, _MAX_VIEWS)).round().astype(int))
         volumes, points = [], []
         for place in chosen:
             keyframe = submap.keyframes[place]
@@ -38,12 +38,12 @@ class Sights:
             points.append(seen + submap.T_world_submap[:3, 3])
         return cls(volumes, points)
 
-    def shared(self, other: Sights) -> float:
-        """The largest share that a view of one has in common with a view of the other."""
+    def shared(self, other: Visibility) -> float:
+        """Largest overlap of a view of one submap with a view of the other."""
         return max(_largest(self, other), _largest(other, self))
 
 
-def _largest(one: Sights, other: Sights) -> float:
+def _largest(one: Visibility, other: Visibility) -> float:
     shares = [
         float(volume.contains(points).mean()) for volume in one.volumes for points in other.points
     ]
