@@ -204,7 +204,7 @@ def test_runs_that_cannot_be_registered(room_runs, b, tmp_path, capsys, damage, 
         (["register", "A/nothing", "A", "--out", "OUT"], "no run"),
         (["register", "A", "A", "--out", "A"], "choose another --out"),
         (["register", "A", "A", "--out", "OUT", "--pairs", "0"], "--pairs"),
-        (["register", "A", "--out", "OUT"], "The run that is moved"),
+        (["register", "A", "--out", "OUT"], "Folder of the run that is moved"),
     ],
 )
 def test_bad_input(room_runs, tmp_path, capsys, words, said):
