@@ -115,7 +115,10 @@ def test_shapes_of_a_labelled_recording(real_data, tmp_path, capsys):
         (("--classes", "{names}", "--out", "tree.txt"), "--out tree.txt must end in .yaml"),
         (("--classes", "{names}", "--out", "none/tree.yaml"), "there is no folder none"),
         (("--classes", "{names}", "--picture", "tree.bmp"), "--picture tree.bmp must end in"),
-        (("--classes", "{names}", "--review", "--seed", "-1"), "--seed must lie in"),
+        (
+            ("--classes", "{names}", "--review", "--seed", "-1"),
+            "--seed: input should be greater than or equal to 0",
+        ),
         (("--classes", "{names}", "--review", "--shapes", "scans"), "give --dataset.path"),
         (("--classes", "{names}", "--review", "--shapes", "table"), "--shapes"),
         (("--classes", "{names}", "--review", "--shapes", "table", "no.csv"), "no.csv"),

@@ -58,7 +58,7 @@ def test_a_head_is_trained_measured_on_held_out_frames_and_written(
 @pytest.mark.parametrize(
     ("more", "named"),
     [
-        (["--hold-out", "1"], "--hold-out must be at least 2, got 1"),
+        (["--hold-out", "1"], "--hold-out: input should be greater than or equal to 2, got 1"),
         (["--hold-out", "9"], "leave none to measure on"),
         (["--out", "head.bin"], "--out must end in .safetensors"),
         (["--model", "nowhere"], "nowhere has no config.json"),

@@ -67,4 +67,4 @@ def test_make_says_before_each_long_step_what_happens(checkout):
     for step in ("pip install", "setup.py --quiet build_ext", "semsplat make-room"):
         first = next(i for i, line in enumerate(planned) if step in line)
         assert planned[first - 1].startswith('echo "make: '), step
-        assert "takes" in planned[first - 1]
+        assert "minute" in planned[first - 1]

@@ -65,7 +65,7 @@ class OnDevice:
 
     def backward(self, image_gradients: Tensor, **options: bool) -> GaussianGradients:
         found = self.drawn.backward(image_gradients.to(DEVICE), **options)
-        moved = {f: getattr(found, f) for f in fields(found)}
+        moved = {f.name: getattr(found, f.name) for f in fields(found)}
         return GaussianGradients(**{k: None if v is None else v.cpu() for k, v in moved.items()})
 
 

@@ -57,9 +57,12 @@ def test_the_readme_example_gives_the_same_result_as_semsplat_run(
         np.testing.assert_array_equal(a, b, err_msg=name)
 
 
-def test_the_readme_camera_loop_runs(tmp_path, monkeypatch):
+def test_the_camera_loop_of_the_guide_runs(tmp_path, monkeypatch):
     frames, _ = tiny_room(3, 64, 48)
-    example, count = re.subn(r"toolkit\.Camera\(.*\)", "CAMERA", readme_examples()[1])
+    guide = README.parent / "docs" / "guides" / "python.md"
+    section = guide.read_text(encoding="utf-8").split("## Process images of a camera\n")[1]
+    block = section.split("```python\n")[1].split("```")[0]
+    example, count = re.subn(r"toolkit\.Camera\(.*\)", "CAMERA", block)
     assert count == 1
     images = [
         (f.timestamp_s, np.rint(255 * f.rgb).astype(np.uint8), (1000 * f.depth_m).astype(np.uint16))
