@@ -38,11 +38,6 @@ from pathlib import Path
 
 import torch
 
-if "--smoke" in sys.argv and not torch.cuda.is_available():
-    os.environ["TRITON_INTERPRET"] = "1"  # before Triton is imported
-if "--compile-only" in sys.argv:
-    os.environ.pop("TRITON_INTERPRET", None)
-
 from benchmarks.gpu_report import Plan, row, table
 from toolkit.datasets.registry import KINDS
 from toolkit.native import available_instruction_sets, kernels
@@ -144,10 +139,14 @@ def main() -> int:
     """Print all tables."""
     given = arguments()
     channels = tuple(given.channels)
+    # Triton reads the variable when it is imported, which happens below.
     if given.compile_only:
+        os.environ.pop("TRITON_INTERPRET", None)
         compile_table(channels, tuple(given.capabilities))
         return 0
     device = "cuda" if torch.cuda.is_available() else "cpu"
+    if given.smoke and device == "cpu":
+        os.environ["TRITON_INTERPRET"] = "1"
     counts = tuple(round(1e6 * m) for m in given.millions)
     plan = Plan(device, SIZE, counts, channels, given.repeats, given.frames)
     if given.smoke:
