@@ -121,7 +121,7 @@ def run(
     found = []
     for index, T, exposure in places:
         frame = by_index[index]
-        colour = slam.mapper.draw(gaussians, frame.camera, T).output.colour
+        colour = slam.mapper.render(gaussians, frame.camera, T).output.colour
         shown = exposure.undo(colour).clamp(0.0, 1.0).cpu().numpy()
         found.append(psnr_db(shown, frame.rgb))
     ate = absolute_trajectory_error(result.trajectory, truth)

@@ -50,7 +50,7 @@ def profile_table(plan: Plan) -> None:
     mapper.add_keyframe(Keyframe.from_frame(frames[1], pose_of(1)))
     longer = MapperOptions(iterations=10)
     content, mapper = mapper.content, Mapper(longer, None, "cuda", None, semantics, plan.device)
-    mapper.take(content)
+    mapper.replace_content(content)
     _profiled(
         "A keyframe of ten steps",
         lambda: mapper.add_keyframe(Keyframe.from_frame(frames[2], pose_of(2))),

@@ -12,7 +12,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.native.constants import MIN_ALPHA
-from toolkit.rendering import DrawOptions, draw_surface
+from toolkit.rendering import RenderOptions, render_surface
 from toolkit.rendering.backend import Backend
 
 _STEP_M, _TURN_RAD = 0.01, 0.004  # a frame: a person's pace at 30 Hz
@@ -76,8 +76,8 @@ def walk(backend: Backend, camera: Camera, frames: int, device: str, classes: in
     cloud = surface_cloud(camera, 4 * pixels, 0, margin=1.5).to(device)
     out = []
     for index in range(frames):
-        view = draw_surface(
-            backend, cloud, camera, se3.inverse(pose_of(index)), DrawOptions(min_silhouette=0.9)
+        view = render_surface(
+            backend, cloud, camera, se3.inverse(pose_of(index)), RenderOptions(min_silhouette=0.9)
         )
         rgb = view.output.colour.clamp(0.0, 1.0).contiguous().cpu().numpy()
         depth_m = view.depth_m.cpu().numpy()

@@ -41,7 +41,7 @@ from toolkit.registration.options import (
 )
 from toolkit.registration.result import Registrar, RegistrationResult
 from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ class Methods:
         self.rows: dict[str, Callable[[], Timed]] = {
             "coarse, Z = I (G-5)": lambda: self._first(CoarseOptions(offsets="none")),
             "coarse": lambda: self._first(CoarseOptions()),
-            "fine (start)": lambda: self._alone(FineRegistration(drawer=self._drawer()), True),
+            "fine (start)": lambda: self._alone(FineRegistration(renderer=self._drawer()), True),
             "SGR": lambda: self._both(self._sgr(FineOptions())),
             "SGR (start)": lambda: self._both(self._sgr(FineOptions()), started=True),
             "coarse, then two-way": lambda: self._both(self._two_way()),
@@ -200,22 +200,22 @@ class Methods:
             ),
         }
 
-    def _drawer(self) -> ViewDrawer:
-        return ViewDrawer(semantics=self._pair.semantics)
+    def _drawer(self) -> ViewRenderer:
+        return ViewRenderer(semantics=self._pair.semantics)
 
     def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
-        options, drawer = SgrOptions(fine=fine, seed=self._seed), self._drawer()
+        options, renderer = SgrOptions(fine=fine, seed=self._seed), self._drawer()
         refiner = None
         if fine.optimiser == "first-order":
-            refiner = FirstOrderFineRegistration(fine, drawer, ViewDescriber(BuiltinEncoder()))
-        return SemanticGuidedRegistration(options, drawer, refiner)
+            refiner = FirstOrderFineRegistration(fine, renderer, ViewDescriber(BuiltinEncoder()))
+        return SemanticGuidedRegistration(options, renderer, refiner)
 
     def _two_way(self) -> SemanticGuidedRegistration:
         refiner = self._two_way_fine()
-        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), refiner.drawer, refiner)
+        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), refiner.renderer, refiner)
 
     def _two_way_fine(self) -> TwoWayRegistration:
-        return TwoWayRegistration(FineRegistration(drawer=self._drawer()))
+        return TwoWayRegistration(FineRegistration(renderer=self._drawer()))
 
     def _clouds(self, options: CloudOptions) -> CloudRegistration:
         return CloudRegistration(options, self._drawer())

@@ -21,7 +21,7 @@ from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.evaluation.segmentation import class_iou, confusion
 from toolkit.geometry import se3
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
@@ -139,12 +139,12 @@ def tree_metrics(run: FinishedRun, ours: Taxonomy) -> list[float]:
         frame = dataset[view.index]
         if not view.held_out or frame.labels is None:
             continue
-        drawn = draw_surface(
+        drawn = render_surface(
             backend("auto"),
             run.gaussians,
             frame.camera,
             se3.inverse(view.T_map_camera),
-            DrawOptions(features=True),
+            RenderOptions(features=True),
         )
         decoded = run.semantics.decode_view(drawn).class_ids.reshape(frame.labels.shape)
         leaves += confusion(truth_to_ours[frame.labels], own_to_ours[decoded], len(ours))

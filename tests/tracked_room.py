@@ -16,7 +16,7 @@ from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
-from toolkit.rendering import DrawOptions, backend, draw_surface, render
+from toolkit.rendering import RenderOptions, backend, render, render_surface
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def small_motion(seed: int, metres: float, degrees: float) -> NDArray[np.float64
 
 def ideal_frame(gaussians: GaussianCloud, like: Frame, T_map_camera: NDArray[np.float64]) -> Frame:
     """What the map itself shows there: a frame whose pose is known exactly."""
-    view = draw_surface(
-        backend(), gaussians, like.camera, se3.inverse(T_map_camera), DrawOptions(0.9)
+    view = render_surface(
+        backend(), gaussians, like.camera, se3.inverse(T_map_camera), RenderOptions(0.9)
     )
     rgb = view.output.colour.clamp(0.0, 1.0).contiguous().numpy()
     return replace(like, rgb=rgb, depth_m=view.depth_m.numpy())

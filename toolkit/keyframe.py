@@ -175,7 +175,7 @@ class Keyframe:
         inside[inside] = (depth_m == 0) | (z <= _MAX_BEHIND * depth_m)
         return inside
 
-    def share_observed(self, points_map: NDArray[np.float64]) -> float:
+    def fraction_observed(self, points_map: NDArray[np.float64]) -> float:
         """Share of points [P, 3] of the map that lie on the surface this keyframe measured."""
         if len(points_map) == 0:
             return 0.0
@@ -202,7 +202,7 @@ class Keyframe:
         inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
         return inside, uv
 
-    def share_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
+    def fraction_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
         """Share of this keyframe's points inside the image of a camera at a pose [4, 4]."""
         if len(self.points) == 0:
             return 0.0

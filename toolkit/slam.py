@@ -214,7 +214,7 @@ class Slam:
     def _start_submap_if_due(self, tracking: TrackingResult | None) -> None:
         """Start the next submap at the newest keyframe if allocation asks for it."""
         verdict = self.atlas.judge()
-        if verdict is None or not verdict.begins:
+        if verdict is None or not verdict.starts_submap:
             return
         T_new_old = self._closer.submap_ending(self.atlas)
         if T_new_old is not None:

@@ -6,7 +6,7 @@ import pytest
 from registered_room import Scene, classes, scene
 
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 
 
 @pytest.fixture(scope="session")
@@ -25,5 +25,5 @@ def labelled_room(semantics: SemanticMapping) -> Scene:
 
 
 @pytest.fixture
-def drawer() -> ViewDrawer:
-    return ViewDrawer()
+def renderer() -> ViewRenderer:
+    return ViewRenderer()

@@ -14,7 +14,7 @@ from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.factory import build_describer
 from toolkit.features.options import FeatureOptions
 from toolkit.options import validated
-from toolkit.registration.factory import build_drawer
+from toolkit.registration.factory import build_view_renderer
 from toolkit.registration.fine import FineRegistration
 from toolkit.registration.options import (
     RegistrationOptions,
@@ -34,16 +34,16 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_can_be_built(kind):
     settings = RegistrationOptions(kind=kind)
-    drawer = build_drawer(settings)
-    assert isinstance(build_registrar(settings, 3, drawer), KINDS[kind])
+    renderer = build_view_renderer(settings)
+    assert isinstance(build_registrar(settings, 3, renderer), KINDS[kind])
 
 
 def test_two_way_takes_the_place_of_the_fine_stage():
     settings = RegistrationOptions(kind="two-way")
-    registrar = build_registrar(settings, 3, build_drawer(settings))
+    registrar = build_registrar(settings, 3, build_view_renderer(settings))
     assert isinstance(registrar, SemanticGuidedRegistration)
     assert isinstance(registrar.refiner, TwoWayRegistration)
-    assert registrar.refiner.drawer is registrar.drawer
+    assert registrar.refiner.renderer is registrar.renderer
 
 
 @pytest.mark.parametrize("kind", ["sgr", "fine", "two-way"])
@@ -61,7 +61,7 @@ def test_the_feature_term_describes_views_with_the_given_encoder(kind, room, mon
     settings = validated(RegistrationOptions, {"kind": kind, "fine": few})
     assert needs_describer(settings)
     describer = build_describer(FeatureOptions())
-    registrar = build_registrar(settings, 3, build_drawer(settings), describer)
+    registrar = build_registrar(settings, 3, build_view_renderer(settings), describer)
     registrar.register(room.target, room.source, room.T_target_source)
     assert True in described and False in described  # of the target, and of the frozen source
 
@@ -74,7 +74,7 @@ def test_the_feature_term_has_a_weight(room):
         assert needs_describer(settings) is (feature > 0)
         describer = build_describer(FeatureOptions())
         start = room.T_target_source @ motion(1, 0.02, 1.0)
-        registrar = build_registrar(settings, 3, build_drawer(settings), describer)
+        registrar = build_registrar(settings, 3, build_view_renderer(settings), describer)
         return registrar.register(room.target, room.source, start)
 
     assert not np.array_equal(found(0.0).T_target_source, found(5.0).T_target_source)
@@ -84,7 +84,7 @@ def test_settings_arrive():
     settings = validated(
         RegistrationOptions, {"coarse": {"offsets": "none"}, "fine": {"dense": {"levels": 2}}}
     )
-    registrar = build_registrar(settings, 3, build_drawer(settings))
+    registrar = build_registrar(settings, 3, build_view_renderer(settings))
     assert isinstance(registrar, SemanticGuidedRegistration)
     assert registrar.options.seed == 3
     assert registrar.options.coarse.offsets == "none"

@@ -15,14 +15,14 @@ from toolkit.registration.options import FineOptions, FirstOrderFineOptions
 from toolkit.rendering import render
 
 
-def test_the_papers_optimiser_comes_near(room: Scene, drawer):
+def test_the_papers_optimiser_comes_near(room: Scene, renderer):
     options = FineOptions(views=2)
     start = room.T_target_source @ motion(1, 0.04, 2.0)
-    result = FirstOrderFineRegistration(options, drawer).register(room.target, room.source, start)
+    result = FirstOrderFineRegistration(options, renderer).register(room.target, room.source, start)
     mm, deg = error(result.T_target_source, room.T_target_source)
     assert mm < 15.0
     assert deg < 0.5
-    assert result.renders == drawer.renders
+    assert result.renders == renderer.renders
     assert result.inliers > 0.9
 
 

@@ -13,7 +13,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.rendering import backend, draw_surface
+from toolkit.rendering import backend, render_surface
 
 CAMERA = Camera(fx=40.0, fy=40.0, cx=31.5, cy=23.5, width=64, height=48)
 # Where the map lies in the world of the truth: nothing may rely on the two being one.
@@ -66,7 +66,7 @@ def frames_at(gaussians: GaussianCloud, T_map_camera: np.ndarray) -> list[Frame]
     """What a perfect camera sees there."""
     frames = []
     for index, T in enumerate(T_map_camera):
-        drawn = draw_surface(backend(), gaussians, CAMERA, se3.inverse(T))
+        drawn = render_surface(backend(), gaussians, CAMERA, se3.inverse(T))
         rgb = drawn.output.colour.clamp(0.0, 1.0).contiguous().numpy()
         frames.append(Frame(index, index / 30.0, rgb, drawn.depth_m.numpy(), CAMERA))
     return frames

@@ -121,7 +121,7 @@ def closed(
         mapper = atlas.mapper
         mapper.add_keyframe(Keyframe.from_frame(frame, T_map_world @ drift @ T_world_camera))
         closer.keyframe_added(atlas)
-        if atlas.judge().begins:
+        if atlas.judge().starts_submap:
             atlas.start_next()
             closer.add_odometry(atlas, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
@@ -265,7 +265,7 @@ class TestSettle:
         atlas, closer, registrar = closed(frames)
         closer.close_between(atlas, atlas.active)
         held = len(closer.loops)
-        atlas.rest()
+        atlas.store_active()
         registrar.asked.clear()
         closer.settle(atlas)
         # One small room: every submap sees what the others see.
@@ -276,7 +276,7 @@ class TestSettle:
     @pytest.mark.parametrize("most", [0, 1, 8])
     def test_a_submap_is_measured_with_so_many_that_it_overlaps(self, frames, most):
         atlas, closer, _ = closed(frames)
-        atlas.rest()
+        atlas.store_active()
         parts, last = closer._parts, atlas.active
         loops = SubmapLoops(parts, ClosingOptions(max_partners=most), lambda *_: None)
         held = {(0, last)}
@@ -302,7 +302,7 @@ class TestSettle:
             frames, options=options, nearby_changes={"overlap": overlap}
         )
         closer.close_between(atlas, atlas.active)
-        atlas.rest()
+        atlas.store_active()
         registrar.changes["fails"] = True
         around = (0, atlas.active)
         closer.loops = [loop for loop in closer.loops if (loop.first, loop.second) == around]

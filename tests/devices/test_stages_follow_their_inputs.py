@@ -48,7 +48,7 @@ def mapped(device: str, walk) -> Mapper:
     mapper.refine()
     again.restore(*mapper.state())
     again.settle(1)
-    again.take(again.content)
+    again.replace_content(again.content)
     again.settle(1)
     return again
 

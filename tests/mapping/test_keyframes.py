@@ -32,27 +32,27 @@ def turned(degrees: float) -> np.ndarray:
 class TestOverlap:
     def test_the_same_place_sees_everything(self):
         pose = se3.exp(np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]))
-        assert keyframe(T_map_camera=pose).share_seen_by(pose) == 1.0
+        assert keyframe(T_map_camera=pose).fraction_seen_by(pose) == 1.0
 
     def test_it_falls_as_the_camera_turns_away(self):
-        shares = [keyframe().share_seen_by(turned(angle)) for angle in (0, 15, 30, 45, 60)]
+        shares = [keyframe().fraction_seen_by(turned(angle)) for angle in (0, 15, 30, 45, 60)]
         assert shares == sorted(shares, reverse=True)
         assert 0.3 < shares[2] < 0.8 and shares[-1] < 0.3  # true shares: 0.5, 0.25
 
     def test_what_lies_behind_is_not_seen(self):
-        assert keyframe().share_seen_by(turned(180)) == 0.0
+        assert keyframe().fraction_seen_by(turned(180)) == 0.0
         beyond = np.eye(4)
         beyond[2, 3] = 3.0
-        assert keyframe().share_seen_by(beyond) == 0.0
+        assert keyframe().fraction_seen_by(beyond) == 0.0
 
     def test_half_an_image_sideways_is_half_the_view(self):
         aside = np.eye(4)
         aside[0, 3] = 32 * 2.0 / 40.0
-        assert keyframe().share_seen_by(aside) == pytest.approx(0.5, abs=0.13)
+        assert keyframe().fraction_seen_by(aside) == pytest.approx(0.5, abs=0.13)
 
     def test_a_frame_without_depth_overlaps_nothing(self):
         blind = replace(keyframe(), points=np.zeros((0, 3), dtype=np.float32))
-        assert blind.share_seen_by(np.eye(4)) == 0.0
+        assert blind.fraction_seen_by(np.eye(4)) == 0.0
 
 
 class TestKeyframe:
@@ -111,7 +111,7 @@ class TestWindow:
     def test_those_that_see_the_same_place_come_first(self):
         path = self.path()
         newest = path[-1]
-        sharing = {k.index for k in path if newest.share_seen_by(k.T_map_camera) > 0.5}
+        sharing = {k.index for k in path if newest.fraction_seen_by(k.T_map_camera) > 0.5}
         assert 4 <= len(sharing) < 15, "the test needs both kinds"
         for seed in range(5):
             assert set(self.chosen(seed, size=4)) <= sharing

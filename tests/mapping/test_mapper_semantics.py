@@ -16,7 +16,7 @@ from toolkit.losses.semantic import SemanticLoss
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
@@ -52,8 +52,8 @@ def accuracy(mapper: Mapper, room, number: int) -> float:
     """Share of a frame's labelled pixels that the map shows right."""
     frame = room.frames[number]
     T_camera_map = se3.inverse(room.T_map_camera[number])
-    view = draw_surface(
-        backend(), mapper.gaussians, frame.camera, T_camera_map, DrawOptions(features=True)
+    view = render_surface(
+        backend(), mapper.gaussians, frame.camera, T_camera_map, RenderOptions(features=True)
     )
     shown = mapper.semantics.decode_view(view).class_ids.reshape(frame.labels.shape)
     return float((shown == frame.labels)[frame.labels > 0].mean())
@@ -69,8 +69,8 @@ def test_a_map_shows_what_it_was_told(room, code):
 def test_a_view_can_be_decoded_among_some_classes_alone(room):
     mapper = fed(mapper_with(), room, [0, 4])
     frame, T_camera_map = room.frames[4], se3.inverse(room.T_map_camera[4])
-    options = DrawOptions(features=True)
-    view = draw_surface(backend(), mapper.gaussians, frame.camera, T_camera_map, options)
+    options = RenderOptions(features=True)
+    view = render_surface(backend(), mapper.gaussians, frame.camera, T_camera_map, options)
     usual = mapper.semantics.decode_view(view).class_ids
     kept = np.unique(usual[usual > 0])[::2]
     chosen = mapper.semantics.decode_view(view, among=kept).class_ids

@@ -9,7 +9,7 @@ from registered_room import Scene, classes, scene
 
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 
 
 @pytest.fixture(scope="session")
@@ -34,8 +34,8 @@ def stranger() -> Keyframe:
 
 
 @pytest.fixture
-def drawer() -> ViewDrawer:
-    return ViewDrawer()
+def renderer() -> ViewRenderer:
+    return ViewRenderer()
 
 
 @pytest.fixture

@@ -14,20 +14,20 @@ from toolkit.geometry import se3
 from toolkit.registration import fine
 from toolkit.registration.fine import FineRegistration, classes_clash
 from toolkit.registration.options import FineOptions
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 
 
 @pytest.mark.parametrize(("metres", "degrees"), [(0.0, 0.0), (0.05, 3.0), (0.1, 6.0)])
-def test_dense_finds_the_motion_from_nearby(room: Scene, drawer, metres, degrees):
+def test_dense_finds_the_motion_from_nearby(room: Scene, renderer, metres, degrees):
     start = room.T_target_source @ motion(1, metres, degrees)
-    result = FineRegistration(drawer=drawer).register(room.target, room.source, start)
+    result = FineRegistration(renderer=renderer).register(room.target, room.source, start)
     mm, deg = error(result.T_target_source, room.T_target_source)
     assert result.converged, result.reason
     assert mm < 2.0
     assert deg < 0.05
     assert result.overlap > 0.8
     assert result.inliers > 0.95
-    assert result.renders == drawer.renders
+    assert result.renders == renderer.renders
     assert np.linalg.eigvalsh(result.information)[0] > 0
     x = se3.log(se3.inverse(result.T_target_source) @ room.T_target_source)
     assert 0.01 < x @ result.information @ x < 12.6  # chi-square of six: 95 % lie below
@@ -104,9 +104,9 @@ def test_void_and_missing_classes_clash_with_nothing():
 def test_pixels_of_other_classes_have_no_say(labelled_room: Scene, semantics):
     """A source whose labels are nonsense leaves nothing to align."""
     scene = labelled_room
-    drawer = ViewDrawer(semantics=semantics)
+    renderer = ViewRenderer(semantics=semantics)
     start = scene.T_target_source
-    gated = FineRegistration(FineOptions(views=1), drawer)
+    gated = FineRegistration(FineOptions(views=1), renderer)
     right = gated.register(scene.target, scene.source, start)
     assert right.converged
     assert right.class_agreement > 0.8

@@ -14,7 +14,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.registration.quality import check_alignment, compare
-from toolkit.registration.views import View, ViewDrawer, views_of_overlap
+from toolkit.registration.views import View, ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
@@ -60,20 +60,20 @@ def test_counts_add_up():
     assert both.inliers == 0.5
 
 
-def test_the_truth_fits_and_other_places_do_not(room: Scene, drawer):
-    right = check_alignment(room.target, room.source, room.T_target_source, drawer)
+def test_the_truth_fits_and_other_places_do_not(room: Scene, renderer):
+    right = check_alignment(room.target, room.source, room.T_target_source, renderer)
     assert right.fitness > 0.85
     assert right.rmse_m < 0.03
     off = room.T_target_source @ motion(1, 0.4, 15.0)
-    wrong = check_alignment(room.target, room.source, off, drawer)
+    wrong = check_alignment(room.target, room.source, off, renderer)
     assert wrong.fitness < 0.6 * right.fitness
 
 
 def test_large_images_are_drawn_smaller(room: Scene):
-    drawer = ViewDrawer(max_width=100)
+    renderer = ViewRenderer(max_width=100)
     keyframe = room.source.keyframes[0]
-    assert drawer.camera_of(keyframe).size == (80, 60)
-    assert drawer.observed(keyframe).camera == drawer.camera_of(keyframe)
+    assert renderer.camera_of(keyframe).size == (80, 60)
+    assert renderer.observed(keyframe).camera == renderer.camera_of(keyframe)
 
 
 def test_views_are_those_that_overlap(room: Scene):
@@ -98,6 +98,6 @@ def test_a_wall_seen_from_behind_is_another_one():
     # Turned about, and standing in the next room: its wall is eight centimetres behind ours.
     behind = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0]))
     behind[2, 3] = 4.08
-    assert here.keyframes[0].share_seen_by(behind) > 0.9
+    assert here.keyframes[0].fraction_seen_by(behind) > 0.9
     assert here.keyframes[0].reaches(np.array([[0.0, 0.0, 2.08]])).all()
     assert views_of_overlap(here, there, behind, 5) == []

@@ -9,7 +9,7 @@ import pytest
 
 from toolkit.baselines.factory import build_registrar
 from toolkit.geometry import se3
-from toolkit.registration.factory import build_drawer
+from toolkit.registration.factory import build_view_renderer
 from toolkit.registration.options import RegistrationOptions
 from toolkit.registration.result import failed
 from toolkit.registration.second_opinion import SecondOpinion
@@ -63,7 +63,9 @@ def test_nobody_else_is_asked_about_nothing():
 
 def test_a_run_can_ask_for_one():
     settings = RegistrationOptions(kind="two-way", second_opinion=True)
-    registrar = build_registrar(settings, 0, build_drawer(settings))
+    registrar = build_registrar(settings, 0, build_view_renderer(settings))
     assert isinstance(registrar, SecondOpinion)
     settings = RegistrationOptions(kind="clouds", second_opinion=True)
-    assert not isinstance(build_registrar(settings, 0, build_drawer(settings)), SecondOpinion)
+    assert not isinstance(
+        build_registrar(settings, 0, build_view_renderer(settings)), SecondOpinion
+    )

@@ -67,10 +67,10 @@ def test_a_wrong_start_does_no_harm(room: Scene):
     assert error(result.T_target_source, room.T_target_source)[0] < 2.0
 
 
-def test_the_coarse_stage_alone_is_judged_by_looking(room: Scene, drawer):
-    registrar = CoarseOnly(SgrOptions(fine=FineOptions(views=2)), drawer)
+def test_the_coarse_stage_alone_is_judged_by_looking(room: Scene, renderer):
+    registrar = CoarseOnly(SgrOptions(fine=FineOptions(views=2)), renderer)
     result = registrar.register(room.target, room.source)
     assert result.converged, result.reason
     assert error(result.T_target_source, room.T_target_source)[0] < 3.0
     assert result.inliers > 0.9
-    assert result.renders == drawer.renders == 4
+    assert result.renders == renderer.renders == 4

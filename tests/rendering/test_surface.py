@@ -17,7 +17,7 @@ from toolkit.gaussians.options import SeedingOptions
 from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import DrawOptions, backend, draw_surface, surface
+from toolkit.rendering import RenderOptions, backend, render_surface, surface
 from toolkit.rendering.native import NativeBackend
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -82,7 +82,7 @@ def test_depth_of_slanted_walls_is_unbiased(slope: tuple[float, float]) -> None:
     frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
     everywhere = np.ones_like(depth, dtype=bool)
     gaussians = seed(frame, np.eye(4), everywhere, SeedingOptions(max_cell=1))
-    view = draw_surface(backend(), gaussians, CAMERA, np.eye(4))
+    view = render_surface(backend(), gaussians, CAMERA, np.eye(4))
     at_two_metres = np.abs(depth - 2.0) < 0.3
     at_two_metres[:8] = at_two_metres[-8:] = False
     at_two_metres[:, :8] = at_two_metres[:, -8:] = False
@@ -101,7 +101,7 @@ def test_depth_of_steep_walls_is_unbiased(radius: float) -> None:
     frame = Frame(0, 0.0, np.full((120, 160, 3), 0.5, np.float32), depth, CAMERA)
     options = SeedingOptions(radius=radius, max_cell=1)
     gaussians = seed(frame, np.eye(4), depth > 0, options)
-    view = draw_surface(backend(), gaussians, CAMERA, np.eye(4))
+    view = render_surface(backend(), gaussians, CAMERA, np.eye(4))
     error = abs(view.depth_m.numpy() - depth)
     inside = np.zeros_like(depth, dtype=bool)
     inside[8:-8, 8:-8] = (depth[8:-8, 8:-8] > 0) & (depth[8:-8, 8:-8] < 4.0)
@@ -127,7 +127,7 @@ def test_depth_of_few_wide_gaussians(
     # A different origin, so that the centres are rounded in the camera's frame.
     T_camera_map = se3.exp(np.array([1.3, -0.7, 0.9, 0.4, 0.3, -0.6]))
     cloud = replace(cloud, means=moved(cloud.means, se3.inverse(T_camera_map)))
-    view = draw_surface(native, cloud, CAMERA, T_camera_map)
+    view = render_surface(native, cloud, CAMERA, T_camera_map)
     solid = view.output.silhouette >= 0.5
     assert int(solid.sum()) > 300
     assert float((view.depth_m[solid] - 2.0).abs().max()) < 1e-4
@@ -135,7 +135,9 @@ def test_depth_of_few_wide_gaussians(
 
 def test_pixels_with_small_silhouette_have_no_surface() -> None:
     scene = random_scene(0, count=30)
-    view = draw_surface(backend(), scene.cloud, scene.camera, scene.T_camera_map, DrawOptions(0.5))
+    view = render_surface(
+        backend(), scene.cloud, scene.camera, scene.T_camera_map, RenderOptions(0.5)
+    )
     thin = view.output.silhouette < 0.5
     assert thin.any() and not thin.all()
     assert not view.depth_m[thin].any()

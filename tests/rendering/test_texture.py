@@ -10,7 +10,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import available_instruction_sets, load_variant
-from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface, texture
+from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface, texture
 from toolkit.rendering.texture import (
     centre_offsets,
     centred_intensity,
@@ -45,7 +45,7 @@ def slanted_wall(slope: float) -> tuple[GaussianCloud, torch.Tensor]:
 
 def drawn(cloud: GaussianCloud, T: np.ndarray | None = None) -> SurfaceView:
     T = np.eye(4) if T is None else T
-    return draw_surface(backend("native"), cloud, CAMERA, T, DrawOptions(0.9))
+    return render_surface(backend("native"), cloud, CAMERA, T, RenderOptions(0.9))
 
 
 def inner(image: torch.Tensor) -> torch.Tensor:
@@ -112,7 +112,7 @@ def test_images_of_a_few_pixels(size):
     height, width = size
     camera = Camera(5.0, 5.0, 0.0, 0.0, width, height)
     cloud, _ = slanted_wall(0.3)
-    view = draw_surface(backend("native"), cloud, camera, np.eye(4), DrawOptions(0.5))
+    view = render_surface(backend("native"), cloud, camera, np.eye(4), RenderOptions(0.5))
     image = torch.rand(3, height, width)
     assert resample_at_centres(image, view).shape == image.shape
     assert centred_intensity(view, 0.5).shape == (height, width)

@@ -96,12 +96,12 @@ class TestAllocation:
 
     def test_the_rule_of_motion_looks_at_the_anchor_alone(self, keyframes):
         near, far = turned(keyframes[0], 40), turned(keyframes[0], 60)
-        assert not self.judge([keyframes[0], near], rule="motion", turned_deg=50.0).begins
+        assert not self.judge([keyframes[0], near], rule="motion", turned_deg=50.0).starts_submap
         assert (
             "60 degrees" in self.judge([keyframes[0], far], rule="motion", turned_deg=50.0).reason
         )
         # Whatever it sees, and however small the submap is.
-        assert not self.judge([far, far, far], rule="motion").begins
+        assert not self.judge([far, far, far], rule="motion").starts_submap
 
     def test_each_segmenter_has_its_own_threshold(self):
         labeller = Labeller(GeometricSegmenter(), shipped_taxonomy("geometric"))
@@ -113,26 +113,26 @@ class TestAllocation:
 
     def test_elsewhere_without_labels_is_enough(self, keyframes):
         verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])
-        assert verdict.begins and "overlap" in verdict.reason
+        assert verdict.starts_submap and "overlap" in verdict.reason
         assert np.isnan(verdict.divergence) and verdict.submap == 3
 
     def test_elsewhere_among_the_same_things_is_not(self, keyframes):
         views = [labelled(k, 1) for k in (keyframes[0], turned(keyframes[0], 180))]
         verdict = self.judge(views, classes=4)
-        assert not verdict.begins and verdict.divergence == 0.0
+        assert not verdict.starts_submap and verdict.divergence == 0.0
 
     def test_elsewhere_among_other_things_is(self, keyframes):
         views = [labelled(keyframes[0], 1), labelled(turned(keyframes[0], 180), 2)]
         assert self.judge(views, classes=4).divergence > 0.4
-        assert self.judge(views, classes=4).begins
+        assert self.judge(views, classes=4).starts_submap
 
     def test_other_things_at_the_same_place_are_not(self, keyframes):
         views = [labelled(keyframes[0], 1), labelled(keyframes[0], 2)]
-        assert not self.judge(views, classes=4).begins
+        assert not self.judge(views, classes=4).starts_submap
 
     def test_small_submaps_go_on(self, keyframes):
         views = [keyframes[0], turned(keyframes[0], 180)]
-        assert not self.judge(views, min_keyframes=3).begins
+        assert not self.judge(views, min_keyframes=3).starts_submap
 
     @pytest.mark.parametrize(
         ("options", "gaussians", "word"),
@@ -144,7 +144,7 @@ class TestAllocation:
     )
     def test_caps_act_alone(self, keyframes, options, gaussians, word):
         verdict = self.judge(keyframes[:2], gaussians=gaussians, **options)
-        assert verdict.begins and word in verdict.reason
+        assert verdict.starts_submap and word in verdict.reason
 
     def test_verdicts_survive_json(self, keyframes):
         verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])

@@ -27,7 +27,7 @@ from toolkit.errors import DependencyError
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking import dense, odometry
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.odometry import frame_to_model
@@ -46,7 +46,7 @@ def level_of(frame: Frame) -> FrameLevel:
 def drawn(gaussians: GaussianCloud, camera: Camera) -> ModelLevel:
     """The map as the first camera sees it."""
     return model_level(
-        view_level(draw_surface(backend(), gaussians, camera, np.eye(4), DrawOptions(0.9)), 0.9)
+        view_level(render_surface(backend(), gaussians, camera, np.eye(4), RenderOptions(0.9)), 0.9)
     )
 
 

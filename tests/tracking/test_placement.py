@@ -103,8 +103,8 @@ def test_what_was_held_changes_no_bit(room: Scene):
 def test_a_keyframe_observed_its_own_points_and_none_before_or_behind(room: Scene):
     own = keyframe(room, 2)
     points = own.points_in_map()
-    assert own.share_observed(points) > 0.95
+    assert own.fraction_observed(points) > 0.95
     camera = own.T_map_camera[:3, 3]
     for stretch in (0.8, 1.2):
-        assert own.share_observed(camera + stretch * (points - camera)) < 0.2
-    assert own.share_observed(np.zeros((0, 3))) == 0.0
+        assert own.fraction_observed(camera + stretch * (points - camera)) < 0.2
+    assert own.fraction_observed(np.zeros((0, 3))) == 0.0

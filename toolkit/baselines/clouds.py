@@ -18,7 +18,7 @@ from toolkit.geometry.open3d_bridge import open3d
 from toolkit.registration.options import CloudOptions
 from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult, failed
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class CloudRegistration:
 
     Args:
         options: default if None.
-        drawer: renders the views in which the result is checked; default if None.
+        renderer: renders the views in which the result is checked; default if None.
         seed: of RANSAC and fast global registration.
 
     Raises (from `register`):
@@ -49,12 +49,12 @@ class CloudRegistration:
     def __init__(
         self,
         options: CloudOptions | None = None,
-        drawer: ViewDrawer | None = None,
+        renderer: ViewRenderer | None = None,
         seed: int = 0,
     ) -> None:
         self.options = options or CloudOptions()
         self.seed = seed
-        self.drawer = drawer or ViewDrawer()
+        self.renderer = renderer or ViewRenderer()
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -70,12 +70,12 @@ class CloudRegistration:
         start = T_target_source
         if start is None:
             start = self._searched(o3d, points, other)
-        before = self.drawer.renders
+        before = self.renderer.renders
         found, information = self._icp(o3d, points, other, start)
         T = se3.orthonormalise(np.asarray(found.transformation))
         if len(found.correspondence_set) == 0:
             return failed(method, "the clouds have no point in common", T_target_source)
-        check = check_alignment(target, source, T, self.drawer, self.options.views)
+        check = check_alignment(target, source, T, self.renderer, self.options.views)
         enough = found.fitness >= self.options.min_fitness
         return RegistrationResult(
             T_target_source=T,
@@ -86,7 +86,7 @@ class CloudRegistration:
             class_agreement=check.class_agreement,
             information=information,
             iterations=0,
-            renders=self.drawer.renders - before,
+            renders=self.renderer.renders - before,
             method=method,
             reason="" if enough else f"only {100 * found.fitness:.0f} % of the points fit",
         )

@@ -16,7 +16,7 @@ from toolkit.registration.options import (
 from toolkit.registration.result import Registrar
 from toolkit.registration.second_opinion import SecondOpinion
 from toolkit.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 from toolkit.semantics.codes import SemanticCode
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import TrackingOptions
@@ -42,26 +42,26 @@ def build_tracker(
 def build_registrar(
     options: RegistrationOptions,
     seed: int,
-    drawer: ViewDrawer,
+    renderer: ViewRenderer,
     describer: ViewDescriber | None = None,
 ) -> Registrar:
     """Build the registrar of submaps that the options name.
 
     Args:
         seed: of its random generators.
-        drawer: renders the submaps, see `build_drawer`.
+        renderer: renders the submaps, see `build_view_renderer`.
         describer: describes views for the feature term of the first-order optimiser; None
             leaves the term out.
     """
-    clouds = CloudRegistration(options.clouds, drawer, seed)
+    clouds = CloudRegistration(options.clouds, renderer, seed)
     if options.kind == "clouds":
         return clouds
-    registrar = _view_registrar(options, seed, drawer, describer)
+    registrar = _view_registrar(options, seed, renderer, describer)
     return SecondOpinion(registrar, clouds) if options.second_opinion else registrar
 
 
 def build_fine(
-    options: FineOptions, drawer: ViewDrawer, describer: ViewDescriber | None = None
+    options: FineOptions, renderer: ViewRenderer, describer: ViewDescriber | None = None
 ) -> FineRegistration:
     """Build fine registration with the optimiser that the options name.
 
@@ -69,8 +69,8 @@ def build_fine(
         describer: see `build_registrar`.
     """
     if options.optimiser == "first-order":
-        return FirstOrderFineRegistration(options, drawer, describer)
-    return FineRegistration(options, drawer)
+        return FirstOrderFineRegistration(options, renderer, describer)
+    return FineRegistration(options, renderer)
 
 
 def needs_describer(options: RegistrationOptions) -> bool:
@@ -80,16 +80,16 @@ def needs_describer(options: RegistrationOptions) -> bool:
 
 
 def _view_registrar(
-    options: RegistrationOptions, seed: int, drawer: ViewDrawer, describer: ViewDescriber | None
+    options: RegistrationOptions, seed: int, renderer: ViewRenderer, describer: ViewDescriber | None
 ) -> Registrar:
     """The registrar that compares rendered views."""
-    fine = build_fine(options.fine, drawer, describer)
+    fine = build_fine(options.fine, renderer, describer)
     if options.kind == "fine":
         return fine
     stages = SgrOptions(options.coarse, fine.options, seed)
     if options.kind == "coarse":
-        return CoarseOnly(stages, drawer)
+        return CoarseOnly(stages, renderer)
     if options.kind == "two-way":
         refiner = TwoWayRegistration(fine, options.coarse.average)
-        return SemanticGuidedRegistration(stages, drawer, refiner)
-    return SemanticGuidedRegistration(stages, drawer, fine)
+        return SemanticGuidedRegistration(stages, renderer, refiner)
+    return SemanticGuidedRegistration(stages, renderer, fine)

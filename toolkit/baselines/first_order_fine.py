@@ -21,7 +21,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.registration.fine import FineRegistration, SourceView, TargetView
 from toolkit.registration.options import FineOptions, FirstOrderFineOptions
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 from toolkit.rendering import RenderOutput, render
 from toolkit.submaps.submap import Submap
 
@@ -45,13 +45,13 @@ class FirstOrderFineRegistration(FineRegistration):
     def __init__(
         self,
         options: FineOptions | None = None,
-        drawer: ViewDrawer | None = None,
+        renderer: ViewRenderer | None = None,
         describer: ViewDescriber | None = None,
     ) -> None:
-        super().__init__(options, drawer)
+        super().__init__(options, renderer)
         self.view_features = None
         if describer is not None:
-            self.view_features = ViewFeatures(describer, self.drawer.semantics)
+            self.view_features = ViewFeatures(describer, self.renderer.semantics)
 
     def _estimated(
         self, target: Submap, source: Submap, sources: list[SourceView], start: Array
@@ -64,10 +64,10 @@ class FirstOrderFineRegistration(FineRegistration):
             (cameras, T_source_camera),
             start,
             self.options.first_order,
-            self.drawer.backend_name,
+            self.renderer.backend_name,
             self.view_features,
         )
-        self.drawer.renders += found.renders
+        self.renderer.renders += found.renders
         targets = self._drawn(target, sources, found.T_target_source)
         judged = self._judged(self._pairs(sources, targets, far=False), found.T_target_source)
         return replace(judged, iterations=found.iterations, converged=found.converged), targets

@@ -34,7 +34,7 @@ class TwoWayRegistration:
         self, fine: FineRegistration | None = None, average: AverageOptions | None = None
     ) -> None:
         self._fine = fine or FineRegistration()
-        self.drawer, self.options = self._fine.drawer, self._fine.options
+        self.renderer, self.options = self._fine.renderer, self._fine.options
         self._average = average or AverageOptions()
 
     def register(
@@ -48,7 +48,7 @@ class TwoWayRegistration:
         self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
     ) -> RegistrationResult:
         """See Refiner; the views are of the source, the target's own choose themselves."""
-        before = self.drawer.renders
+        before = self.renderer.renders
         there, poses = self._placed(target, source, start, views)
         back, other_poses = self._placed(source, target, se3.inverse(start))
         # A target view's pose, seen from the source, is where the inverse motion takes it.
@@ -59,7 +59,7 @@ class TwoWayRegistration:
         if not placed:
             return failed("two-way", "no view could be placed in the other submap", start)
         average = average_motion(np.array(placed), np.array(unplaced), self._average)
-        renders = self.drawer.renders - before
+        renders = self.renderer.renders - before
         return self._result(average, [*there, *back], renders)
 
     def _placed(

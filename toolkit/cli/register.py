@@ -29,7 +29,7 @@ from toolkit.loops.two_maps import (
     register_submaps,
     select_registration,
 )
-from toolkit.registration.factory import build_drawer
+from toolkit.registration.factory import build_view_renderer
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import merge, not_one_tree, shared_reading
 from toolkit.submaps.saved import SavedSubmaps
@@ -126,11 +126,11 @@ def _registered(
     submaps: tuple[SavedSubmaps, SavedSubmaps],
 ) -> list[MapRegistration]:
     backend = a.settings.backend
-    drawer = build_drawer(options.registration, shared_reading(a, b), backend)
+    renderer = build_view_renderer(options.registration, shared_reading(a, b), backend)
     describer = None
     if needs_describer(options.registration):
         describer = build_describer(a.settings.loops.features)
-    registrar = build_registrar(options.registration, a.settings.seed, drawer, describer)
+    registrar = build_registrar(options.registration, a.settings.seed, renderer, describer)
     pairs = most_similar_submaps(*submaps, options.pairs)
     return [
         register_submaps(pair, *submaps, registrar, options.verification)

@@ -35,7 +35,7 @@ from toolkit.io.pictures import (
 )
 from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import read_cloud
@@ -229,12 +229,12 @@ def _prepared_folder(program: RenderProgram) -> Path:
 
 
 def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
-    drawn = draw_surface(
+    drawn = render_surface(
         backend(subject.backend_name),
         subject.gaussians,
         camera,
         se3.inverse(shot.T_map_camera),
-        DrawOptions(_MIN_SILHOUETTE, features=subject.labels),
+        RenderOptions(_MIN_SILHOUETTE, features=subject.labels),
     )
     seen = drawn.output
     nodes = None

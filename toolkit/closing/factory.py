@@ -25,7 +25,7 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.registration.factory import (
-    build_drawer,
+    build_view_renderer,
 )
 from toolkit.rendering import backend
 from toolkit.semantics.palette import Palette
@@ -71,12 +71,12 @@ def build_loop_closer(
             return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
 
     detector = LoopDetector(describer, finder, _class_counter(options.landmarks, context), painter)
-    drawer = build_drawer(options.registration, context.semantics, context.backend_name)
+    renderer = build_view_renderer(options.registration, context.semantics, context.backend_name)
     matching = options.registration.coarse.matching
     pose_graph = options.pose_graph
     parts = ClosingParts(
-        registrar=build_registrar(options.registration, context.seed, drawer, describer),
-        nearby=build_fine(options.registration.fine, drawer, describer),
+        registrar=build_registrar(options.registration, context.seed, renderer, describer),
+        nearby=build_fine(options.registration.fine, renderer, describer),
         matching=matching,
         relocaliser=Relocaliser(detector, matching, options.relocalisation),
         verification=options.verification,

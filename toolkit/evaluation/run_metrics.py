@@ -36,7 +36,7 @@ from toolkit.frame import Frame
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.dense import DenseTracker
 
 _log = logging.getLogger(__name__)
@@ -256,9 +256,9 @@ def _quality(
 ) -> ViewQuality:
     camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
     gaussians = scene.seen_from(camera, view.T_map_camera)
-    drawing = DrawOptions(_MIN_SILHOUETTE, features=scores.wanted)
+    drawing = RenderOptions(_MIN_SILHOUETTE, features=scores.wanted)
     renderer = backend(options.backend_name)
-    drawn = draw_surface(renderer, gaussians, camera, T_camera_map, drawing)
+    drawn = render_surface(renderer, gaussians, camera, T_camera_map, drawing)
     scores.add(view.frame, drawn)
     # Back to the camera's own exposure, so that the observed image stays as it is.
     colour = view.exposure.undo(drawn.output.colour.numpy())

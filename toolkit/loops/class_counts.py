@@ -12,10 +12,10 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.rendering import draw_surface
+from toolkit.rendering import render_surface
 from toolkit.rendering.backend import Backend
 from toolkit.semantics.histograms import class_counts
-from toolkit.submaps.atlas import shown_by
+from toolkit.submaps.atlas import visible_gaussians
 
 
 class ClassCounter(Protocol):
@@ -67,7 +67,7 @@ class GaussianClassCounter:
     def counts(self, keyframe: Keyframe, gaussians: GaussianCloud) -> NDArray[np.int64]:
         """See ClassCounter."""
         cloud, T_camera_map = gaussians.to("cpu"), se3.inverse(keyframe.T_map_camera)
-        view = draw_surface(self.backend, cloud, keyframe.camera, T_camera_map)
-        visible = shown_by(view, cloud, keyframe.camera, T_camera_map)
+        view = render_surface(self.backend, cloud, keyframe.camera, T_camera_map)
+        visible = visible_gaussians(view, cloud, keyframe.camera, T_camera_map)
         decoding = self.semantics.decode_gaussians(cloud.features.index_select(0, visible))
         return class_counts(decoding.class_ids, self.classes)[1:]

@@ -23,7 +23,7 @@ def choose_window(
     """
     newest = keyframes[-1]
     others = keyframes[:-1]
-    overlapping = [k for k in others if newest.share_seen_by(k.T_map_camera) > min_overlap]
+    overlapping = [k for k in others if newest.fraction_seen_by(k.T_map_camera) > min_overlap]
     count = min(size - 1, len(overlapping))
     chosen = (
         [overlapping[i] for i in generator.choice(len(overlapping), count, replace=False)]

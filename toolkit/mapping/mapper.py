@@ -26,7 +26,7 @@ from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
+from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Mapper:
         if not self.keyframes:
             return True
         last = self.keyframes[-1]
-        overlap = last.share_seen_by(T_map_camera)
+        overlap = last.fraction_seen_by(T_map_camera)
         return self.options.keyframes.wants(frame.index - last.index, overlap)
 
     def add_keyframe(self, keyframe: Keyframe) -> MappingResult:
@@ -117,7 +117,7 @@ class Mapper:
         loss = self._optimise(self.options.first_iterations if all_new else self.options.iterations)
         return MappingResult(seeded, self._densification.prune(self.map), loss)
 
-    def settle(self, steps: int, poses: bool = False) -> None:
+    def optimise_window(self, steps: int, poses: bool = False) -> None:
         """Optimise further around the newest keyframe (G: at a boundary between submaps).
 
         Args:
@@ -157,14 +157,14 @@ class Mapper:
                     self.gaussians,
                     self.keyframes,
                     self.semantics,
-                    self._draw,
+                    self._render_features,
                     self.options.consensus,
                 )
             self.map.optimiser.forget("features")
         refine(self.map, self._optimisation, self.options, self._generator)
         self._densification.prune(self.map)
 
-    def take(self, content: MapContent) -> None:
+    def replace_content(self, content: MapContent) -> None:
         """Work on other content from now on."""
         self.map.replace_content(content)
 
@@ -187,18 +187,18 @@ class Mapper:
 
     def view(self, keyframe: Keyframe) -> SurfaceView:
         """Render the map from a keyframe."""
-        return self.draw(self.gaussians, keyframe.camera, keyframe.T_map_camera)
+        return self.render(self.gaussians, keyframe.camera, keyframe.T_map_camera)
 
-    def draw(
+    def render(
         self, gaussians: GaussianCloud, camera: Camera, T_map_camera: NDArray[np.float64]
     ) -> SurfaceView:
         """Render Gaussians from a camera at a pose [4, 4], without features."""
-        return draw_surface(self._backend, gaussians, camera, se3.inverse(T_map_camera))
+        return render_surface(self._backend, gaussians, camera, se3.inverse(T_map_camera))
 
-    def _draw(self, gaussians: GaussianCloud, keyframe: Keyframe) -> SurfaceView:
+    def _render_features(self, gaussians: GaussianCloud, keyframe: Keyframe) -> SurfaceView:
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        options = DrawOptions(features=True)
-        return draw_surface(self._backend, gaussians, keyframe.camera, T_camera_map, options)
+        options = RenderOptions(features=True)
+        return render_surface(self._backend, gaussians, keyframe.camera, T_camera_map, options)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""

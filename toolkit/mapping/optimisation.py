@@ -18,7 +18,7 @@ from toolkit.mapping.observations import Observations
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.native.constants import BASE_CHANNELS
-from toolkit.rendering import DrawOptions, draw_surface
+from toolkit.rendering import RenderOptions, render_surface
 from toolkit.rendering.backend import Backend
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import resample_at_centres
@@ -74,14 +74,14 @@ class MapOptimisation:
         if not self._semantics.takes_part(progress[0]):
             labels = None
         with self._recorder.timed("map forward"):
-            options = DrawOptions(features=labels is not None)
-            view = draw_surface(
+            options = RenderOptions(features=labels is not None)
+            view = render_surface(
                 self._backend, gaussian_map.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed("map loss"):
             if view.centred_colours:
                 rgb = resample_at_centres(rgb, view)
-            images = view.drawn.images
+            images = view.forward_pass.images
             by_images = images.new_empty(len(images) - 3, *images.shape[1:])
             loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, by_images[:BASE_CHANNELS])
             if objective.feature is not None:
@@ -93,7 +93,7 @@ class MapOptimisation:
                 view, labels, progress, by_images
             )
         with self._recorder.timed("map backward"):
-            gradients = view.drawn.backward(by_images, detached=detached)
+            gradients = view.forward_pass.backward(by_images, detached=detached)
         with self._recorder.timed("map update"):
             with_features = len(by_images) > BASE_CHANNELS
             names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))

@@ -85,7 +85,7 @@ class SemanticMapping:
         by_images = view.images.new_zeros(BASE_CHANNELS + self.channels, *counted.shape)
         by_images[0] = counted
         by_images[BASE_CHANNELS:] = words
-        found = view.drawn.backward(by_images, detached=True)
+        found = view.forward_pass.backward(by_images, detached=True)
         assert found.colours is not None
         return found.ids, found.features, found.colours[:, 0]
 
@@ -132,7 +132,7 @@ class SemanticMapping:
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
         values = view.features.reshape(self.channels, -1) / safe
         assert self._loss is not None
-        return self._decode(values, seen & self._loss.code.told(values), among)
+        return self._decode(values, seen & self._loss.code.is_labelled(values), among)
 
     def probabilities(self, view: SurfaceView) -> tuple[NDArray[np.int64], Tensor]:
         """Classes told of, ascending [K], and the probability of each at each pixel [K, H * W]."""
@@ -154,7 +154,7 @@ class SemanticMapping:
         safe = torch.where(seen, silhouette, torch.ones_like(silhouette))
         values = output.images[FEATURES].reshape(self.channels, -1) / safe
         code = self._loss.code
-        labelled = seen & code.told(values.detach())
+        labelled = seen & code.is_labelled(values.detach())
         colours = values if code.is_colour else self._palette.T.to(values) @ self._softmax(values)
         return (colours * labelled).reshape(3, *output.silhouette.shape)
 
@@ -177,7 +177,7 @@ class SemanticMapping:
         """What each Gaussian of features [N, S] is; those that never had a label are void."""
         assert self._loss is not None
         values = features.T.contiguous()
-        return self._decode(values, self._loss.code.told(values))
+        return self._decode(values, self._loss.code.is_labelled(values))
 
     def _decode(
         self, values: Tensor, seen: Tensor, among: NDArray[np.integer] | None = None

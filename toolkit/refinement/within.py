@@ -14,12 +14,12 @@ def refine_submaps(atlas: Atlas) -> None:
     if len(atlas) == 1:
         # The active submap still has its optimiser state.
         mapper.refine()
-        atlas.rest()
+        atlas.store_active()
         return
-    atlas.rest()
+    atlas.store_active()
     for number in (n for n in atlas.readable() if n >= atlas.saved):
         submap = atlas.submap(number)
-        mapper.take(submap.content)
+        mapper.replace_content(submap.content)
         mapper.refine()
         content = mapper.content
         submap.gaussians, submap.keyframes = content.gaussians, content.keyframes

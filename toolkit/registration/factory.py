@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.registration.options import RegistrationOptions
-from toolkit.registration.views import ViewDrawer
+from toolkit.registration.views import ViewRenderer
 
 
-def build_drawer(
+def build_view_renderer(
     options: RegistrationOptions,
     semantics: SemanticMapping | None = None,
     backend_name: str = "auto",
-) -> ViewDrawer:
+) -> ViewRenderer:
     """Build the renderer of submaps for registration and its checks.
 
     Args:
@@ -20,4 +20,4 @@ def build_drawer(
         backend_name: the renderer.
     """
     drawing = options.drawing
-    return ViewDrawer(backend_name, semantics, drawing.min_silhouette, drawing.max_width)
+    return ViewRenderer(backend_name, semantics, drawing.min_silhouette, drawing.max_width)

@@ -21,7 +21,7 @@ from toolkit.geometry import se3
 from toolkit.registration.options import FineOptions
 from toolkit.registration.quality import AlignmentCheck, compare
 from toolkit.registration.result import RegistrationResult, failed
-from toolkit.registration.views import View, ViewDrawer, views_of_overlap
+from toolkit.registration.views import View, ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -65,10 +65,10 @@ class FineRegistration:
     method = "fine (dense)"
 
     def __init__(
-        self, options: FineOptions | None = None, drawer: ViewDrawer | None = None
+        self, options: FineOptions | None = None, renderer: ViewRenderer | None = None
     ) -> None:
         self.options = options or FineOptions()
-        self.drawer = drawer or ViewDrawer()
+        self.renderer = renderer or ViewRenderer()
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -90,7 +90,7 @@ class FineRegistration:
         Args:
             views: indices of the source keyframes to compare; chosen by overlap by default.
         """
-        before = self.drawer.renders
+        before = self.renderer.renders
         if views is None:
             views = views_of_overlap(target, source, start, self.options.views)
         sources = [self._source_view(source, place) for place in views]
@@ -99,12 +99,14 @@ class FineRegistration:
             return failed(self.method, "no view of the one shows what the other saw", start)
         estimate, targets = self._estimated(target, source, sources, start)
         check = self._checked(sources, targets, estimate.T_target_source)
-        renders = self.drawer.renders - before
+        renders = self.renderer.renders - before
         return self._result(estimate, check, renders)
 
     def _source_view(self, source: Submap, place: int) -> SourceView:
         keyframe = source.keyframes[place]
-        view = self.drawer.draw(source, self.drawer.camera_of(keyframe), keyframe.T_map_camera)
+        view = self.renderer.render(
+            source, self.renderer.camera_of(keyframe), keyframe.T_map_camera
+        )
         solid = view.depth_m[view.depth_m > 0]
         reach_m = float(np.median(solid)) if solid.size else 0.0
         return SourceView(view, keyframe.T_map_camera, reach_m)
@@ -113,7 +115,7 @@ class FineRegistration:
         drawn = []
         for seen in sources:
             T_target_view = T @ seen.T_source_camera
-            view = self.drawer.draw(target, seen.view.camera, T_target_view)
+            view = self.renderer.render(target, seen.view.camera, T_target_view)
             levels = pyramid(view.level, self.options.dense.levels)
             model = [model_level(level) for level in levels]
             drawn.append(TargetView(view, T_target_view, model))

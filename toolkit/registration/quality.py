@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.registration.views import View, ViewDrawer, views_of_overlap
+from toolkit.registration.views import View, ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def check_alignment(
     target: Submap,
     source: Submap,
     T_target_source: Array,
-    drawer: ViewDrawer,
+    renderer: ViewRenderer,
     views: Sequence[int] | int = 5,
 ) -> AlignmentCheck:
     """Compare renderings of two submaps from the poses of source keyframes.
@@ -93,10 +93,10 @@ def check_alignment(
     total = AlignmentCheck()
     for place in views:
         keyframe = source.keyframes[place]
-        camera = drawer.camera_of(keyframe)
-        seen = drawer.draw(source, camera, keyframe.T_map_camera)
+        camera = renderer.camera_of(keyframe)
+        seen = renderer.render(source, camera, keyframe.T_map_camera)
         T_target_camera = T_target_source @ keyframe.T_map_camera
-        total += compare(drawer.draw(target, camera, T_target_camera), seen)
+        total += compare(renderer.render(target, camera, T_target_camera), seen)
     return total
 
 

@@ -13,7 +13,7 @@ from toolkit.registration.fine import FineRegistration
 from toolkit.registration.options import CoarseOptions, FineOptions
 from toolkit.registration.quality import check_alignment
 from toolkit.registration.result import RegistrationResult
-from toolkit.registration.views import ViewDrawer, views_of_overlap
+from toolkit.registration.views import ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -53,12 +53,12 @@ class SemanticGuidedRegistration:
     def __init__(
         self,
         options: SgrOptions | None = None,
-        drawer: ViewDrawer | None = None,
+        renderer: ViewRenderer | None = None,
         refiner: Refiner | None = None,
     ) -> None:
         self.options = options or SgrOptions()
-        self.drawer = drawer or ViewDrawer()
-        self.refiner = refiner or FineRegistration(self.options.fine, self.drawer)
+        self.renderer = renderer or ViewRenderer()
+        self.refiner = refiner or FineRegistration(self.options.fine, self.renderer)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -110,24 +110,26 @@ class SemanticGuidedRegistration:
 class CoarseOnly:
     """The first stage as a Registrar, judged by looking: what it is worth by itself."""
 
-    def __init__(self, options: SgrOptions | None = None, drawer: ViewDrawer | None = None) -> None:
-        self.drawer = drawer or ViewDrawer()
-        self._sgr = SemanticGuidedRegistration(options, self.drawer)
+    def __init__(
+        self, options: SgrOptions | None = None, renderer: ViewRenderer | None = None
+    ) -> None:
+        self.renderer = renderer or ViewRenderer()
+        self._sgr = SemanticGuidedRegistration(options, self.renderer)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> RegistrationResult:
         """See Registrar."""
-        before = self.drawer.renders
+        before = self.renderer.renders
         result = self._sgr.coarse(target, source, T_target_source).result
         if not result.converged:
             return result
         views = self._sgr.options.fine.views
-        check = check_alignment(target, source, result.T_target_source, self.drawer, views)
+        check = check_alignment(target, source, result.T_target_source, self.renderer, views)
         return replace(
             result,
             inliers=check.inliers,
             overlap=check.overlap,
             class_agreement=check.class_agreement,
-            renders=self.drawer.renders - before,
+            renders=self.renderer.renders - before,
         )

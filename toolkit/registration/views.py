@@ -13,7 +13,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.submaps.submap import Submap
 
 # Views with a smaller overlap are not used.
@@ -43,7 +43,7 @@ class View:
         return self.level.depth_m.numpy()
 
 
-class ViewDrawer:
+class ViewRenderer:
     """Renders submaps, decodes their classes, and counts the renderings.
 
     Args:
@@ -82,12 +82,12 @@ class ViewDrawer:
             camera = camera.halved()
         return camera
 
-    def draw(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
+    def render(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
         """Render a submap."""
         self.renders += 1
-        options = DrawOptions(self._min_silhouette, features=self._semantics is not None)
+        options = RenderOptions(self._min_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
-        surface = draw_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
+        surface = render_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
         level = view_level(surface, self._min_silhouette)
         if self._semantics is None:
             return View(level)

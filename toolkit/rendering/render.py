@@ -204,18 +204,18 @@ class _Render(torch.autograd.Function):
     ) -> Tensor:
         cloud = GaussianCloud(means, log_radii, opacity_logits, colours, features)
         pose = T_camera_map.detach().to(torch.float64).cpu().numpy()
-        ctx.drawn = chosen.forward(cloud, camera, pose, features, region)
+        ctx.forward_pass = chosen.forward(cloud, camera, pose, features, region)
         ctx.pose_type = T_camera_map
         ctx.parameters = (means, log_radii, opacity_logits, colours, features)
         # Detached, because the returned tensor references ctx: a reference cycle would keep the
         # view in memory.
-        return ctx.drawn.images.detach()
+        return ctx.forward_pass.images.detach()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:
         needed = ctx.needs_input_grad
-        compact = ctx.drawn.backward(image_gradients, colours=needed[7])
+        compact = ctx.forward_pass.backward(image_gradients, colours=needed[7])
         parts = (
             compact.means,
             compact.log_radii,

@@ -31,7 +31,7 @@ from toolkit.rendering.output import RenderOutput
 
 
 @dataclass(frozen=True)
-class DrawOptions:
+class RenderOptions:
     """Rendering options of a surface view.
 
     Attributes:
@@ -48,13 +48,13 @@ class SurfaceView:
     """A rendered view and its surface depth.
 
     Attributes:
-        drawn: the forward pass, whose last three channels are the centres.
+        forward_pass: the forward pass, whose last three channels are the centres.
         depth_m: [H, W] depth of the surface along each ray, 0 where the silhouette is too small.
         camera, T_camera_map: intrinsics and pose of the view.
         centred_colours: of the Gaussians, as in `GaussianCloud`.
     """
 
-    drawn: ForwardPass
+    forward_pass: ForwardPass
     depth_m: Tensor
     camera: Camera
     T_camera_map: NDArray[np.float64]
@@ -63,12 +63,12 @@ class SurfaceView:
     @property
     def images(self) -> Tensor:
         """Colour, depth sum and silhouette [5, H, W]."""
-        return self.drawn.images[:BASE_CHANNELS]
+        return self.forward_pass.images[:BASE_CHANNELS]
 
     @property
     def features(self) -> Tensor:
         """Feature channels [S, H, W], weighted sums like the colour."""
-        return self.drawn.images[BASE_CHANNELS:-3]
+        return self.forward_pass.images[BASE_CHANNELS:-3]
 
     @property
     def output(self) -> RenderOutput:
@@ -76,23 +76,23 @@ class SurfaceView:
         return RenderOutput(self.images)
 
 
-def draw_surface(
+def render_surface(
     backend: Backend,
     gaussians: GaussianCloud,
     camera: Camera,
     T_camera_map: NDArray[np.float64],
-    options: DrawOptions | None = None,
+    options: RenderOptions | None = None,
 ) -> SurfaceView:
     """Render Gaussians with their centres and compute the surface depth.
 
     Args:
         T_camera_map: [4, 4], map to camera.
     """
-    options = options or DrawOptions()
+    options = options or RenderOptions()
     channels = gaussians.features if options.features else None
-    drawn = backend.forward(gaussians, camera, T_camera_map, channels, None, centres=True)
-    depth_m = surface_depth(drawn.images, camera, T_camera_map, options.min_silhouette)
-    return SurfaceView(drawn, depth_m, camera, T_camera_map, gaussians.centred_colours)
+    forward_pass = backend.forward(gaussians, camera, T_camera_map, channels, None, centres=True)
+    depth_m = surface_depth(forward_pass.images, camera, T_camera_map, options.min_silhouette)
+    return SurfaceView(forward_pass, depth_m, camera, T_camera_map, gaussians.centred_colours)
 
 
 def surface_depth(

@@ -24,7 +24,7 @@ def centre_offsets(view: SurfaceView, min_silhouette: float) -> Tensor:
 
     Offsets are zero where the silhouette is below `min_silhouette` and at depth edges.
     """
-    camera, images = view.camera, view.drawn.images
+    camera, images = view.camera, view.forward_pass.images
     T = torch.as_tensor(view.T_camera_map).to(images)
     solid = images[SILHOUETTE] >= min_silhouette
     mean = images[-3:] / torch.where(solid, images[SILHOUETTE], torch.ones_like(images[SILHOUETTE]))
@@ -40,7 +40,7 @@ def centre_offsets(view: SurfaceView, min_silhouette: float) -> Tensor:
 
 def resample_at_centres(rgb: Tensor, view: SurfaceView, min_silhouette: float = 0.5) -> Tensor:
     """Resample an observed image [3, H, W] at the projections of the view's mean centres."""
-    images = view.drawn.images
+    images = view.forward_pass.images
     module = kernels_for(images)
     if module is None:
         return _sampled(rgb, centre_offsets(view, min_silhouette))
@@ -63,7 +63,7 @@ def centred_intensity(view: SurfaceView, min_silhouette: float) -> Tensor | None
     The intensity is 0 where the silhouette is below `min_silhouette`; pixels next to those are
     not shifted. Returns None if the kernels are not available for the images' device.
     """
-    images = view.drawn.images
+    images = view.forward_pass.images
     module = kernels_for(images)
     if module is None:
         return None
@@ -82,7 +82,7 @@ def shift_to_centres(intensity: Tensor, view: SurfaceView, min_silhouette: float
     """Shift the intensity [H, W] of a view to the mean centres: the native kernel in torch."""
     if min(intensity.shape) < 3:
         return intensity
-    solid = view.drawn.images[SILHOUETTE] >= min_silhouette
+    solid = view.forward_pass.images[SILHOUETTE] >= min_silhouette
     inner = solid[1:-1, 1:-1] & solid[1:-1, :-2] & solid[1:-1, 2:] & solid[:-2, 1:-1]
     inner &= solid[2:, 1:-1]
     across, down = centre_offsets(view, min_silhouette)[:, 1:-1, 1:-1]

@@ -33,7 +33,7 @@ from toolkit.io.splats import SplatLabels
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.refinement.fusion import FusedMap
-from toolkit.rendering import DrawOptions, SurfaceView, backend, draw_surface
+from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
 from toolkit.runs.evaluation import alignment_of, measured, reading_of
 from toolkit.runs.folder import RunFolder
@@ -190,10 +190,10 @@ class _FinalMap:
     backend_name: str
 
     def view(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> SurfaceView:
-        options = DrawOptions(features=self.taxonomy is not None)
+        options = RenderOptions(features=self.taxonomy is not None)
         gaussians = self.scene.seen_from(camera, T_map_camera)
         T_camera_map = se3.inverse(T_map_camera)
-        return draw_surface(backend(self.backend_name), gaussians, camera, T_camera_map, options)
+        return render_surface(backend(self.backend_name), gaussians, camera, T_camera_map, options)
 
 
 def _render_views(

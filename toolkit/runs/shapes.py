@@ -16,7 +16,7 @@ from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.io.meshes import DepthView, TriangleMesh, fuse_views, write_points
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.runs.finished import FinishedRun
 
 # Gaussians thinner than this are haze, not surface.
@@ -127,12 +127,12 @@ def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[D
     camera = run.camera
     frames = run.tracked[::every]
     for frame in tqdm(frames, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
-        drawn = draw_surface(
+        drawn = render_surface(
             backend(run.settings.backend),
             gaussians,
             camera,
             se3.inverse(frame.T_map_camera),
-            DrawOptions(_MIN_SILHOUETTE),
+            RenderOptions(_MIN_SILHOUETTE),
         )
         rgb = np.clip(drawn.output.colour.numpy(), 0.0, 1.0)
         yield DepthView(camera, frame.T_map_camera, rgb, drawn.depth_m.numpy())

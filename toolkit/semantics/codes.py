@@ -66,7 +66,7 @@ class SemanticCode(Protocol):
         """
         ...
 
-    def told(self, values: Tensor) -> Tensor:
+    def is_labelled(self, values: Tensor) -> Tensor:
         """Where values [S, P] say anything at all, [P]: void started, and stayed, at zero."""
         ...
 
@@ -157,7 +157,7 @@ class HeadedCode:
         width = torch.from_numpy(np.repeat(heads.width, heads.width)).to(votes)
         return ((votes * width + _PRIOR) / (total[:, None] + _PRIOR)).log()
 
-    def told(self, values: Tensor) -> Tensor:
+    def is_labelled(self, values: Tensor) -> Tensor:
         """See SemanticCode: some head leans somewhere."""
         return values.abs().amax(dim=0) > _LEAST_LOGIT
 
@@ -271,7 +271,7 @@ class ColourCode:
         """See SemanticCode: the mean colour."""
         return votes / total[:, None].clamp(min=1e-6)
 
-    def told(self, values: Tensor) -> Tensor:
+    def is_labelled(self, values: Tensor) -> Tensor:
         """See SemanticCode: it is not black."""
         return values.amax(dim=0) > _LEAST_COLOUR
 

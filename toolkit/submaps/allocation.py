@@ -42,7 +42,7 @@ class AllocationVerdict:
     reason: str
 
     @property
-    def begins(self) -> bool:
+    def starts_submap(self) -> bool:
         """Whether a new submap begins at this keyframe."""
         return bool(self.reason)
 

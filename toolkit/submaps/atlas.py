@@ -144,7 +144,7 @@ class Atlas:
         self._anchors[number] = submap.T_world_submap
         self._descriptors[number] = submap.descriptors
         if self._in_mapper(number):
-            self.mapper.take(submap.content)
+            self.mapper.replace_content(submap.content)
             return
         self._keyframes[number] = {k.index: k.T_map_camera for k in submap.keyframes}
         self._store.put(submap)
@@ -164,7 +164,7 @@ class Atlas:
         Returns:
             T_new_old [4, 4].
         """
-        self.mapper.settle(self._boundary.steps, self._boundary.bundle_adjustment)
+        self.mapper.optimise_window(self._boundary.steps, self._boundary.bundle_adjustment)
         old, last = self.submap(self.active), self.mapper.keyframes[-1]
         anchor = replace(last, T_map_camera=np.eye(4), pose_moments=None)
         self._start(anchor, old, last.T_map_camera)
@@ -196,10 +196,10 @@ class Atlas:
         old = self.submap(self.active)
         content = self._inherited(anchor, around, T_around_camera)
         if self.has_active_submap:
-            self.rest()
+            self.store_active()
         self._anchors.append(around.T_world_submap @ T_around_camera)
         self._descriptors.append(self._boundary_row(old, anchor.index))
-        self.mapper.take(content)
+        self.mapper.replace_content(content)
         self.mapper.add_keyframe(anchor)
 
     @staticmethod
@@ -208,7 +208,7 @@ class Atlas:
         shared = bool(old.keyframes) and old.keyframes[-1].index == index
         return old.descriptors[-1:].copy() if shared else old.descriptors[:0].copy()
 
-    def rest(self) -> None:
+    def store_active(self) -> None:
         """Put the active submap beside the others, before all of them are worked on in turn."""
         active = self.submap(self.active)
         self._keyframes.append({k.index: k.T_map_camera for k in active.keyframes})
@@ -225,8 +225,8 @@ class Atlas:
         cloud, T_camera_around = around.gaussians, se3.inverse(T_around_camera)
         index = _NONE
         if self._boundary.inherit:
-            view = self.mapper.draw(cloud, anchor.camera, T_around_camera)
-            index = shown_by(view, cloud, anchor.camera, T_camera_around)
+            view = self.mapper.render(cloud, anchor.camera, T_around_camera)
+            index = visible_gaussians(view, cloud, anchor.camera, T_camera_around)
         moved = cloud.select(index).transformed(T_camera_around)
         moved = replace(moved, centred_colours=self.mapper.options.centred)
         origin = torch.full((len(index),), anchor.index, dtype=torch.int32)
@@ -268,7 +268,7 @@ class Atlas:
         self._checkpoints = [dict(values["store"])]
 
 
-def shown_by(
+def visible_gaussians(
     view: SurfaceView, cloud: GaussianCloud, camera: Camera, T_camera_map: NDArray[np.float64]
 ) -> Tensor:
     """Indices [V] of the Gaussians on the surface that a view of the map shows."""

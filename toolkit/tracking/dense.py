@@ -32,7 +32,7 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.rendering import DrawOptions, backend, draw_surface
+from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.health import (
     has_depth,
     misfit_reason,
@@ -180,8 +180,8 @@ class DenseTracker(MovingTracker):
         camera, thin = task.frame.camera, self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
         with self._recorder.timed("tracking render"):
-            options = DrawOptions(thin)
-            surface = draw_surface(self._backend, task.gaussians, camera, T_view_map, options)
+            options = RenderOptions(thin)
+            surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
             levels = pyramid(view_level(surface, thin), self.options.levels)
             return _View(T_map_view.copy(), [model_level(level) for level in levels])
 

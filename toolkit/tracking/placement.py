@@ -72,12 +72,12 @@ class KeyframePlacement:
         options, points = self.options, new.points_in_map()
         first_recent = max(len(keyframes) - options.recent, 0)
         recent = [
-            k for k in keyframes[first_recent:] if k.share_observed(points) >= options.min_recent
+            k for k in keyframes[first_recent:] if k.fraction_observed(points) >= options.min_recent
         ]
         older = [
             k
             for k in keyframes[: first_recent : options.every]
-            if k.share_observed(points) >= options.min_older
+            if k.fraction_observed(points) >= options.min_older
         ]
         if len(older) > options.older:
             spread = np.linspace(0, len(older) - 1, options.older).round().astype(int)
