@@ -80,7 +80,7 @@ def test_all_void_counts_as_knowing_nothing():
 @pytest.mark.parametrize(
     ("first", "second", "smoothing", "named"),
     [
-        (np.ones(2), np.ones(3), 0.1, "one length"),
+        (np.ones(2), np.ones(3), 0.1, "same length"),
         (np.ones(0), np.ones(0), 0.1, r"shape \[C\]"),
         (np.array([1.0, -1.0]), np.ones(2), 0.1, "not negative"),
         (np.array([1.0, math.nan]), np.ones(2), 0.1, "finite"),

@@ -73,7 +73,7 @@ def test_oklab_has_the_published_values(colour, lab):
 
 def test_colours_are_the_same_each_time():
     first = Palette(even_tree(3, 3, 11)).nodes
-    palette_module._choice.cache_clear()
+    palette_module._candidates.cache_clear()
     np.testing.assert_array_equal(Palette(even_tree(3, 3, 11)).nodes, first)
 
 
@@ -134,8 +134,8 @@ def test_any_tree_gets_colours_that_differ(first, second, third):
 
 
 def test_more_classes_than_colours_still_have_some(monkeypatch):
-    few = [values[::200] for values in palette_module._choice()]
-    monkeypatch.setattr(palette_module, "_choice", lambda: few)
+    few = [values[::200] for values in palette_module._candidates()]
+    monkeypatch.setattr(palette_module, "_candidates", lambda: few)
     count = 2 * len(few[0])
     assert Palette(even_tree(count)).classes.shape == (count + 1, 3)
 

@@ -187,8 +187,8 @@ def test_classes_without_a_shape_join_what_their_names_resemble():
         (["chair"], "two classes or more"),
         (["chair", "table", "Chair"], "twice"),
         (["tv-stand", "tv stand"], "twice"),
-        (["chair", "void"], "absence"),
-        (["chair", " "], "no name"),
+        (["chair", "void"], "reserved"),
+        (["chair", " "], "not a name"),
         (["a > b", "c"], "separates"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Boxes around points, upright where the map tells what is up, and the ground they stand on."""
+"""Oriented bounding boxes, the ground plane, and floor areas."""
 
 from __future__ import annotations
 
@@ -12,26 +12,25 @@ from toolkit.geometry.open3d_bridge import open3d
 
 Array = NDArray[np.float64]
 
-# Edge of the cells that areas are counted in: above the spacing of Gaussians, or surfaces
-# would have holes.
+# Cell size of the floor area grid; larger than the spacing of Gaussians, to avoid holes.
 _CELL_M = 0.05
 _FIT_ROUNDS = 20
-# Points within 2 cm of a plane belong to it, however well the others fit.
+# Minimum inlier distance of the plane fit.
 _PLANE_M = 0.02
-# What is narrower than this, or thicker than a fifth of it, tells no direction.
-_LEAST_SPREAD_M = 0.1
-_MOST_THICKNESS = 0.2
+# A plane fit is rejected below this spread, or above this ratio of thickness to spread.
+_MIN_SPREAD_M = 0.1
+_MAX_THICKNESS = 0.2
 
 
 @dataclass(frozen=True)
 class OrientedBox:
-    """A box in the map's frame.
+    """An oriented bounding box in the map frame.
 
     Attributes:
-        centre_m: [3].
-        axes: [3, 3], its axes as columns, right-handed; the third is up if it is upright.
-        size_m: [3], lengths along the axes; the first is not shorter than the second.
-        upright: whether it stands on the ground's plane.
+        centre_m: [3] centre in metres.
+        axes: [3, 3] right-handed axes as columns; the third is up if the box is upright.
+        size_m: [3] lengths along the axes in metres; the first is not shorter than the second.
+        upright: whether the third axis is normal to the ground plane.
     """
 
     centre_m: Array
@@ -46,7 +45,7 @@ class Ground:
 
     Attributes:
         up: [3], unit vector.
-        height_m: of the plane along `up`.
+        height_m: height of the plane along `up`, in metres.
     """
 
     up: Array
@@ -54,9 +53,8 @@ class Ground:
 
     @property
     def axes(self) -> Array:
-        """A right-handed frame [3, 3] as columns, the third of them up."""
-        # The axis of the map that is most level comes first, so that the frame is no
-        # more turned than the ground is.
+        """Right-handed axes [3, 3] as columns; the third is up."""
+        # Start from the most horizontal axis of the map, to rotate as little as possible.
         start = np.eye(3)[np.abs(self.up).argmin()]
         first = start - self.up * (start @ self.up)
         first /= np.linalg.norm(first)
@@ -64,9 +62,9 @@ class Ground:
 
     @classmethod
     def below(cls, floor_m: Array, others_m: Array) -> Ground | None:
-        """The plane of points [N, 3] that lie on the floor; up is where others are.
+        """Fit a plane to points [N, 3] of the floor; up points towards the other points.
 
-        None where the points do not spread along a plane.
+        Returns None if the points do not form a plane.
         """
         plane = _fit_plane(floor_m)
         if plane is None:
@@ -77,9 +75,9 @@ class Ground:
 
 
 def oriented_box(points_m: Array, ground: Ground | None) -> OrientedBox:
-    """The smallest box around points [N, 3], N >= 1, that stands on the ground if there is one.
+    """Return the smallest bounding box of points [N, 3], N >= 1; upright if a ground is given.
 
-    Standing boxes have the smallest area of floor, free ones (Open3D) the smallest volume.
+    Upright boxes minimise the floor area, others the volume (Open3D).
     """
     if ground is None:
         axes = _free_axes(points_m)
@@ -93,17 +91,17 @@ def oriented_box(points_m: Array, ground: Ground | None) -> OrientedBox:
 
 
 def floor_area_m2(points_m: Array, ground: Ground) -> float:
-    """Area in square metres that points [N, 3] on surfaces cover, seen from above.
+    """Return the area in square metres of the vertical projection of points [N, 3].
 
-    Counted in cells of 5 cm, between the middles of those on the border: what is thinner
-    than a cell, as a wall is from above, covers nothing.
+    The area is computed on a grid of 5 cm, from the contours through the centres of the border
+    cells. Structures thinner than a cell, such as walls, have no area.
     """
     cells = np.floor(points_m @ ground.axes[:, :2] / _CELL_M).astype(np.int64)
-    # Two free cells all around, since closing does not shrink at the border.
+    # Pad by two cells: the closing is not symmetric at the image border.
     cells -= cells.min(axis=0) - 2
     image = np.zeros(cells.max(axis=0) + 3, np.uint8)
     image[cells[:, 0], cells[:, 1]] = 1
-    # Holes of one cell are gaps between Gaussians.
+    # Close holes of one cell, which are gaps between Gaussians.
     image = cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     contours, hierarchy = cv2.findContours(image, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     area = 0.0
@@ -113,7 +111,7 @@ def floor_area_m2(points_m: Array, ground: Ground) -> float:
 
 
 def _fit_plane(points_m: Array) -> tuple[Array, Array] | None:
-    """Centre and unit normal of the plane that most of the points lie on, if they do."""
+    """Fit a plane robustly; return centre and unit normal, or None if there is no clear plane."""
     kept = points_m
     for _ in range(_FIT_ROUNDS):
         if len(kept) < 3:
@@ -122,29 +120,29 @@ def _fit_plane(points_m: Array) -> tuple[Array, Array] | None:
         variances, directions = np.linalg.eigh(np.cov((kept - centre).T))
         normal = directions[:, 0]
         distance_m = np.abs((points_m - centre) @ normal)
-        # 2.5 standard deviations, by the median so that strays do not count.
+        # 2.5 standard deviations, estimated robustly from the median.
         inside = distance_m <= max(2.5 * 1.4826 * float(np.median(distance_m)), _PLANE_M)
         if inside.sum() == len(kept) and (points_m[inside] == kept).all():
             break
         kept = points_m[inside]
     thickness_m, spread_m, _ = np.sqrt(np.maximum(variances, 0.0))
-    if spread_m < _LEAST_SPREAD_M or thickness_m > _MOST_THICKNESS * spread_m:
+    if spread_m < _MIN_SPREAD_M or thickness_m > _MAX_THICKNESS * spread_m:
         return None
     return centre, normal
 
 
 def _free_axes(points_m: Array) -> Array:
-    """Axes [3, 3] as columns of the smallest box, by Open3D; of flat sets by their spread."""
+    """Return the axes [3, 3] of the smallest box (Open3D); by PCA for planar points."""
     o3d = open3d()
     try:
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
         return np.array(cloud.get_minimal_oriented_bounding_box().R)
-    except RuntimeError:  # points on a plane or a line have no hull
+    except RuntimeError:  # planar or collinear points have no convex hull
         return np.linalg.svd(points_m - points_m.mean(axis=0))[2].T
 
 
 def _box(points_m: Array, axes: Array, upright: bool) -> OrientedBox:
-    """The box around points along axes, these in the order and sense that is promised."""
+    """Return the bounding box along some axes, with the axes sorted and signed consistently."""
     along = points_m @ axes
     size_m = np.ptp(along, axis=0)
     order = [0, 1, 2]
@@ -154,7 +152,7 @@ def _box(points_m: Array, axes: Array, upright: bool) -> OrientedBox:
     lead = ordered[:, 0]
     if lead[np.abs(lead).argmax()] < 0:
         ordered[:, 0] = -lead
-    # Right-handed, whatever the order and senses were.
+    # Make the axes right-handed.
     ordered[:, 1] = np.cross(ordered[:, 2], ordered[:, 0])
     centre_m = axes @ ((along.max(axis=0) + along.min(axis=0)) / 2)
     return OrientedBox(centre_m, ordered, size_m[order], upright)

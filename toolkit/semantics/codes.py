@@ -1,10 +1,10 @@
-"""How a class becomes a few numbers that a renderer can blend (H-7, H-8).
+"""Codes that represent classes by a few channels, which the renderer can blend (H-7, H-8).
 
-Flat, one-hot and binary codes are one thing: groups of channels ("heads"), each of which
-asks one question about the class. Blended values are read as logits. The likelihood of a
-whole path is the product over its heads, and all that depends on the class in its logarithm
-is linear in the values: `logits = weights @ values + offsets`, over the valid classes alone,
-so that a path which no class has can never come out.
+Flat, one-hot and binary codes consist of groups of channels ("heads"). Each head predicts one
+attribute of the class, such as its node at one level of the tree, and blended values are
+interpreted as logits. The likelihood of a path is the product over its heads. Up to a constant, its
+logarithm is linear in the values, `logits = codewords @ values`. It is evaluated for valid classes
+only, so invalid paths are never decoded.
 """
 
 from __future__ import annotations
@@ -21,23 +21,24 @@ from torch import Tensor
 from toolkit.semantics.options import CodeOptions
 from toolkit.semantics.taxonomy import Taxonomy
 
-_LEAST_LOGIT = 0.5
-_LEAST_COLOUR = 0.1
-_PRIOR = 0.1  # pixels that vote for every answer alike
+_MIN_LOGIT = 0.5
+_MIN_COLOUR = 0.1
+_PRIOR = 0.1  # pseudo-count of votes, in pixels, for every possible value of a head
 
 CodeName = Literal["flat", "one-hot", "binary", "colour"]
 
 
 class SemanticCode(Protocol):
-    """Numbers for classes, and back.
+    """Encodes classes as feature channels of Gaussians and decodes them.
 
     Attributes:
-        name: as in the settings.
-        taxonomy: its classes; ids count from 1, 0 is void.
-        channels: S, feature channels of a Gaussian.
-        heads: what the native loss needs, or None where only `pixel_loss` will do.
-        is_colour: the values are a colour, which is compared with that of the class: SSIM applies.
-        unit: what counts as a step of a feature: learning rates are in units of it.
+        name: name in the options.
+        taxonomy: tree of classes; ids start at 1, 0 is void.
+        channels: number of feature channels S of a Gaussian.
+        heads: description of the heads for the native loss, or None if only `pixel_loss` applies.
+        is_colour: whether the values are colours that are compared with those of the classes, so
+            that SSIM applies.
+        unit: scale of a feature; the learning rate is multiplied by it.
     """
 
     name: str
@@ -49,33 +50,33 @@ class SemanticCode(Protocol):
 
     @property
     def start_values(self) -> Tensor:
-        """Values [C + 1, S] of a Gaussian seeded from a pixel, by class id; void is row 0."""
+        """Initial values [C + 1, S] of a new Gaussian by class id; row 0 is void."""
         ...
 
     @property
     def codewords(self) -> Tensor:
-        """What a pixel of each class votes for, [C + 1, S] by class id; void is 0."""
+        """Codewords [C + 1, S], the votes of a pixel, by class id; row 0 (void) is zero."""
         ...
 
     def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
-        """Values [N, S] that fit the pixels which a Gaussian shows.
+        """Return values [N, S] fitted to the labels of the pixels that Gaussians contribute to.
 
         Args:
-            votes: [N, S] sum of the pixels' codewords, each times the Gaussian's share in it.
-            total: [N] sum of these shares, 0 where there was no label.
+            votes: [N, S] sum of the pixels' codewords, weighted by the Gaussian's blending weight.
+            total: [N] sum of the blending weights of labelled pixels.
         """
         ...
 
     def is_labelled(self, values: Tensor) -> Tensor:
-        """Where values [S, P] say anything at all, [P]: void started, and stayed, at zero."""
+        """Return the mask [P] of values [S, P] that represent a class; void values stay near 0."""
         ...
 
     def logits(self, values: Tensor) -> Tensor:
-        """Logarithm of the classes' likelihood [C, P], up to a constant, of values [S, P]."""
+        """Return the log-likelihood [C, P] of the classes for values [S, P], up to a constant."""
         ...
 
     def pixel_loss(self, values: Tensor, class_ids: Tensor) -> Tensor:
-        """Loss [P] of values [S, P] against class ids [P] > 0; differentiable."""
+        """Return the differentiable loss [P] of values [S, P] for class ids [P] > 0."""
         ...
 
 
@@ -84,11 +85,11 @@ class Heads:
     """K groups of channels, each with a target per class.
 
     Attributes:
-        first, width: [K] int32, the channels of a head.
-        weight: [K] float32 of its loss.
-        targets: [C, K] int32: a channel of the head; for bits, the number they spell, lowest
-            bit first.
-        bits: a sigmoid per channel (H-11) instead of a softmax per head (H-10).
+        first, width: [K] int32, first channel and number of channels of each head.
+        weight: [K] float32, weight of the head in the loss.
+        targets: [C, K] int32, target channel of the head; for `bits`, the binary number whose
+            lowest bit is the first channel.
+        bits: one sigmoid per channel (H-11) instead of one softmax per head (H-10).
     """
 
     first: NDArray[np.int32]
@@ -102,11 +103,12 @@ class HeadedCode:
     """Flat, one-hot and binary codes.
 
     Args:
-        name: of the code.
-        taxonomy: its classes.
-        questions: what each head asks of each class, [C, K], and the number of answers that
-            each head has, [K], at least 2.
-        bits: spell the answers in binary.
+        name: name of the code.
+        taxonomy: tree of classes.
+        head_values: value of each head for each class, [C, K], and the number of possible values
+            of each head, [K], at least 2.
+        bits: encode the values in binary.
+        options: normalisation of the loss and confidence of the initial values.
     """
 
     is_colour = False
@@ -115,22 +117,22 @@ class HeadedCode:
         self,
         name: str,
         taxonomy: Taxonomy,
-        questions: tuple[NDArray[np.int32], NDArray[np.int32]],
+        head_values: tuple[NDArray[np.int32], NDArray[np.int32]],
         bits: bool,
         options: CodeOptions | None = None,
     ) -> None:
         options = options or CodeOptions()
-        targets, choices = questions
+        targets, counts = head_values
         self.name, self.taxonomy, self.unit = name, taxonomy, 1.0
-        width = np.ceil(np.log2(choices)).astype(np.int32) if bits else choices.astype(np.int32)
-        guess = width * math.log(2.0) if bits else np.log(choices)
-        weight = 1.0 / guess if options.normalise else np.ones(len(choices))
+        width = np.ceil(np.log2(counts)).astype(np.int32) if bits else counts.astype(np.int32)
+        uniform_loss = width * math.log(2.0) if bits else np.log(counts)
+        weight = 1.0 / uniform_loss if options.normalise else np.ones(len(counts))
         first = (np.cumsum(width) - width).astype(np.int32)
         self.channels = int(width.sum())
         self.heads: Heads | None = Heads(
             first, width, weight.astype(np.float32), np.ascontiguousarray(targets), bits
         )
-        self._ones = torch.from_numpy(self._codewords())
+        self._class_codewords = torch.from_numpy(self._codewords())
         self._start = self._start_values(options.start_confidence)
 
     @property
@@ -141,13 +143,13 @@ class HeadedCode:
     @property
     def codewords(self) -> Tensor:
         """See SemanticCode."""
-        return torch.cat([self._ones.new_zeros(1, self.channels), self._ones])
+        return torch.cat([self._class_codewords.new_zeros(1, self.channels), self._class_codewords])
 
     def from_votes(self, votes: Tensor, total: Tensor) -> Tensor:
-        """See SemanticCode: logarithms of each answer's share of the votes.
+        """See SemanticCode: logarithms of the fraction of votes of each value of a head.
 
-        For one Gaussian alone they minimise the loss (H-10, H-11). A little of a pixel is
-        added to every answer, or one vote would be certainty.
+        They minimise the loss of a single Gaussian (H-10, H-11). A pseudo-count is added to every
+        value, otherwise a single vote would give infinite logits.
         """
         heads = self.heads
         assert heads is not None
@@ -158,15 +160,15 @@ class HeadedCode:
         return ((votes * width + _PRIOR) / (total[:, None] + _PRIOR)).log()
 
     def is_labelled(self, values: Tensor) -> Tensor:
-        """See SemanticCode: some head leans somewhere."""
-        return values.abs().amax(dim=0) > _LEAST_LOGIT
+        """See SemanticCode: at least one logit is large enough."""
+        return values.abs().amax(dim=0) > _MIN_LOGIT
 
     def logits(self, values: Tensor) -> Tensor:
-        """See SemanticCode: the heads' normalisers are the same for all classes."""
-        return self._ones.to(values) @ values
+        """See SemanticCode: the normalisation of the heads is the same for all classes."""
+        return self._class_codewords.to(values) @ values
 
     def pixel_loss(self, values: Tensor, class_ids: Tensor) -> Tensor:
-        """See SemanticCode (H-10, H-11); the reference of the native kernel."""
+        """See SemanticCode (H-10, H-11); reference implementation of the native kernel."""
         heads = self.heads
         assert heads is not None
         total = values.new_zeros(values.shape[1])
@@ -174,11 +176,11 @@ class HeadedCode:
             part = values[first : first + width]
             target = torch.from_numpy(heads.targets[:, k]).to(values.device)[class_ids - 1].long()
             if heads.bits:
-                wanted = (
+                target_bits = (
                     target[None] >> torch.arange(int(width), device=target.device)[:, None]
                 ) & 1
                 loss = torch.nn.functional.binary_cross_entropy_with_logits(
-                    part, wanted.to(part), reduction="none"
+                    part, target_bits.to(part), reduction="none"
                 ).sum(0)
             else:
                 loss = torch.nn.functional.cross_entropy(part.T, target, reduction="none")
@@ -186,60 +188,63 @@ class HeadedCode:
         return total
 
     def _codewords(self) -> NDArray[np.float32]:
-        """What each class lights up, [C, S] of 0 and 1."""
+        """Return the codeword of each class, [C, S] of 0 and 1."""
         heads = self.heads
         assert heads is not None
-        words = np.zeros((len(self.taxonomy), self.channels), np.float32)
+        codewords = np.zeros((len(self.taxonomy), self.channels), np.float32)
         for k, (first, width) in enumerate(zip(heads.first, heads.width, strict=True)):
             target = heads.targets[:, k]
             if heads.bits:
-                words[:, first : first + width] = (target[:, None] >> np.arange(width)) & 1
+                codewords[:, first : first + width] = (target[:, None] >> np.arange(width)) & 1
             else:
-                words[np.arange(len(words)), first + target] = 1.0
-        return words
+                codewords[np.arange(len(codewords)), first + target] = 1.0
+        return codewords
 
     def _start_values(self, confidence: float) -> Tensor:
-        """Logits that give every head the same confidence, whatever its width."""
+        """Return logits that give every head the same confidence for any width."""
         heads = self.heads
         assert heads is not None
         odds = math.log(confidence / (1.0 - confidence))
         if heads.bits:
-            values = (2.0 * self._ones - 1.0) * odds
+            values = (2.0 * self._class_codewords - 1.0) * odds
         else:
             height = odds + np.log(heads.width.astype(np.float32) - 1.0)
-            values = self._ones * torch.from_numpy(np.repeat(height, heads.width)).float()
+            values = (
+                self._class_codewords * torch.from_numpy(np.repeat(height, heads.width)).float()
+            )
         return torch.cat([values.new_zeros(1, self.channels), values])
 
 
 def flat_code(taxonomy: Taxonomy, options: CodeOptions | None = None) -> HeadedCode:
-    """One channel a class."""
+    """Build a code with one channel per class."""
     targets = np.arange(len(taxonomy), dtype=np.int32)[:, None]
-    questions = targets, np.array([len(taxonomy)], np.int32)
-    return HeadedCode("flat", taxonomy, questions, False, options)
+    head_values = targets, np.array([len(taxonomy)], np.int32)
+    return HeadedCode("flat", taxonomy, head_values, False, options)
 
 
 def one_hot_code(taxonomy: Taxonomy, options: CodeOptions | None = None) -> HeadedCode:
-    """At each level one channel a sibling (H-7)."""
+    """Build a code with one channel per sibling at each level (H-7)."""
     return HeadedCode("one-hot", taxonomy, _levels(taxonomy), False, options)
 
 
 def binary_code(taxonomy: Taxonomy, options: CodeOptions | None = None) -> HeadedCode:
-    """At each level the sibling's number in binary (H-8)."""
+    """Build a code with the binary number of the sibling at each level (H-8)."""
     return HeadedCode("binary", taxonomy, _levels(taxonomy), True, options)
 
 
 def _levels(taxonomy: Taxonomy) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Local ids and widths of the levels that ask anything."""
+    """Return local ids and widths of the levels with more than one sibling."""
     widths = np.array(taxonomy.level_widths, np.int32)
     return taxonomy.local_ids[:, widths > 1], widths[widths > 1]
 
 
 class ColourCode:
-    """Three channels: the class's colour in a palette, read as the nearest one (G).
+    """Three channels with the class's colour in a palette, decoded to the nearest colour (G).
 
     Args:
-        palette: [C, 3] colours in [0, 1], all different.
-        spread: standard deviation of a colour that still means its class.
+        taxonomy: tree of classes.
+        palette: [C, 3] distinct colours in [0, 1].
+        spread: standard deviation of the colours of a class in the decoder.
     """
 
     heads: Heads | None = None
@@ -272,14 +277,14 @@ class ColourCode:
         return votes / total[:, None].clamp(min=1e-6)
 
     def is_labelled(self, values: Tensor) -> Tensor:
-        """See SemanticCode: it is not black."""
-        return values.amax(dim=0) > _LEAST_COLOUR
+        """See SemanticCode: the colour is not black."""
+        return values.amax(dim=0) > _MIN_COLOUR
 
     def logits(self, values: Tensor) -> Tensor:
-        """See SemanticCode: a Gaussian around each colour of the palette."""
+        """See SemanticCode: a normal distribution around each colour of the palette."""
         palette = self._palette.to(values)
         return self._precision * (palette @ values - 0.5 * (palette**2).sum(1, keepdim=True))
 
     def pixel_loss(self, values: Tensor, class_ids: Tensor) -> Tensor:
-        """Mean absolute difference from the class's colour (G-3)."""
+        """Return the mean absolute difference from the class's colour (G-3)."""
         return (values - self._palette.to(values)[class_ids - 1].T).abs().mean(0)

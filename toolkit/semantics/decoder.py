@@ -1,7 +1,7 @@
-"""The small network that reads codes as flat classes (H-12, H-13).
+"""The small network that decodes codes to flat classes (H-12, H-13).
 
-One network reads all submaps of a run. Submaps that are not mapped any more do not train it, so it
-would forget their classes: each step therefore rehearses samples of all classes seen so far.
+One network decodes all submaps of a run. It is trained on the current submap only and would forget
+the classes of earlier ones, so each step also trains on stored samples of all classes.
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ from toolkit.semantics.replay import ReplayMemory
 
 
 class NetworkDecoder:
-    """Two 1x1 convolutions with a ReLU between, and the Adam that trains them.
+    """Two 1x1 convolutions with a ReLU between them, and their Adam optimiser.
 
-    A 1x1 convolution is a matrix on every pixel, so any set of pixels will do.
+    A 1x1 convolution is a matrix product per pixel, so the pixels need not form an image.
 
     Args:
-        channels: S of the code. classes: C. hidden: units between.
-        generator: of the start weights.
-        replay: samples of each class that every step rehearses; 0 trains on the newest views alone.
+        channels: number of channels S of the code.
+        classes: number of classes C.
+        hidden: number of hidden units.
+        learning_rate: learning rate of Adam.
+        generator: random generator of the initial weights.
+        replay: number of stored samples per class in every step; 0 trains on new views only.
 
     Attributes:
-        steps: taken so far.
+        steps: number of steps taken.
     """
 
     def __init__(
@@ -51,29 +54,30 @@ class NetworkDecoder:
         self.steps = 0
 
     def logits(self, values: Tensor) -> Tensor:
-        """Logits [C, P] of the flat classes for values [S, P]."""
+        """Return the logits [C, P] of the flat classes for values [S, P]."""
         p = {name: parameter.to(values) for name, parameter in self._parameters.items()}
         hidden = torch.relu(p["in_weight"] @ values + p["in_bias"])
         return p["out_weight"] @ hidden + p["out_bias"]
 
     def learn(self, values: Tensor, class_ids: Tensor) -> tuple[float, Tensor]:
-        """One step on cross-entropy (H-12).
+        """Take one step on the cross-entropy (H-12).
 
         Args:
-            values: [S, P]. class_ids: [P] int64 > 0.
+            values: [S, P] codes.
+            class_ids: [P] int64 class ids > 0.
 
         Returns:
-            The mean loss, as a share of that of a blind guess, and the gradient [S, P] of its
-            **sum** by the values.
+            The mean loss divided by that of a uniform prediction, and the gradient [S, P] of the
+            **sum** of the loss with respect to the values.
         """
         leaves = {n: p.detach().requires_grad_() for n, p in self._parameters.items()}
         values = values.detach().requires_grad_()
         with torch.enable_grad():
             self._parameters = leaves
             loss = self._loss(values, class_ids)
-            total, rehearsed = loss, self._memory.samples()
-            if len(rehearsed[1]):
-                total = loss + self._loss(*rehearsed).to(loss)
+            total, replayed = loss, self._memory.samples()
+            if len(replayed[1]):
+                total = loss + self._loss(*replayed).to(loss)
             by_values, *by_parameters = torch.autograd.grad(total, [values, *leaves.values()])
         self._parameters = {n: p.detach() for n, p in leaves.items()}
         self._memory.add(values, class_ids, np.random.default_rng(self.steps))
@@ -81,7 +85,7 @@ class NetworkDecoder:
         return float(loss.detach()), by_values * values.shape[1]
 
     def _loss(self, values: Tensor, class_ids: Tensor) -> Tensor:
-        """Mean cross-entropy as a share of that of a blind guess."""
+        """Return the mean cross-entropy divided by that of a uniform prediction."""
         logits = self.logits(values)
         return torch.nn.functional.cross_entropy(logits.T, class_ids - 1) / float(
             np.log(len(logits))
@@ -96,7 +100,7 @@ class NetworkDecoder:
             self._parameters[name] -= self._rate * first / (1 - beta1**self.steps) / scale
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes."""
+        """Return the arrays that `restore` accepts."""
         arrays = {"steps": np.array(self.steps)}
         for kind, tensors in self._groups():
             arrays |= {f"{kind}_{name}": t.numpy().copy() for name, t in tensors.items()}
@@ -104,13 +108,13 @@ class NetworkDecoder:
         return arrays
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self.steps = int(arrays["steps"])
         for kind, tensors in self._groups():
             for name in tensors:
                 tensors[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
         replay = arrays_below(arrays, "replay/")
-        if replay:  # runs of older versions kept none
+        if replay:  # runs of older versions have no replay memory
             self._memory.restore(replay)
 
     def _groups(self) -> tuple[tuple[str, dict[str, Tensor]], ...]:

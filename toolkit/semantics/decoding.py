@@ -1,4 +1,4 @@
-"""From logits over classes to an answer: at any level, with confidence, entropy, back-off."""
+"""Decode class logits into labels, confidences and entropies at every level of the tree."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from torch import Tensor
 
 from toolkit.semantics.taxonomy import Taxonomy
 
-_CHUNK = 65536  # columns at a time: 101 classes then take 26 MB
+_CHUNK = 65536  # columns per batch; 26 MB for 101 classes
 
 
 @dataclass(frozen=True)
 class Decoding:
-    """What P pixels or Gaussians are.
+    """Decoded classes of P pixels or Gaussians.
 
     Attributes:
-        class_ids: [P] int32, the likeliest class, 0 where there was nothing to decode.
-        confidence: [P] float32, its probability.
-        entropy: [P] float32 of the classes, as a share of the largest possible.
-        nodes: [P, L] int32, the likeliest node at each level as an index into the
-            taxonomy's nodes, -1 where there was nothing to decode.
-        node_confidence: [P, L] float32, its probability.
+        class_ids: [P] int32, most likely class; 0 where nothing was decoded.
+        confidence: [P] float32, probability of the most likely class.
+        entropy: [P] float32, entropy over the classes divided by its maximum, in [0, 1].
+        nodes: [P, L] int32, most likely node at each level as an index into the taxonomy's
+            nodes; -1 where nothing was decoded.
+        node_confidence: [P, L] float32, probability of the most likely node.
     """
 
     class_ids: NDArray[np.int32]
@@ -35,9 +35,10 @@ class Decoding:
     node_confidence: NDArray[np.float32]
 
     def backed_off(self, min_confidence: float) -> NDArray[np.int32]:
-        """Nodes [P, L], -1 at levels where the map is not that sure.
+        """Return nodes [P, L], -1 at levels whose confidence is below `min_confidence`.
 
-        From 0.5 on the nodes of one column lie on one path: two siblings cannot both have it.
+        For thresholds of at least 0.5 the remaining nodes of a pixel lie on one path, because
+        two siblings cannot both exceed 0.5.
         """
         return np.where(self.node_confidence >= min_confidence, self.nodes, -1).astype(np.int32)
 
@@ -48,7 +49,7 @@ def decode(
     """Decode values [S, P] where `seen` [P] is true.
 
     Args:
-        logits: from values [S, P] to the classes' logits [C, P]; a code's, or a decoder's.
+        logits: function from values [S, P] to class logits [C, P], of a code or a decoder.
     """
     count, depth = values.shape[1], taxonomy.depth
     out = Decoding(
@@ -59,19 +60,19 @@ def decode(
         np.zeros((count, depth), np.float32),
     )
     members = _members(taxonomy)
-    index = seen.nonzero().squeeze(1)
+    visible = seen.nonzero().squeeze(1)
     with torch.no_grad():
-        for part in torch.split(index, _CHUNK):
+        for part in torch.split(visible, _CHUNK):
             _decode_part(logits(values.index_select(1, part)), members, part.cpu().numpy(), out)
     return out
 
 
 def _members(taxonomy: Taxonomy) -> list[tuple[Tensor, Tensor]]:
-    """For each level its distinct nodes, and each class's place among them."""
+    """Return, for each level, its distinct nodes and the index of each class's node among them."""
     levels = []
     for level in range(taxonomy.depth):
-        nodes, place = np.unique(taxonomy.node_ids[:, level], return_inverse=True)
-        levels.append((torch.from_numpy(nodes), torch.from_numpy(place)))
+        nodes, index = np.unique(taxonomy.node_ids[:, level], return_inverse=True)
+        levels.append((torch.from_numpy(nodes), torch.from_numpy(index)))
     return levels
 
 
@@ -83,12 +84,12 @@ def _decode_part(
     best = probability.max(dim=0)
     out.class_ids[part] = best.indices.cpu().numpy() + 1
     out.confidence[part] = best.values.cpu().numpy()
-    # A class that is ruled out has no logarithm, and no part in the entropy.
+    # Classes of zero probability contribute nothing to the entropy (0 log 0 = 0).
     surprise = torch.where(probability > 0, -probability * logs, torch.zeros_like(logs))
     out.entropy[part] = (surprise.sum(0) / np.log(len(logs))).cpu().numpy()
-    for level, (nodes, place) in enumerate(members):
+    for level, (nodes, index) in enumerate(members):
         summed = probability.new_zeros(len(nodes), probability.shape[1])
-        summed.index_add_(0, place.to(summed.device), probability)
+        summed.index_add_(0, index.to(summed.device), probability)
         likeliest = summed.max(dim=0)
         out.nodes[part, level] = nodes[likeliest.indices.cpu()].numpy()
         out.node_confidence[part, level] = likeliest.values.cpu().numpy()

@@ -1,4 +1,4 @@
-"""Segmenter and semantic code from options."""
+"""Build the segmenter and the semantic code from options."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
 
 
 def build_code(options: CodeOptions, taxonomy: Taxonomy) -> SemanticCode | None:
-    """The code that the options describe, None for a map without semantics."""
+    """Build the semantic code; None for a map without semantics."""
     if options.kind == "none":
         return None
     if options.kind == "colour":
@@ -40,18 +40,18 @@ def build_segmenter(
     label_names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
 ) -> Segmenter:
-    """The segmenter that the options name.
+    """Build the segmenter.
 
     Args:
-        label_names: the data set's class names by id, or None where it has no labels.
-        stems: the names, without suffix, of the frames' images by index; label images that
-            pair by stem need them.
+        label_names: the dataset's class names by id, or None if it has no labels.
+        stems: file names of the frames' images without suffix, by frame index; required to
+            assign label images by stem.
 
     Raises:
-        SettingsError: a path that the kind needs is not set.
-        DatasetError: the data set or the folder lacks what the kind needs.
+        SettingsError: a path required by this kind of segmenter is not set.
+        DatasetError: the dataset or the folder of label images is incomplete.
         DependencyError: transformers cannot be loaded.
-        FormatError: a model's folder is not what it should be.
+        FormatError: the folder of a model is invalid.
     """
     kind = options.kind
     if kind == "auto":
@@ -59,7 +59,7 @@ def build_segmenter(
     if kind == "recorded":
         if not label_names:
             raise DatasetError(
-                "the data set has no labels with names; choose another --semantics.segmenter.kind"
+                "the dataset has no labels with names; choose another --semantics.segmenter.kind"
             )
         return RecordedLabels(label_names)
     if kind == "images":
@@ -95,7 +95,7 @@ def _model(options: ModelOptions) -> Segmenter:
         raise SettingsError(
             "--semantics.segmenter.kind model needs --semantics.segmenter.model.folder DIR"
         )
-    # Not before it is asked for: torch and transformers take seconds to load.
+    # Imported on demand: torch and transformers take seconds to load.
     from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
     from toolkit.semantics.segmenters.patch_features import PatchEncoder
     from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter

@@ -1,4 +1,4 @@
-"""How much of a view each class takes, and how far two views differ in that (G-III.A)."""
+"""Class histograms of views and their divergence (G-III.A)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 Array = NDArray[np.float64]
 
-# What every class counts more than it has, as a share of the picture.
+# Fraction of the image that is added to every class.
 SMOOTHING = 1e-3
 
 
 def class_histogram(labels: NDArray[np.integer], classes: int | Taxonomy) -> Array:
-    """Shares [C] of the classes 1..C among the pixels that have a class.
+    """Return the fraction [C] of each class 1..C among the labelled pixels.
 
     Args:
-        labels: class ids, any shape; void takes no part.
-        classes: C, or the taxonomy that the ids are of.
+        labels: class ids of any shape; void pixels are ignored.
+        classes: number of classes C, or the taxonomy of the ids.
 
     Returns:
-        non-negative shares with sum 1, or zeros where all is void.
+        non-negative fractions with sum 1, or zeros if all pixels are void.
 
     Raises:
         ValueError: an id is outside 0..C.
@@ -35,8 +35,8 @@ def class_counts(class_ids: NDArray[np.integer], classes: int) -> NDArray[np.int
     """Count pixels or Gaussians by class, [C + 1]; the first entry is void.
 
     Args:
-        class_ids: 0..C, 0 void, any shape.
-        classes: C.
+        class_ids: class ids 0..C of any shape, 0 is void.
+        classes: number of classes C.
 
     Raises:
         ValueError: an id is outside 0..C.
@@ -48,16 +48,15 @@ def class_counts(class_ids: NDArray[np.integer], classes: int) -> NDArray[np.int
 
 
 def smoothed_kl(current: Array, anchor: Array, smoothing: float = SMOOTHING) -> float:
-    """Kullback-Leibler divergence KL(current || anchor) of two histograms [C], in nats.
+    """Return the Kullback-Leibler divergence KL(current || anchor) of two histograms [C], in nats.
 
-    Both get `smoothing` added to every class and are scaled to sum 1 again, so that a class
-    which only one has counts a finite amount: at most log(1 + 1 / smoothing). It is 0 for
-    equal histograms and not symmetric. A histogram of zeros (all void) becomes uniform, that
-    is, knows nothing.
+    `smoothing` is added to every class before normalisation. The divergence is therefore finite
+    if a class appears in one histogram only, at most log(1 + 1 / smoothing). It is 0 for equal
+    histograms and not symmetric. A histogram of zeros (all void) becomes uniform.
 
     Args:
-        current, anchor: non-negative, as of `class_histogram`.
-        smoothing: > 0, as a share of the picture.
+        current, anchor: non-negative histograms, as returned by `class_histogram`.
+        smoothing: fraction added to every class, > 0.
 
     Raises:
         ValueError: lengths differ, there are no classes, or a value is negative or not finite.
@@ -66,8 +65,8 @@ def smoothed_kl(current: Array, anchor: Array, smoothing: float = SMOOTHING) -> 
         raise ValueError(f"smoothing must be positive, got {smoothing}")
     p, q = (_smoothed(np.asarray(h, np.float64), smoothing) for h in (current, anchor))
     if p.shape != q.shape:
-        raise ValueError(f"histograms must have one length, got {len(p)} and {len(q)}")
-    # Rounding can leave a tiny negative number where both are equal.
+        raise ValueError(f"histograms must have the same length, got {len(p)} and {len(q)}")
+    # Rounding can give a small negative value for equal histograms.
     return max(0.0, float(np.sum(p * np.log(p / q))))
 
 
@@ -77,6 +76,6 @@ def _smoothed(histogram: Array, smoothing: float) -> Array:
     if not np.isfinite(histogram).all() or histogram.min() < 0:
         raise ValueError("a histogram must be finite and not negative")
     total = histogram.sum()
-    shares = histogram / total if total > 0 else histogram
-    raised = shares + smoothing
-    return np.asarray(raised / raised.sum())
+    fractions = histogram / total if total > 0 else histogram
+    smoothed = fractions + smoothing
+    return np.asarray(smoothed / smoothed.sum())

@@ -1,4 +1,4 @@
-"""Gives frames labels of one taxonomy, whoever made them."""
+"""Labels frames with the classes of a taxonomy."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from toolkit.semantics.taxonomy import VOID, Taxonomy
 
 
 class Labeller:
-    """A segmenter whose answers are translated into a taxonomy.
+    """A segmenter whose class ids are mapped to those of a taxonomy.
 
     Args:
-        ignored: class ids of what is to be left out of tracking and mapping (people, say):
-            such pixels lose their depth, and nothing is tracked or mapped there.
-        source: what to call the segmenter's vocabulary in errors.
+        segmenter: labels the pixels.
+        taxonomy: tree with all classes of the segmenter.
+        ignored: ids of the classes to exclude from tracking and mapping, for instance people;
+            the depth of their pixels is removed.
+        source: name of the segmenter's vocabulary in errors.
 
     Raises:
         FormatError: the taxonomy lacks a class of the segmenter.
@@ -41,15 +43,15 @@ class Labeller:
 
     @property
     def every_frame(self) -> bool:
-        """Whether frames need labels before they are tracked, and not only as keyframes."""
+        """Whether every frame needs labels before tracking, not only keyframes."""
         return bool(self._ignored.any())
 
     def label(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
-        """The frame with labels of the taxonomy, and without depth where it is to be ignored.
+        """Return the frame with labels of the taxonomy and without depth at ignored pixels.
 
         Raises:
-            DatasetError: the labels cannot be had.
-            FormatError: an id that the segmenter has no name for.
+            DatasetError: the segmenter cannot label the frame.
+            FormatError: the segmenter has no name for a class id.
         """
         ids = self.segmenter.segment(frame, T_map_camera)
         known = (ids >= 0) & (ids < len(self._table))

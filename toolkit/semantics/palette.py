@@ -1,10 +1,10 @@
-"""Colours of the semantic tree, and label images as pictures.
+"""Colours of the semantic tree, and visualisation of label images.
 
-Each node has a region of colour space to itself: the whole of it is cut in two again and
-again, in proportion to the classes on both sides, across whichever of hue, lightness and
-chroma is longest there. Near the root that is hue, so a group's classes share a hue; where
-hue is used up, lightness and chroma tell siblings apart. Within its region a node takes the
-colour farthest from the others of its level.
+Every node is assigned a region of the colour space. The space is split recursively, in proportion
+to the number of classes on both sides, along the longest of the axes hue, lightness and chroma.
+Near the root this is hue, so the classes of a group have similar hues. Farther down, siblings
+differ in lightness and chroma. Within its region, a node takes the colour with the largest distance
+to the other nodes of its level.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from toolkit.semantics.taxonomy_parsing import VOID_NAME
 VOID_COLOUR = (0, 0, 0)
 _VOID = -1  # as a node index
 
-# Colours to choose from lie on a grid of this step in Oklab: some seven thousand. They are
-# neither near black, which is void, nor near the white of paper, nor grey, nor neon.
+# Candidate colours are a grid in Oklab with this step, about 7000. Colours near black (void), white
+# and grey and highly saturated colours are excluded.
 _STEP = 0.014
 _LIGHTNESS = (0.42, 0.9)
 _CHROMA = (0.06, 0.225)
-# A radian of hue is so long beside lightness and chroma: twice the arc at medium chroma, for
-# hue is to be cut first.
+# Length of one radian of hue relative to lightness and chroma: twice the arc at medium chroma, so
+# that hue is split first.
 _HUE_LENGTH = 0.26
-_FIRST_HUE_RAD = -0.3  # between magenta and red: two groups become warm and cool
-_GAP = 0.2  # share of the smaller side that a cut leaves unused
-_SWEEPS = 4  # after which colours hardly move
+_FIRST_HUE_RAD = -0.3  # between magenta and red: two groups get warm and cool colours
+_GAP = 0.2  # fraction of the smaller side that remains unused at a split
+_SWEEPS = 4  # optimisation sweeps; the colours have nearly converged
 
 _CONES_FROM_RGB = np.array(
     [
@@ -53,11 +53,11 @@ Colours = NDArray[np.uint8]
 
 
 class Palette:
-    """One colour for each node of a tree, the same at every level and in every run.
+    """A colour for each node of a tree; it depends on the tree only.
 
     Attributes:
         taxonomy: the tree.
-        nodes: [M, 3] uint8 RGB, as `taxonomy.nodes` counts.
+        nodes: [M, 3] uint8 RGB, in the order of `taxonomy.nodes`.
         classes: [C + 1, 3] uint8 RGB by class id; void is black.
     """
 
@@ -68,17 +68,17 @@ class Palette:
         self.classes = np.concatenate([np.array([VOID_COLOUR], np.uint8), leaves])
 
     def picture(self, node_ids: NDArray[np.integer]) -> Picture:
-        """Node indices [H, W], of one level or several, as colours; -1 is black.
+        """Return the colours of node indices [H, W] of any level; -1 (void) is black.
 
-        `taxonomy.level_ids` gives them for class ids.
+        `taxonomy.level_ids` converts class ids to node indices.
         """
-        # The last row is void's, and -1 its index.
+        # The last row, index -1, is the colour of void.
         return np.concatenate([self.nodes, self.classes[:1]])[node_ids]
 
     def legend(self, node_ids: NDArray[np.integer]) -> list[LegendEntry]:
-        """What appears in an image of node indices, and on which share of it, largest first.
+        """Return the nodes in an image of node indices with their area fraction, largest first.
 
-        Void comes last. Names that several nodes have are given with those above them.
+        Void is last. Ambiguous names are preceded by the names of their parents.
         """
         found, counts = np.unique(node_ids, return_counts=True)
         names = _names(self.taxonomy, [int(i) for i in found if i != _VOID])
@@ -102,13 +102,13 @@ class Palette:
         overlay: float = 1.0,
         legend_rows: int = 0,
     ) -> Picture:
-        """Colour and every level of the tree side by side.
+        """Return the colour image and the labels at every level side by side.
 
         Args:
-            rgb: [H, W, 3] in [0, 1].
-            levels: node indices [H, W] at each level, -1 void, coarsest first.
-            overlay: how much of the semantic colour covers the image, in [0, 1].
-            legend_rows: entries of the legend below each panel.
+            rgb: [H, W, 3] colours in [0, 1].
+            levels: node indices [H, W] at each level, coarsest first; -1 is void.
+            overlay: opacity of the semantic colours over the image, in [0, 1].
+            legend_rows: number of legend entries below each panel.
         """
         photo = colour_picture(rgb)
         panels = [Panel("colour", legend_below(photo, [], legend_rows))]
@@ -120,7 +120,7 @@ class Palette:
 
 
 def _srgb(lab: NDArray[np.float64]) -> tuple[Colours, NDArray[np.bool_]]:
-    """sRGB [N, 3] of Oklab colours, and which of them a screen can show."""
+    """Convert Oklab colours to sRGB [N, 3]; also return which are inside the sRGB gamut."""
     cones = (lab @ np.linalg.inv(_LAB_FROM_CONES).T) ** 3
     linear = cones @ np.linalg.inv(_CONES_FROM_RGB).T
     shown = np.all((linear >= 0.0) & (linear <= 1.0), axis=1)
@@ -130,8 +130,8 @@ def _srgb(lab: NDArray[np.float64]) -> tuple[Colours, NDArray[np.bool_]]:
 
 
 @functools.cache
-def _choice() -> tuple[Colours, NDArray[np.float64], NDArray[np.float64]]:
-    """Colours to choose from: sRGB, Oklab, and hue, lightness, chroma in comparable lengths."""
+def _candidates() -> tuple[Colours, NDArray[np.float64], NDArray[np.float64]]:
+    """Return the candidate colours as sRGB, Oklab, and scaled hue, lightness and chroma."""
     lightness = np.arange(*_LIGHTNESS, _STEP)
     chroma_axis = np.arange(-_CHROMA[1], _CHROMA[1] + _STEP, _STEP)
     grid = np.meshgrid(lightness, chroma_axis, chroma_axis, indexing="ij")
@@ -145,16 +145,16 @@ def _choice() -> tuple[Colours, NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _node_colours(taxonomy: Taxonomy) -> Colours:
-    """Colours [M, 3] of all nodes."""
-    rgb, lab, axes = _choice()
+    """Return the colours [M, 3] of all nodes."""
+    rgb, lab, axes = _candidates()
     regions = _regions(taxonomy, axes)
     eligible = [
-        region if node.leaf else _heart(region, axes)
+        region if node.leaf else _vivid_centre(region, axes)
         for node, region in zip(taxonomy.nodes, regions, strict=True)
     ]
-    chosen = np.array([_middle(members, lab) for members in eligible])
+    chosen = np.array([_central_colour(members, lab) for members in eligible])
     settled: set[int] = set()
-    # The classes first: they are the most, and have the least room.
+    # Start with the classes, which are the most numerous and have the smallest regions.
     for level in reversed(range(taxonomy.depth)):
         nodes = np.unique(taxonomy.node_ids[:, level])
         for _ in range(_SWEEPS):
@@ -170,78 +170,80 @@ def _node_colours(taxonomy: Taxonomy) -> Colours:
 
 
 def _regions(taxonomy: Taxonomy, axes: NDArray[np.float64]) -> list[NDArray[np.intp]]:
-    """Indices of the colours that belong to each node, its descendants' among them."""
+    """Return the indices of the colours of each node's region, which includes its descendants'."""
     children: dict[tuple[str, ...], list[int]] = {}
     for number, node in enumerate(taxonomy.nodes):
         children.setdefault(node.path[:-1], []).append(number)
     regions = [np.empty(0, np.intp)] * len(taxonomy.nodes)
 
-    def share_out(siblings: list[int], members: NDArray[np.intp]) -> None:
+    def assign(siblings: list[int], members: NDArray[np.intp]) -> None:
         if len(siblings) > 1:
-            first, rest, share = _halves(siblings, taxonomy)
-            below, above = _cut(members, axes, share)
-            share_out(first, below)
-            share_out(rest, above)
+            first, rest, fraction = _halves(siblings, taxonomy)
+            below, above = _split(members, axes, fraction)
+            assign(first, below)
+            assign(rest, above)
             return
         regions[siblings[0]] = members
         if grandchildren := children.get(taxonomy.nodes[siblings[0]].path):
-            share_out(grandchildren, members)
+            assign(grandchildren, members)
 
-    share_out(children[()], np.arange(len(axes)))
+    assign(children[()], np.arange(len(axes)))
     return regions
 
 
 def _halves(siblings: list[int], taxonomy: Taxonomy) -> tuple[list[int], list[int], float]:
-    """Siblings in two parts of about as many classes, and the first part's share of them."""
+    """Split siblings into parts of similar numbers of classes; return the first one's fraction."""
     classes = np.cumsum([len(taxonomy.nodes[i].class_ids) for i in siblings])
-    shares = classes[:-1] / classes[-1]
-    last = int(np.abs(shares - 0.5).argmin())
-    return siblings[: last + 1], siblings[last + 1 :], float(shares[last])
+    fractions = classes[:-1] / classes[-1]
+    last = int(np.abs(fractions - 0.5).argmin())
+    return siblings[: last + 1], siblings[last + 1 :], float(fractions[last])
 
 
-def _cut(
-    members: NDArray[np.intp], axes: NDArray[np.float64], share: float
+def _split(
+    members: NDArray[np.intp], axes: NDArray[np.float64], fraction: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """A region in two across its longest axis, with a gap between them; none is empty."""
+    """Split a region along its longest axis into two non-empty parts with a gap between them."""
     low, high = np.percentile(axes[members], (2, 98), axis=0)
     along = axes[members, int((high - low).argmax())]
     ordered = members[np.argsort(along, kind="stable")]
-    middle = round(share * len(ordered))
-    gap = int(_GAP * len(ordered) * min(share, 1.0 - share)) // 2
+    middle = round(fraction * len(ordered))
+    gap = int(_GAP * len(ordered) * min(fraction, 1.0 - fraction)) // 2
     end, start = max(middle - gap, 1), min(middle + gap, len(ordered) - 1)
     return ordered[:end], ordered[start:]
 
 
-def _heart(region: NDArray[np.intp], axes: NDArray[np.float64]) -> NDArray[np.intp]:
-    """The vivid colours of a region's middle hues: they stand for a whole group."""
+def _vivid_centre(region: NDArray[np.intp], axes: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the saturated colours of a region's central hues, which represent a group."""
     hue, chroma = axes[region, 0], axes[region, 2]
     low, high = np.percentile(hue, (25, 75))
     central = (hue >= low) & (hue <= high)
     return region[central & (chroma >= np.percentile(chroma[central], 60))]
 
 
-def _middle(members: NDArray[np.intp], lab: NDArray[np.float64]) -> int:
+def _central_colour(members: NDArray[np.intp], lab: NDArray[np.float64]) -> int:
     squares = ((lab[members] - lab[members].mean(axis=0)) ** 2).sum(axis=1)
     return int(members[squares.argmin()])
 
 
 def _names(taxonomy: Taxonomy, nodes: Sequence[int]) -> dict[int, str]:
-    """The shortest ends of the nodes' paths that tell them apart."""
+    """Return the shortest suffix of each node's path that is unambiguous."""
     paths = {i: taxonomy.nodes[i].path for i in nodes}
     names = {}
     for i, path in paths.items():
-        longest = max((_common_end(path, other) for j, other in paths.items() if j != i), default=0)
+        longest = max(
+            (_common_suffix_length(path, other) for j, other in paths.items() if j != i), default=0
+        )
         names[i] = " > ".join(path[-(longest + 1) :])
     return names
 
 
-def _common_end(one: tuple[str, ...], other: tuple[str, ...]) -> int:
-    """How many names two paths have in common at their ends."""
+def _common_suffix_length(one: tuple[str, ...], other: tuple[str, ...]) -> int:
+    """Return the number of names that two paths have in common at their ends."""
     same = 0
     while same < min(len(one), len(other)) and one[-1 - same] == other[-1 - same]:
         same += 1
     return same
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f} %" if share >= 0.0005 else "< 0.1 %"
+def _percent(fraction: float) -> str:
+    return f"{100.0 * fraction:.1f} %" if fraction >= 0.0005 else "< 0.1 %"

@@ -1,7 +1,7 @@
-"""Questions to a labelled map: what is there, how many, where, how large.
+"""Queries on a labelled map: Gaussians and objects by class, with counts, positions and sizes.
 
-A Gaussian belongs to a class or group where the map names it at the level of that node: it
-may be sure of the group and unsure of the class.
+A Gaussian belongs to a class or group if its label at the level of that node is the node. The
+group of a Gaussian can be known while its class is not.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from toolkit.semantics.taxonomy import VOID, VOID_NAME, Node, Taxonomy
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Names that classes of the floor have, and of what lies on it.
+# Class names of the floor and of floor coverings.
 FLOOR_NAMES = ("floor", "ground", "rug", "carpet")
 CEILING_NAMES = ("ceiling",)
 
-# Without a floor, the lowest Gaussians but for so many strays lie on it.
+# If no floor is labelled, its height is this percentile of the Gaussians' heights.
 _LOWEST_PERCENT = 0.5
-# A core point of DBSCAN has so many neighbours, itself among them.
-_LEAST_NEIGHBOURS = 4
+# Minimum number of neighbours of a DBSCAN core point, itself included.
+_MIN_NEIGHBOURS = 4
 
 
 @dataclass(frozen=True)
 class ObjectOptions:
-    """What counts as one object.
+    """Options of the extraction of objects.
 
     Attributes:
-        link_m: Gaussians nearer to each other are of one object.
-        min_gaussians: what has fewer is noise.
-        min_confidence: Gaussians less sure of what they are do not count, in [0, 1].
+        link_m: maximum distance of neighbouring Gaussians of one object, in metres.
+        min_gaussians: minimum number of Gaussians of an object; smaller pieces are noise.
+        min_confidence: minimum confidence of a Gaussian's label, in [0, 1].
     """
 
     link_m: float = 0.06
@@ -48,13 +48,13 @@ class ObjectOptions:
 
 @dataclass(frozen=True)
 class SceneObject:
-    """A connected piece of a class, or of a group where the map is unsure of the class.
+    """A connected set of Gaussians of one class, or of one group if their class is unknown.
 
     Attributes:
-        node: what it is.
-        index: [n] which Gaussians.
-        confidence: their mean, in [0, 1].
-        box: around their centres.
+        node: class or group of the object.
+        index: [n] indices of its Gaussians.
+        confidence: mean confidence of its Gaussians, in [0, 1].
+        box: bounding box of their centres.
     """
 
     node: Node
@@ -69,16 +69,16 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class LabelledMap:
-    """Gaussians that know what they are.
+    """Gaussians with labels.
 
     Attributes:
-        means_m: [N, 3] float64, in the map's frame.
-        labels: what each is.
+        means_m: [N, 3] float64, centres in the map frame, in metres.
+        labels: label of each Gaussian.
         taxonomy: the tree that the labels refer to.
 
     Raises:
-        FormatError: the labels are not of this tree.
-        ValueError: there are more or fewer labels than Gaussians.
+        FormatError: the labels do not belong to this tree.
+        ValueError: the numbers of labels and Gaussians differ.
     """
 
     means_m: Array
@@ -96,17 +96,19 @@ class LabelledMap:
         return len(self.means_m)
 
     def members(self, node: Node | None, min_confidence: float = 0.0) -> Mask:
-        """Which Gaussians [N] are of a class or group, or of any, at least so surely."""
-        sure = self.labels.confidence >= min_confidence
+        """Return the mask [N] of the Gaussians of a class or group, or of any if `node` is None."""
+        confident = self.labels.confidence >= min_confidence
         if node is None:
-            return sure & (self.labels.levels >= 0).any(axis=1)
-        return sure & (self.labels.levels[:, node.level] == self.taxonomy.nodes.index(node))
+            return confident & (self.labels.levels >= 0).any(axis=1)
+        return confident & (self.labels.levels[:, node.level] == self.taxonomy.nodes.index(node))
 
     def selected(self, names: Sequence[str], min_confidence: float = 0.0) -> Mask:
-        """Which Gaussians [N] are of any of these classes and groups; "void" has no class.
+        """Return the mask [N] of the Gaussians of any of these classes and groups.
+
+        The name "void" selects the Gaussians without a class.
 
         Raises:
-            FormatError: a name is none of the tree, or is that of several nodes.
+            FormatError: a name is not in the tree, or is ambiguous.
         """
         mask = np.zeros(len(self), bool)
         for name in names:
@@ -117,17 +119,20 @@ class LabelledMap:
         return mask
 
     def counts(self) -> NDArray[np.int64]:
-        """Number of Gaussians [M] of every node of the tree."""
+        """Return the number of Gaussians [M] of every node of the tree."""
         total = np.zeros(len(self.taxonomy.nodes), np.int64)
         for number, node in enumerate(self.taxonomy.nodes):
             total[number] = (self.labels.levels[:, node.level] == number).sum()
         return total
 
     def ground(self, floor: Sequence[str] = FLOOR_NAMES) -> Ground | None:
-        """The plane of the floor's classes, or below the ceiling's; None where neither tells.
+        """Return the plane of the floor, or None if it cannot be determined.
+
+        It is fitted to the classes of the floor. If there are none, it is the plane parallel to
+        the ceiling at the height of the lowest Gaussians.
 
         Args:
-            floor: classes and groups of the floor; those that the tree lacks do not matter.
+            floor: classes and groups of the floor; names that are not in the tree are ignored.
         """
         below = self._plane(floor)
         if below is not None:
@@ -139,14 +144,14 @@ class LabelledMap:
         return Ground(-ceiling.up, float(np.percentile(heights_m, _LOWEST_PERCENT)))
 
     def _plane(self, names: Sequence[str]) -> Ground | None:
-        """The plane of some classes, "up" being where everything else is."""
+        """Fit a plane to some classes; its normal points towards the other Gaussians."""
         members = self.selected(self.known(names))
         if not members.any() or members.all():
             return None
         return Ground.below(self.means_m[members], self.means_m[~members])
 
     def known(self, names: Sequence[str]) -> list[str]:
-        """Those of the names that the tree has, as one node."""
+        """Return the names that identify exactly one node of the tree."""
         found = []
         for name in names:
             try:
@@ -159,12 +164,12 @@ class LabelledMap:
     def objects(
         self, node: Node | None, ground: Ground | None, options: ObjectOptions
     ) -> list[SceneObject]:
-        """Connected pieces of each class below a node, or of all classes; the largest first.
+        """Return the objects of each class below a node, or of all classes, largest first.
 
         Args:
-            node: a class or group; Gaussians unsure of their class are pieces of their group.
-            ground: what boxes stand on; they are free without one.
-            options: what counts as one object.
+            node: a class or group; Gaussians of unknown class form objects of their group.
+            ground: boxes are upright on this plane; None allows any orientation.
+            options: options of the extraction of objects.
         """
         kinds = np.where(self.members(node, options.min_confidence), self._finest(node), -1)
         found = []
@@ -177,30 +182,30 @@ class LabelledMap:
         return sorted(found, key=lambda o: (-len(o), o.index[0]))
 
     def pieces(self, index: NDArray[np.intp], options: ObjectOptions) -> list[NDArray[np.intp]]:
-        """The connected pieces of some Gaussians, without what is noise."""
+        """Return the connected components of some Gaussians, without noise."""
         found = [index[piece] for piece in connected(self.means_m[index], options.link_m)]
         return [piece for piece in found if len(piece) >= options.min_gaussians]
 
     def _finest(self, above: Node | None) -> NDArray[np.int32]:
-        """Node index [N] of the finest level at which each Gaussian is known, -1 for none."""
+        """Return the index [N] of the most specific known node of each Gaussian, -1 for none."""
         levels = self.labels.levels
         finest = np.full(len(self), -1, np.int32)
         for column in levels.T:
             finest = np.where(column >= 0, column, finest)
         if above is None:
             return finest
-        # Levels may be decoded one by one and disagree.
+        # Levels are decoded independently and can be inconsistent.
         depth = len(above.path)
         within = np.array([n.path[:depth] == above.path for n in self.taxonomy.nodes])
         return np.where(within[finest], finest, self.taxonomy.nodes.index(above))
 
 
 def check_labels(labels: SplatLabels, taxonomy: Taxonomy) -> None:
-    """Check that labels can be of a tree.
+    """Check that labels are consistent with a tree.
 
     Raises:
         FormatError: they refer to levels, classes or nodes that the tree does not have, or
-            their confidence is none.
+            a confidence is outside [0, 1].
     """
     name, levels = taxonomy.name, labels.levels
     if levels.shape[1] != taxonomy.depth:
@@ -215,23 +220,24 @@ def check_labels(labels: SplatLabels, taxonomy: Taxonomy) -> None:
     if labels.label.min() < VOID or labels.label.max() > len(taxonomy):
         wrong = labels.label.max() if labels.label.max() > len(taxonomy) else labels.label.min()
         raise FormatError(
-            f"the labels hold class {wrong}, taxonomy '{name}' has classes 1 to {len(taxonomy)}; "
+            f"the labels contain class {wrong}, taxonomy '{name}' has classes 1 to "
+            f"{len(taxonomy)}; "
             "give the taxonomy that the map was made with"
         )
     for level in range(taxonomy.depth):
-        strange = np.setdiff1d(levels[:, level], [-1, *taxonomy.node_ids[:, level]])
-        if len(strange):
+        unknown = np.setdiff1d(levels[:, level], [-1, *taxonomy.node_ids[:, level]])
+        if len(unknown):
             raise FormatError(
-                f"the labels hold node {strange[0]} at level {level}, where taxonomy '{name}' has "
-                "no such node; give the taxonomy that the map was made with"
+                f"the labels contain node {unknown[0]} at level {level}, which taxonomy '{name}' "
+                "does not have; give the taxonomy that the map was made with"
             )
 
 
 def connected(points_m: Array, link_m: float) -> list[NDArray[np.intp]]:
-    """Indices of each connected piece of points [N, 3], the largest first; noise is dropped.
+    """Return the indices of each connected component of points [N, 3], largest first.
 
-    DBSCAN (Open3D) over the means of cells half a link wide: a wall of a hundred thousand
-    Gaussians has some thousand of these, and they are the same in every run.
+    Noise is dropped. Uses DBSCAN (Open3D) on the means of voxels of half the link distance: this
+    is deterministic and reduces a wall of 100 000 Gaussians to some thousand points.
     """
     if len(points_m) == 0:
         return []
@@ -243,6 +249,6 @@ def connected(points_m: Array, link_m: float) -> list[NDArray[np.intp]]:
     cloud = o3d.geometry.PointCloud(
         o3d.utility.Vector3dVector(np.stack(sums, axis=1) / sizes[:, None])
     )
-    pieces = np.asarray(cloud.cluster_dbscan(link_m, _LEAST_NEIGHBOURS))[cells]
+    pieces = np.asarray(cloud.cluster_dbscan(link_m, _MIN_NEIGHBOURS))[cells]
     found = [np.flatnonzero(pieces == piece) for piece in range(pieces.max() + 1)]
     return sorted(found, key=len, reverse=True)

@@ -1,4 +1,4 @@
-"""A labelled map as plain values: the tree with counts, objects with boxes, the room."""
+"""Export a labelled map as JSON values: tree with counts, objects with boxes, room."""
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ from toolkit.semantics.query import (
 from toolkit.semantics.taxonomy import VOID
 
 _WALL_NAMES = ("wall",)
-# Fractions of a millimetre are no news.
-_DECIMALS = 4
+_DECIMALS = 4  # of lengths in metres: 0.1 mm
 
 
 @dataclass(frozen=True)
 class SceneReader:
-    """Puts what a labelled map tells into JSON values; lengths in metres.
+    """Describes a labelled map by JSON values; lengths are in metres.
 
     Attributes:
         map: the labelled Gaussians.
-        options: what counts as one object.
-        viewpoint_m: [3], where distances are measured from.
-        floor: classes and groups of the floor; those that the tree lacks do not matter.
+        options: options of the extraction of objects.
+        viewpoint_m: [3], point from which distances are measured.
+        floor: classes and groups of the floor; names that are not in the tree are ignored.
     """
 
     map: LabelledMap
@@ -43,14 +42,17 @@ class SceneReader:
 
     @functools.cached_property
     def ground(self) -> Ground | None:
-        """What boxes stand on; without it they are free, and areas of floor are null."""
+        """The plane of the floor.
+
+        Without one, boxes have any orientation and floor areas are null.
+        """
         return self.map.ground(self.floor)
 
     def answer(self, name: str) -> dict[str, Any]:
-        """What the map knows about a class or group.
+        """Describe a class or group: Gaussians, confidence, floor area and objects.
 
         Raises:
-            FormatError: the name is none of the tree, or that of several nodes.
+            FormatError: the name is not in the tree, or is ambiguous.
         """
         node = self.map.taxonomy.find(name)
         members = self.map.members(node, self.options.min_confidence)
@@ -64,7 +66,7 @@ class SceneReader:
         }
 
     def tree(self) -> dict[str, Any]:
-        """The nodes that have Gaussians, nested, with their number and mean confidence."""
+        """Return the nested nodes that have Gaussians, with their number and mean confidence."""
         return {
             "gaussians": len(self.map),
             "unlabelled": int((self.map.labels.label == VOID).sum()),
@@ -72,7 +74,7 @@ class SceneReader:
         }
 
     def summary(self) -> dict[str, Any]:
-        """The whole scene: tree, all objects, and the room around them."""
+        """Describe the scene: tree, all objects, and the room."""
         taxonomy = self.map.taxonomy
         objects = self.map.objects(None, self.ground, self.options)
         return {
@@ -90,7 +92,7 @@ class SceneReader:
 
     def _nodes(self) -> list[dict[str, Any]]:
         nodes, counts = self.map.taxonomy.nodes, self.map.counts()
-        # Levels may be decoded one by one: a class may be there where its group is not.
+        # Levels are decoded independently: a class can have Gaussians where its group has none.
         filled = {
             node.path[:end]
             for node, count in zip(nodes, counts, strict=True)
@@ -126,24 +128,24 @@ class SceneReader:
         }
 
     def _room(self) -> dict[str, Any] | None:
-        """The box around floor, walls and ceiling, and the floor that was seen."""
-        shell = self._whole([*self.floor, *_WALL_NAMES, *CEILING_NAMES])
+        """Return the box around floor, walls and ceiling, and the observed floor area."""
+        shell = self._without_noise([*self.floor, *_WALL_NAMES, *CEILING_NAMES])
         if len(shell) == 0:
             return None
         box = oriented_box(self.map.means_m[shell], self.ground)
         return {
             "box": _box_values(box),
-            "floor_area_m2": self._area([self._whole(self.floor)]),
+            "floor_area_m2": self._area([self._without_noise(self.floor)]),
         }
 
-    def _whole(self, names: Sequence[str]) -> NDArray[np.intp]:
-        """Which Gaussians are of some classes, without what is noise."""
+    def _without_noise(self, names: Sequence[str]) -> NDArray[np.intp]:
+        """Return the indices of the Gaussians of some classes, without noise."""
         members = self.map.selected(self.map.known(names), self.options.min_confidence)
         pieces = self.map.pieces(np.flatnonzero(members), self.options)
         return np.concatenate([np.empty(0, np.intp), *pieces])
 
     def _area(self, parts: Sequence[NDArray[np.intp]]) -> float | None:
-        """Floor under some Gaussians together, None where what is down is unknown."""
+        """Return the floor area below the union of some Gaussians, None without a floor plane."""
         if self.ground is None:
             return None
         index = np.concatenate([np.empty(0, np.intp), *parts])

@@ -1,4 +1,4 @@
-"""The semantic tree: a class is the path from the root to its leaf (H-III.A)."""
+"""The semantic tree; a class is represented by the path from the root to its leaf (H-III.A)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from toolkit.semantics.taxonomy_parsing import (
     shortened,
 )
 
-VOID = 0  # the class id of what has no label; classes count from 1
+VOID = 0  # class id of unlabelled pixels; the ids of classes start at 1
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Node:
     """One node of the tree.
 
     Attributes:
-        name: its own name.
-        path: names from the root's child down to it.
-        level: 0 for a child of the root.
-        local_id: its number among its siblings, from 0.
-        class_ids: the classes below it, ascending; a leaf has its own.
-        leaf: whether it is a class.
+        name: name of the node.
+        path: names from the child of the root to the node.
+        level: level of the node; 0 for a child of the root.
+        local_id: index of the node among its siblings, from 0.
+        class_ids: ids of the classes below the node, ascending; of a leaf, its own id.
+        leaf: whether the node is a class.
     """
 
     name: str
@@ -57,28 +57,28 @@ class Node:
 
 
 class Taxonomy:
-    """A tree over the classes 1..C. It never changes once made.
+    """An immutable tree over the classes 1..C.
 
-    Children are numbered locally, within their parent, in the order they are given. A class
-    that ends early is padded: below its last level it is an only child, number 0.
+    Children are numbered within their parent in the given order. Classes above the last level are
+    padded: at the levels below, the class is its own only child with local id 0.
 
     Args:
-        tree: nested mappings from name to subtree; a list of names ends a branch.
-        levels: a name for each level, top first, no two alike; as many as the deepest
-            class has.
-        classes: class names in the order of their ids 1..C; the tree's own order if None.
-        name: what the tree is called.
+        tree: nested mappings from name to subtree; a list of names marks leaves.
+        levels: a distinct name for each level, top first; as many as the depth of the tree.
+        classes: class names in the order of their ids 1..C; None for the order of the tree.
+        name: name of the tree.
 
     Attributes:
         classes: names by class id - 1.
         levels: names of the levels.
-        local_ids: [C, L] int32, a class's number among its siblings at each level.
-        node_ids: [C, L] int32, indices into `nodes` of its ancestors, itself at the end.
+        local_ids: [C, L] int32, index among its siblings of each class's node at each level.
+        node_ids: [C, L] int32, index into `nodes` of each class's node at each level; the last
+            one is the class itself.
 
     Raises:
-        FormatError: no or one class, names that are not text, repeated class names, repeated
-            siblings, empty groups, or levels and classes that do not match the tree. Names
-            that differ in case, hyphens or spaces alone are the same name.
+        FormatError: fewer than two classes, names that are not text, repeated class names,
+            repeated siblings, empty groups, or levels or classes that do not match the tree.
+            Names are compared without case, hyphens and spaces.
     """
 
     def __init__(
@@ -119,22 +119,22 @@ class Taxonomy:
 
     @property
     def depth(self) -> int:
-        """Number of levels, the classes' own included."""
+        """Number of levels, including that of the classes."""
         return len(self.levels)
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """All nodes, parents before children, siblings by number; `node_ids` index them."""
+        """All nodes, parents before children, siblings by local id; indexed by `node_ids`."""
         return self._nodes
 
     @functools.cached_property
     def level_widths(self) -> tuple[int, ...]:
-        """The largest number of siblings at each level, H's n_l."""
+        """The maximum number of siblings at each level (n_l in Hier-SLAM)."""
         return tuple(int(self.local_ids[:, level].max()) + 1 for level in range(self.depth))
 
     @functools.cached_property
     def digest(self) -> str:
-        """SHA-256 of structure, class ids and level names; the tree's own name is no part."""
+        """SHA-256 of structure, class ids and level names, without the name of the tree."""
         text = json.dumps(
             {"paths": self._leaf_paths, "local": self.local_ids.tolist(), "levels": self.levels},
             ensure_ascii=False,
@@ -142,38 +142,42 @@ class Taxonomy:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def path(self, class_id: int) -> tuple[str, ...]:
-        """Names from the root's child to the class; void and unknown ids are a FormatError."""
+        """Return the names from the child of the root to the class.
+
+        Raises:
+            FormatError: the id is void or unknown.
+        """
         return self._leaf_paths[self._row(class_id)]
 
     def leaf(self, class_id: int) -> Node:
-        """The node of a class."""
+        """Return the node of a class."""
         return self.ancestor(class_id, self.depth - 1)
 
     def ancestor(self, class_id: int, level: int) -> Node:
-        """The node above a class at a level; the class itself where it ends earlier."""
+        """Return the ancestor of a class at a level, or the class itself if it is above it."""
         return self._nodes[int(self.node_ids[self._row(class_id), level])]
 
     def common_ancestor(self, first: int, second: int) -> Node | None:
-        """The lowest node above two classes, or None where only the root is."""
+        """Return the lowest common ancestor of two classes, or None if it is the root."""
         ours, theirs = self.node_ids[self._row(first)], self.node_ids[self._row(second)]
         shared = np.flatnonzero(ours == theirs)
         return self._nodes[int(ours[shared[-1]])] if len(shared) else None
 
     def find_all(self, query: str) -> tuple[Node, ...]:
-        """All nodes of a name, or of a path "a > b > c" that may start anywhere.
+        """Return all nodes with a name, or whose path ends with "a > b > c".
 
-        The same group may stand in several branches, as seats do under every size. Upper
-        case, hyphens and surrounding space do not matter. Empty where there is none.
+        Several groups can have the same name in different branches. Names are compared without
+        case, hyphens and surrounding space.
         """
-        wanted = tuple(folded(part) for part in query.split(">"))
-        length = len(wanted)
-        return tuple(n for n in self._nodes if tuple(folded(p) for p in n.path[-length:]) == wanted)
+        suffix = tuple(folded(part) for part in query.split(">"))
+        length = len(suffix)
+        return tuple(n for n in self._nodes if tuple(folded(p) for p in n.path[-length:]) == suffix)
 
     def find(self, query: str) -> Node:
-        """The one node that `find_all` finds; a class before groups of the same name.
+        """Return the only match of `find_all`; a class has priority over groups of the same name.
 
         Raises:
-            FormatError: there is none, or several; the message lists what was meant perhaps.
+            FormatError: there is no match, or several; the message lists candidates.
         """
         found = self.find_all(query)
         leaves = [n for n in found if n.leaf]
@@ -188,10 +192,10 @@ class Taxonomy:
         raise FormatError(f"no class or group '{query}' in taxonomy '{self.name}'{hint}")
 
     def level_ids(self, class_ids: NDArray[np.integer], level: int) -> NDArray[np.int32]:
-        """Node indices of class ids at a level, -1 for void; any shape.
+        """Return the node indices of class ids of any shape at a level, -1 for void.
 
         Raises:
-            FormatError: an id that is neither void nor a class.
+            FormatError: an id is neither void nor a class.
         """
         wrong = class_ids[(class_ids < VOID) | (class_ids > len(self))]
         if wrong.size:
@@ -200,20 +204,20 @@ class Taxonomy:
         return table[class_ids]
 
     def nodes_at(self, level: int) -> tuple[Node, ...]:
-        """The distinct nodes that classes have at a level, padded ones included."""
+        """Return the distinct nodes of the classes at a level, including padded ones."""
         return tuple(self._nodes[i] for i in np.unique(self.node_ids[:, level]))
 
     def relabelling(self, names: Mapping[int, str], source: str = "labels") -> NDArray[np.int32]:
-        """Table from a data set's class ids to this tree's, by name; gaps are -1.
+        """Return a table from a dataset's class ids to those of this tree, -1 for unused ids.
 
-        Case, hyphens and spaces do not matter; plurals do.
+        Classes are assigned by name, without case, hyphens and spaces. Plurals are different names.
 
         Args:
-            names: the data set's class names by id, from 1, without its void.
-            source: what to call them in an error, a file perhaps.
+            names: the dataset's class names by id, from 1, without void.
+            source: name of the vocabulary in errors, for instance a file.
 
         Raises:
-            FormatError: a class that this tree does not have, or an id below 1.
+            FormatError: this tree lacks a class, or an id is below 1.
         """
         if min(names, default=1) <= VOID:
             raise FormatError(f"{source}: class ids count from 1, got {min(names)}")
@@ -232,7 +236,7 @@ class Taxonomy:
         return table
 
     def tree(self) -> dict[str, Any]:
-        """The nested form that the constructor takes; a leaf's value is an empty mapping."""
+        """Return the nested form for the constructor; the value of a leaf is an empty mapping."""
         root: dict[str, Any] = {}
         for node in self._nodes:
             branch = root
@@ -242,7 +246,7 @@ class Taxonomy:
         return root
 
     def to_json(self) -> dict[str, Any]:
-        """JSON values from which `from_json` makes the same tree."""
+        """Return JSON values from which `from_json` restores the tree."""
         return {
             "name": self.name,
             "levels": list(self.levels),
@@ -251,7 +255,7 @@ class Taxonomy:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write YAML, or JSON where the name ends so.
+        """Write a YAML file, or a JSON file if the suffix is ".json".
 
         Raises:
             RunFolderError: the file cannot be written.
@@ -268,10 +272,10 @@ class Taxonomy:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any], source: str = "taxonomy") -> Taxonomy:
-        """A tree from JSON values.
+        """Build a tree from JSON values.
 
         Raises:
-            FormatError: a key is missing, unknown or of the wrong type, or the tree is wrong.
+            FormatError: a key is missing, unknown or of the wrong type, or the tree is invalid.
         """
         if not isinstance(values, Mapping) or not isinstance(values.get("tree"), Mapping | list):
             raise FormatError(f"{source}: a taxonomy needs 'tree', a mapping or a list")
@@ -294,16 +298,16 @@ class Taxonomy:
 
     @classmethod
     def flat(cls, classes: Sequence[str], name: str = "flat") -> Taxonomy:
-        """A tree of one level: every class its own group."""
+        """Build a tree of one level."""
         check_classes(classes, [(c,) for c in classes])
         return cls(dict.fromkeys(classes), ["class"], classes, name)
 
     @classmethod
     def load(cls, path: str | Path) -> Taxonomy:
-        """A tree from a YAML or JSON file.
+        """Read a tree from a YAML or JSON file.
 
         Raises:
-            FormatError: the file is missing, is neither, or holds no valid tree.
+            FormatError: the file is missing, or does not contain a valid tree.
         """
         from toolkit.semantics.taxonomy_files import read_values
 
@@ -332,13 +336,13 @@ class Taxonomy:
         )
 
     def _make_tables(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Local ids and node indices [C, L] of every class's path, padded to full depth."""
+        """Return local ids and node indices [C, L] of every class's path, padded to full depth."""
         index = {node.path: i for i, node in enumerate(self._nodes)}
         local_ids = np.zeros((len(self), self.depth), np.int32)
         node_ids = np.zeros((len(self), self.depth), np.int32)
         for row, path in enumerate(self._leaf_paths):
             for level in range(self.depth):
-                node = index[path[: level + 1]]  # of the whole path once that has ended
+                node = index[path[: level + 1]]  # the class itself below its last level
                 node_ids[row, level] = node
                 local_ids[row, level] = self._nodes[node].local_id if level < len(path) else 0
         local_ids.setflags(write=False)

@@ -1,7 +1,7 @@
-"""A taxonomy as a picture: boxes from left to right, from the top level to the classes.
+"""Draw a taxonomy as boxes, with the top level on the left and the classes on the right.
 
-A node is as tall as the classes below it, so that sizes are seen at a glance. A long tree is
-cut into blocks that stand side by side.
+The height of a box is proportional to the number of classes below its node. A large tree is split
+into blocks that are placed side by side.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
-# Inches on paper, and points of type.
+# Lengths in inches, font sizes in points.
 _ROW = 0.155
-_TYPE = 7.0
-_LETTER = 0.52 * _TYPE / 72  # width of an average letter
-_NARROW, _WIDE = 0.6, 1.5  # of a level's column
+_FONT_SIZE = 7.0
+_LETTER = 0.52 * _FONT_SIZE / 72  # average width of a letter
+_MIN_COLUMN, _MAX_COLUMN = 0.6, 1.5  # width of a level's column
 _GAP = 0.3  # between blocks
-_MARGIN, _HEAD = 0.15, 0.6
-_PROPORTION = 1.5  # width by height that the whole tries for
+_MARGIN, _HEADER = 0.15, 0.6
+_ASPECT_RATIO = 1.5  # target width / height of the figure
 
 
 @dataclass(frozen=True)
 class _Box:
-    """A node's part in one block: rows and columns, the upper ends not included."""
+    """The part of a node in one block: half-open ranges of rows and columns."""
 
     node: Node
     rows: tuple[int, int]
@@ -43,17 +43,17 @@ class _Box:
 
 
 def draw_taxonomy(taxonomy: Taxonomy, path: str | Path, dpi: int = 120) -> None:
-    """Write a picture of the tree.
+    """Write a drawing of the tree.
 
     Args:
-        path: ends in .png, .svg or .pdf.
-        dpi: dots an inch of a PNG.
+        path: file name with suffix .png, .svg or .pdf.
+        dpi: resolution of a PNG in dots per inch.
 
     Raises:
-        FormatError: another ending.
+        FormatError: the suffix is not supported.
         RunFolderError: the file cannot be written.
     """
-    # The object interface alone: pyplot keeps figures, and settings, for the whole process.
+    # pyplot is not used because it keeps figures and settings in global state.
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -62,48 +62,47 @@ def draw_taxonomy(taxonomy: Taxonomy, path: str | Path, dpi: int = 120) -> None:
         raise FormatError(f"{path}: a tree can be drawn as {', '.join(SUFFIXES)}")
     order = [n.class_ids[0] for n in taxonomy.nodes if n.leaf]
     columns = _column_edges(taxonomy)
-    rows = _rows_a_block(len(order), columns[-1])
+    rows = _rows_per_block(len(order), columns[-1])
     blocks = [order[start : start + rows] for start in range(0, len(order), rows)]
     width = len(blocks) * (columns[-1] + _GAP) - _GAP + 2 * _MARGIN
     width = max(width, len(str(taxonomy)) * 1.6 * _LETTER + 2 * _MARGIN)
-    height = rows * _ROW + _HEAD + _MARGIN
+    height = rows * _ROW + _HEADER + _MARGIN
     figure = Figure(figsize=(width, height))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
-    axes.text(_MARGIN, 0.24, str(taxonomy), fontsize=1.3 * _TYPE, weight="bold", va="center")
+    axes.text(_MARGIN, 0.24, str(taxonomy), fontsize=1.3 * _FONT_SIZE, weight="bold", va="center")
     for number, block in enumerate(blocks):
         left = _MARGIN + number * (columns[-1] + _GAP)
         edges = [left + edge for edge in columns]
         for level, name in enumerate(taxonomy.levels):
-            axes.text(edges[level] + 0.03, 0.5, name, fontsize=_TYPE, color="0.4", va="center")
+            axes.text(edges[level] + 0.03, 0.5, name, fontsize=_FONT_SIZE, color="0.4", va="center")
         for box in _boxes(taxonomy, block):
             _draw(axes, box, edges, _colour(taxonomy, box.node))
-    # Without dates and names of versions, and with names that are no random numbers, the
-    # same tree gives the same file.
+    # Reproducible files: no dates, no version names, and a fixed salt for the SVG's identifiers.
     metadata = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with replacing(path) as temporary, rc_context({"svg.hashsalt": "semsplat"}):
         figure.savefig(temporary, dpi=dpi, metadata=metadata[path.suffix])
 
 
 def _column_edges(taxonomy: Taxonomy) -> list[float]:
-    """Left edges of the levels' columns, and the right edge of the last."""
+    """Return the left edges of the levels' columns and the right edge of the last."""
     edges = [0.0]
     for level in range(taxonomy.depth):
         names = [n.name for n in taxonomy.nodes if n.level == level]
         longest = max(map(len, names)) * _LETTER + 0.1
-        edges.append(edges[-1] + min(max(longest, _NARROW), _WIDE))
+        edges.append(edges[-1] + min(max(longest, _MIN_COLUMN), _MAX_COLUMN))
     return edges
 
 
-def _rows_a_block(count: int, width: float) -> int:
-    """Rows that make the whole about as wide as it should be."""
-    blocks = math.sqrt(_PROPORTION * count * _ROW / (width + _GAP))
+def _rows_per_block(count: int, width: float) -> int:
+    """Return the number of rows that approximates the target aspect ratio."""
+    blocks = math.sqrt(_ASPECT_RATIO * count * _ROW / (width + _GAP))
     return math.ceil(count / max(1, round(blocks)))
 
 
 def _boxes(taxonomy: Taxonomy, block: Sequence[int]) -> Iterator[_Box]:
-    """The nodes above some classes that stand below one another."""
+    """Yield the boxes of the classes of a block and of the nodes above them."""
     for level in range(taxonomy.depth):
         start = 0
         for row in range(1, len(block) + 1):
@@ -120,7 +119,7 @@ def _draw(axes: Axes, box: _Box, edges: Sequence[float], colour: Sequence[float]
     from matplotlib.patches import Rectangle
 
     left, right = edges[box.columns[0]], edges[box.columns[1]]
-    top, bottom = (_HEAD + row * _ROW for row in box.rows)
+    top, bottom = (_HEADER + row * _ROW for row in box.rows)
     axes.add_patch(
         Rectangle((left, top), right - left, bottom - top, facecolor=colour, edgecolor="white")
     )
@@ -130,17 +129,17 @@ def _draw(axes: Axes, box: _Box, edges: Sequence[float], colour: Sequence[float]
 
 
 def _fitted(name: str, width: float, rows: int) -> tuple[str, float]:
-    """The name in as many lines as there is room for, and in smaller type if it must be."""
+    """Wrap a name to the rows of its box, or return it on one line in a smaller font size."""
     letters = max(int((width - 0.08) / _LETTER), 1)
     lines = textwrap.wrap(name, letters, break_on_hyphens=True) or [name]
     if len(lines) <= rows:
-        return "\n".join(lines), _TYPE
-    return name, max(_TYPE * letters / len(name), 4.5)
+        return "\n".join(lines), _FONT_SIZE
+    return name, max(_FONT_SIZE * letters / len(name), 4.5)
 
 
 def _colour(taxonomy: Taxonomy, node: Node) -> tuple[float, float, float]:
-    """A hue for each group of the second level, near to its neighbours', paler downwards."""
+    """Return a hue per group of the second level, lighter with increasing level."""
     tops = [n.path for n in taxonomy.nodes if n.level == 1 or (n.leaf and n.level == 0)]
-    above = [place for place, path in enumerate(tops) if path[: len(node.path)] == node.path[:2]]
+    above = [index for index, path in enumerate(tops) if path[: len(node.path)] == node.path[:2]]
     hue = sum(above) / len(above) / len(tops)
     return colorsys.hls_to_rgb(hue, min(0.72 + 0.055 * node.level, 0.94), 0.6)

@@ -1,4 +1,4 @@
-"""Files of taxonomies: YAML, which a GPU server may lack, so they are read only on demand."""
+"""Read and write taxonomy files; imported on demand, because PyYAML may not be installed."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from toolkit.errors import FormatError
 
 
 def read_values(path: Path) -> Any:
-    """What a YAML or JSON file holds.
+    """Read the values of a YAML or JSON file.
 
     Raises:
-        FormatError: the file is missing, is neither, or repeats a key.
+        FormatError: the file is missing, is neither YAML nor JSON, or repeats a key.
     """
     try:
-        # JSON is YAML; the loader that keeps duplicate keys apart finds both.
+        # JSON is a subset of YAML; this loader rejects duplicate keys in both.
         return yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(f"{path}: cannot be read ({error})") from error
@@ -30,7 +30,7 @@ def read_values(path: Path) -> Any:
 
 
 def yaml_of(values: Mapping[str, Any]) -> str:
-    """The text of a YAML file, its keys in their order."""
+    """Return the text of a YAML file, with the keys in their order."""
     return str(
         yaml.safe_dump(
             dict(values), sort_keys=False, allow_unicode=True, width=100, default_flow_style=None
@@ -39,14 +39,14 @@ def yaml_of(values: Mapping[str, Any]) -> str:
 
 
 class _UniqueKeys(yaml.SafeLoader):
-    """YAML whose mappings may not repeat a key: silently, the last one would win."""
+    """A YAML loader that rejects duplicate keys; the default one keeps the last value."""
 
 
 def _construct_mapping(loader: _UniqueKeys, node: yaml.MappingNode) -> dict:
     values: dict[Any, Any] = {}
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, True)
-        if not isinstance(key, str | int | float):  # true, false and numbers are refused later
+        if not isinstance(key, str | int | float):  # booleans and numbers are rejected later
             raise yaml.constructor.ConstructorError(None, None, f"{key!r} cannot be a name")
         if key in values:
             raise yaml.constructor.ConstructorError(None, None, f"'{key}' is given twice")

@@ -1,4 +1,4 @@
-"""What a taxonomy's nested form must be, and the walk through it."""
+"""Validate and traverse the nested form of a taxonomy."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from toolkit.errors import FormatError
 
 VOID_NAME = "void"
 
-# From name to subtree; a list of names, or an empty mapping, ends a branch.
+# Mapping from name to subtree; a list of names or an empty mapping marks leaves.
 Tree = Mapping[str, Any]
 
 
 def folded(name: str) -> str:
-    """A name as names are compared: "TV-Stand " and "tv_stand" are "tv stand"."""
+    """Normalise a name for comparison: "TV-Stand " and "tv_stand" become "tv stand"."""
     return " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
 
 
 def leaf_paths(tree: Tree) -> list[tuple[str, ...]]:
-    """The path to every leaf, in the tree's order.
+    """Return the path of every leaf, in the order of the tree.
 
     Raises:
-        FormatError: names that are not text, repeated siblings, empty groups.
+        FormatError: a name is not text, siblings have the same name, or a group is empty.
     """
     paths = [path for path, _ in numbered_paths(tree)]
     inner = {path[:-1] for path in paths}
@@ -31,7 +31,7 @@ def leaf_paths(tree: Tree) -> list[tuple[str, ...]]:
 
 
 def numbered_paths(tree: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], int]]:
-    """All nodes' paths, parents first, each with its number among its siblings."""
+    """Yield the path of every node, parents first, with its index among its siblings."""
     for number, (name, children) in enumerate(_children(tree, above)):
         yield (*above, name), number
         if children:
@@ -39,14 +39,14 @@ def numbered_paths(tree: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tup
 
 
 def check_leaves(leaves: Sequence[tuple[str, ...]]) -> None:
-    """Refuse fewer than two classes, a class called void, and a class in two places."""
+    """Reject fewer than two classes, a class called void, and repeated classes."""
     if len(leaves) < 2:
         raise FormatError(f"a taxonomy needs two classes or more, this one has {len(leaves)}")
     seen: dict[str, tuple[str, ...]] = {}
     for path in leaves:
         name = folded(path[-1])
         if name == VOID_NAME:
-            raise FormatError(f"'{path[-1]}' is no class: it is the absence of one")
+            raise FormatError(f"'{path[-1]}' is reserved for unlabelled pixels; rename the class")
         if name in seen:
             raise FormatError(
                 f"class '{path[-1]}' appears twice: {' > '.join(seen[name])} and {' > '.join(path)}"
@@ -55,7 +55,7 @@ def check_leaves(leaves: Sequence[tuple[str, ...]]) -> None:
 
 
 def check_classes(classes: Sequence[str], leaves: Sequence[tuple[str, ...]]) -> None:
-    """Refuse a list of classes that is not exactly the tree's leaves."""
+    """Reject a list of classes that differs from the leaves of the tree."""
     repeated = _repeated(classes)
     if repeated:
         raise FormatError(f"class name(s) given twice: {', '.join(repeated[:5])}")
@@ -65,11 +65,13 @@ def check_classes(classes: Sequence[str], leaves: Sequence[tuple[str, ...]]) -> 
     if missing:
         raise FormatError(f"the tree lacks the class(es) {', '.join(missing[:5])}")
     if extra:
-        raise FormatError(f"the tree holds {', '.join(extra[:5])}, not in its list of classes")
+        raise FormatError(
+            f"the tree contains {', '.join(extra[:5])}, which is not in its list of classes"
+        )
 
 
 def check_levels(levels: Sequence[str], depth: int) -> None:
-    """Refuse level names that are not one for each level, each different."""
+    """Reject level names that are repeated or do not match the number of levels."""
     if len(levels) != depth:
         raise FormatError(f"{depth} levels but {len(levels)} level names")
     repeated = _repeated(levels)
@@ -78,14 +80,14 @@ def check_levels(levels: Sequence[str], depth: int) -> None:
 
 
 def shortened(tree: Tree) -> dict[str, Any] | list[str]:
-    """The same tree, with a list of names where a group holds nothing but classes."""
+    """Return the same tree with groups that contain only classes written as lists."""
     if tree and not any(tree.values()):
         return list(tree)
     return {name: shortened(children) if children else {} for name, children in tree.items()}
 
 
 def is_names(values: object) -> bool:
-    """Whether it is a list of texts."""
+    """Return whether the value is a list of strings."""
     return isinstance(values, list) and all(isinstance(v, str) for v in values)
 
 
@@ -96,27 +98,29 @@ def _children(tree: Any, above: tuple[str, ...]) -> list[tuple[str, Any]]:
     elif isinstance(tree, Sequence) and not isinstance(tree, str):
         pairs = [(name, None) for name in tree]
     else:
-        raise FormatError(f"{where} must hold a mapping or a list of names, not {tree!r}")
+        raise FormatError(f"{where} must contain a mapping or a list of names, not {tree!r}")
     for name, children in pairs:
         _check_name(name, where)
         if not children and children is not None and not isinstance(children, Mapping):
-            raise FormatError(f"{where} holds an empty group '{name}'; leave a class's value out")
+            raise FormatError(
+                f"{where} contains an empty group '{name}'; leave out the value of a class"
+            )
     repeated = _repeated([name for name, _ in pairs])
     if repeated:
-        raise FormatError(f"{where} holds {', '.join(repeated)} twice")
+        raise FormatError(f"{where} contains {', '.join(repeated)} twice")
     return pairs
 
 
 def _check_name(name: object, where: str) -> None:
     if not isinstance(name, str) or not name.strip():
-        raise FormatError(f"{where} holds {name!r}, which is no name; put it in quotes")
+        raise FormatError(f"{where} contains {name!r}, which is not a name; put it in quotes")
     if ">" in name:
-        raise FormatError(f"{where} holds {name!r}: '>' separates the parts of a path")
+        raise FormatError(f"{where} contains {name!r}: '>' separates the parts of a path")
     if name != name.strip() or not name.isprintable():
-        raise FormatError(f"{where} holds {name!r}: take away the space around it and line breaks")
+        raise FormatError(f"{where} contains {name!r}: remove surrounding space and line breaks")
 
 
 def _repeated(names: Sequence[str]) -> list[str]:
-    """Names that occur more than once, however they are written, sorted."""
+    """Return the names that occur more than once after normalisation, sorted."""
     counts = Counter(folded(name) for name in names)
     return sorted(name for name, count in counts.items() if count > 1)

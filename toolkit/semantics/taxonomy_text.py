@@ -1,4 +1,4 @@
-"""A taxonomy as an indented tree of text."""
+"""Format a taxonomy as an indented text tree."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from toolkit.semantics.taxonomy import Node, Taxonomy
 
 
 def tree_text(taxonomy: Taxonomy, local_ids: bool = False) -> str:
-    """The tree, one node a line: groups with their level and number of classes, then classes.
+    """Format the tree with one node per line; groups show their level and number of classes.
 
     Args:
-        local_ids: put every node's number among its siblings before it, and after a class its
-            whole path in numbers and its class id.
+        local_ids: also show the index of every node among its siblings, and the numeric path and
+            class id of every class.
     """
     lines = [str(taxonomy)]
     for node in taxonomy.nodes:
@@ -22,7 +22,7 @@ def tree_text(taxonomy: Taxonomy, local_ids: bool = False) -> str:
 
 
 def _note(taxonomy: Taxonomy, node: Node, local_ids: bool) -> str:
-    """What stands behind a name."""
+    """Return the note that follows a name."""
     if not node.leaf:
         return f"  ({taxonomy.levels[node.level]}, {len(node.class_ids)} classes)"
     if not local_ids:
