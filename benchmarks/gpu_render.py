@@ -122,8 +122,8 @@ class Contest(Protocol):
 class OurContest:
     """A backend of ours, from parameters to their gradients."""
 
-    def __init__(self, drawer: Backend, cloud: GaussianCloud, camera: Camera) -> None:
-        self._backend, self._cloud, self._camera = drawer, cloud, camera
+    def __init__(self, renderer: Backend, cloud: GaussianCloud, camera: Camera) -> None:
+        self._backend, self._cloud, self._camera = renderer, cloud, camera
         self._drawn: ForwardPass | None = None
         self._weights = _weights(5 + cloud.features.shape[1], camera, cloud.means.device)
 

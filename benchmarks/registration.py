@@ -180,7 +180,7 @@ class Methods:
         self.rows: dict[str, Callable[[], Timed]] = {
             "coarse, Z = I (G-5)": lambda: self._first(CoarseOptions(offsets="none")),
             "coarse": lambda: self._first(CoarseOptions()),
-            "fine (start)": lambda: self._alone(FineRegistration(renderer=self._drawer()), True),
+            "fine (start)": lambda: self._alone(FineRegistration(renderer=self._renderer()), True),
             "SGR": lambda: self._both(self._sgr(FineOptions())),
             "SGR (start)": lambda: self._both(self._sgr(FineOptions()), started=True),
             "coarse, then two-way": lambda: self._both(self._two_way()),
@@ -200,11 +200,11 @@ class Methods:
             ),
         }
 
-    def _drawer(self) -> ViewRenderer:
+    def _renderer(self) -> ViewRenderer:
         return ViewRenderer(semantics=self._pair.semantics)
 
     def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
-        options, renderer = SgrOptions(fine=fine, seed=self._seed), self._drawer()
+        options, renderer = SgrOptions(fine=fine, seed=self._seed), self._renderer()
         refiner = None
         if fine.optimiser == "first-order":
             refiner = FirstOrderFineRegistration(fine, renderer, ViewDescriber(BuiltinEncoder()))
@@ -215,10 +215,10 @@ class Methods:
         return SemanticGuidedRegistration(SgrOptions(seed=self._seed), refiner.renderer, refiner)
 
     def _two_way_fine(self) -> TwoWayRegistration:
-        return TwoWayRegistration(FineRegistration(renderer=self._drawer()))
+        return TwoWayRegistration(FineRegistration(renderer=self._renderer()))
 
     def _clouds(self, options: CloudOptions) -> CloudRegistration:
-        return CloudRegistration(options, self._drawer())
+        return CloudRegistration(options, self._renderer())
 
     def _first(self, options: CoarseOptions) -> Timed:
         sgr = SemanticGuidedRegistration(SgrOptions(options, seed=self._seed))

@@ -267,7 +267,7 @@ class TestSettle:
         held = len(closer.loops)
         atlas.store_active()
         registrar.asked.clear()
-        closer.settle(atlas)
+        closer.register_overlaps(atlas)
         # One small room: every submap sees what the others see.
         count = len(atlas)
         assert len(registrar.asked) == count * (count - 1) // 2 >= held
@@ -306,7 +306,7 @@ class TestSettle:
         registrar.changes["fails"] = True
         around = (0, atlas.active)
         closer.loops = [loop for loop in closer.loops if (loop.first, loop.second) == around]
-        assert closer.loops and closer.settle(atlas)
+        assert closer.loops and closer.register_overlaps(atlas)
         neighbours = {(n, n + 1) for n in range(len(atlas) - 1)} if joins else set()
         assert {(loop.first, loop.second) for loop in closer.loops} == {around} | neighbours
 
@@ -315,7 +315,7 @@ class TestSettle:
         closer.close_between(atlas, atlas.active)
         before = bits(atlas)
         registrar.asked.clear()
-        assert not closer.settle(atlas) and not registrar.asked and bits(atlas) == before
+        assert not closer.register_overlaps(atlas) and not registrar.asked and bits(atlas) == before
 
 
 class TestLost:

@@ -47,9 +47,9 @@ def mapped(device: str, walk) -> Mapper:
         mapper.add_keyframe(Keyframe.from_frame(frame, pose))
     mapper.refine()
     again.restore(*mapper.state())
-    again.settle(1)
+    again.optimise_window(1)
     again.replace_content(again.content)
-    again.settle(1)
+    again.optimise_window(1)
     return again
 
 

@@ -227,9 +227,9 @@ def test_bundle_adjustment_draws_a_wrong_pose_back(room):
 
 def test_poses_move_at_a_boundary_where_that_is_asked_for(room):
     mapper = fed(Mapper(replace(FEW, pose_translation_m=2e-4)), room, [0, 4])
-    mapper.settle(5)
+    mapper.optimise_window(5)
     assert np.array_equal(mapper.keyframes[1].T_map_camera, room.T_map_camera[4])
-    mapper.settle(5, poses=True)
+    mapper.optimise_window(5, poses=True)
     assert np.array_equal(mapper.keyframes[0].T_map_camera, room.T_map_camera[0])
     assert not np.array_equal(mapper.keyframes[1].T_map_camera, room.T_map_camera[4])
 

@@ -109,7 +109,7 @@ class LoopCloser:
         # Before refinement: it changes what frames and other submaps are registered against.
         self.submap_ending(atlas)
         self.close_between(atlas, atlas.active)
-        self.settle(atlas)
+        self.register_overlaps(atlas)
 
     def close_within(self, atlas: Atlas) -> bool:
         """Close the loops inside the active submap; whether its keyframes moved."""
@@ -181,7 +181,7 @@ class LoopCloser:
                     found = True
             return found and self._correct_between(atlas)
 
-    def settle(self, atlas: Atlas) -> bool:
+    def register_overlaps(self, atlas: Atlas) -> bool:
         """Measure all overlaps again on finished submaps; whether anchors moved (stage 2 of G).
 
         The papers render the joined map at each keyframe and move the anchors by gradients.
