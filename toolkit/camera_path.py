@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _TrackedFrame:
-    """A frame beside the keyframe before it.
+    """A tracked frame and its reference keyframe.
 
     Attributes:
-        keyframe: frame index of that keyframe, one of `submap`.
+        keyframe: frame index of the reference keyframe, which belongs to `submap`.
     """
 
     index: int
@@ -79,20 +79,20 @@ class CameraPath:
 
     @property
     def submaps(self) -> list[int]:
-        """Number of the submap that each frame lies in."""
+        """Number of the submap that each frame was tracked in."""
         return [f.submap for f in self._frames]
 
-    def last_place(self, atlas: Atlas) -> tuple[int, Array]:
-        """Submap and pose [4, 4] of the newest frame; before any, where the active submap is."""
+    def last_pose(self, atlas: Atlas) -> tuple[int, Array]:
+        """Submap and pose [4, 4] of the newest frame; without frames, the active anchor."""
         if not self._frames:
             return atlas.active, np.eye(4)
         return self._frames[-1].submap, self.poses_in_submaps(atlas)[-1]
 
     def last_position(self, atlas: Atlas) -> LastPosition | None:
-        """When and where in the world the newest frame was, None before any."""
+        """Time and position in the world frame of the newest frame; None without frames."""
         if not self._frames:
             return None
-        number, T_submap_camera = self.last_place(atlas)
+        number, T_submap_camera = self.last_pose(atlas)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
         return LastPosition(self._frames[-1].timestamp_s, T_world_camera[:3, 3])
 
@@ -108,12 +108,12 @@ class CameraPath:
         """Exposure of each frame against the map.
 
         Args:
-            of_submaps: exposures of submaps against the whole map; the identity where missing.
+            of_submaps: exposures of submaps against the fused map; the identity where missing.
         """
         return [of_submaps.get(f.submap, IDENTITY).after(f.exposure) for f in self._frames]
 
     def trajectory(self, atlas: Atlas) -> Trajectory:
-        """Poses in the world."""
+        """Poses of the frames in the world frame."""
         anchors = [atlas.T_world_submap(number) for number in range(len(atlas))]
         poses = [
             se3.orthonormalise(anchors[f.submap] @ T)

@@ -1,4 +1,4 @@
-"""Affine exposure: how the intensities of two observations of the same surface differ."""
+"""Affine exposure: difference in intensity between two images of the same surface."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Exposure:
     bias: float = 0.0
 
     def apply(self, image: Image) -> Image:
-        """Bring colours to the exposure of the reference."""
+        """Convert colours to the exposure of the reference."""
         return image * self.gain + self.bias
 
     def undo(self, reference: Image) -> Image:
-        """Bring colours of the reference to the exposure of the image."""
+        """Convert colours of the reference to the exposure of the image."""
         return (reference - self.bias) / self.gain
 
     def after(self, inner: Exposure) -> Exposure:

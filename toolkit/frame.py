@@ -1,4 +1,4 @@
-"""What enters the system: one RGB-D frame, and who may watch it work."""
+"""Input of the SLAM system: an RGB-D frame; and the interface for recording its run times."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toolkit.geometry.camera import Camera
 
 @dataclass(frozen=True)
 class Frame:
-    """One RGB-D image of a sequence. It holds no ground-truth pose, on purpose.
+    """One RGB-D image of a sequence. It does not contain the ground-truth pose, on purpose.
 
     Attributes:
         index: position in the sequence, from 0.
@@ -53,15 +53,15 @@ class Frame:
 
 
 class Recorder(Protocol):
-    """Receives times and numbers of the running system; never changes it."""
+    """Receives run times and counts of the running system; does not influence it."""
 
-    def timed(self, stage: str) -> AbstractContextManager[None]: ...  # around one piece of work
+    def timed(self, stage: str) -> AbstractContextManager[None]: ...  # context of one operation
 
     def count(self, name: str, value: float) -> None: ...
 
 
 class NullRecorder:
-    """Records nothing: the default, so that no caller needs an `if`."""
+    """Recorder that discards everything; the default."""
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:

@@ -27,7 +27,7 @@ _ON_SURFACE = 0.05
 
 @dataclass(frozen=True)
 class Observed:
-    """The images of a keyframe on some device.
+    """The images of a keyframe on a device.
 
     Attributes:
         rgb: [3, H, W] uint8. depth_m: [H, W] float32. class_ids: [H, W] int16, or None.
@@ -142,7 +142,7 @@ class Keyframe:
         return (rgb.to(torch.float32) * (gain / 255.0) + bias).clamp(0.0, 1.0)
 
     def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Colour, depth and labels as the losses take them.
+        """Colour, depth and labels in the form that the losses expect.
 
         Args:
             images: the keyframe's images on another device; on the CPU by default.
@@ -154,11 +154,11 @@ class Keyframe:
 
     @property
     def labels(self) -> Tensor | None:
-        """Class ids [H, W] int32, as the losses take them."""
+        """Class ids [H, W] int32, in the form that the losses expect."""
         return None if self.class_ids is None else self.class_ids.to(torch.int32)
 
     def as_frame(self) -> Frame:
-        """The observation as a frame at the map's exposure."""
+        """The observed images as a frame, at the map's exposure."""
         rgb = self.target_rgb().permute(1, 2, 0).contiguous().numpy()
         labels = None if self.labels is None else self.labels.numpy()
         depth_m = self.depth_m.numpy()
@@ -169,14 +169,14 @@ class Keyframe:
         return se3.transform_points(self.T_map_camera, self.points.astype(np.float64))
 
     def reaches(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Mask [P] of the points [P, 3] between the camera and the measured surface."""
+        """Mask [P] of the points [P, 3] that lie between the camera and the measured surface."""
         inside, z, depth_m = self._measured_at(points_map)
         # Where depth is missing, the viewing volume is unbounded.
         inside[inside] = (depth_m == 0) | (z <= _MAX_BEHIND * depth_m)
         return inside
 
     def fraction_observed(self, points_map: NDArray[np.float64]) -> float:
-        """Share of points [P, 3] of the map that lie on the surface this keyframe measured."""
+        """Fraction of map points [P, 3] that lie on the surface measured by this keyframe."""
         if len(points_map) == 0:
             return 0.0
         _, z, depth_m = self._measured_at(points_map)
@@ -186,7 +186,7 @@ class Keyframe:
     def _measured_at(
         self, points_map: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
-        """Mask [P] of the map points in the image, and of these z and the measured depth."""
+        """Mask [P] of the map points inside the image; their z and the depth measured there."""
         points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
         inside, uv = self._projected(points)
         column, row = np.rint(uv[inside]).astype(np.intp).T
@@ -195,7 +195,7 @@ class Keyframe:
     def _projected(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Mask [P] of the camera points [P, 3] in the image, and the pixels [P, 2] of all."""
+        """Mask [P] of the camera points [P, 3] inside the image, and the pixels [P, 2] of all."""
         ahead = points[:, 2] > _MIN_DEPTH_M
         uv = self.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
         inside = ahead & (uv >= 0).all(axis=1)
@@ -203,7 +203,7 @@ class Keyframe:
         return inside, uv
 
     def fraction_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
-        """Share of this keyframe's points inside the image of a camera at a pose [4, 4]."""
+        """Fraction of this keyframe's points inside the image of a camera at a pose [4, 4]."""
         if len(self.points) == 0:
             return 0.0
         T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera

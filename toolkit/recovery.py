@@ -1,4 +1,4 @@
-"""Recovery of a lost camera: relocalisation in the known submaps, or a new submap."""
+"""Recovery of a lost camera: relocalisation in the existing submaps, or a new submap."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Located:
-    """Where a frame is.
+    """Pose of a frame.
 
     Attributes:
         T_map_camera: [4, 4] pose in the frame of the active submap; None if the frame is lost.
         tracking: the result of tracking or relocalisation; None for the frame that starts the
-            map. It stays lost for a frame that starts a submap of unknown position.
+            map. Its status is LOST for a frame that starts a submap of unknown position.
     """
 
     T_map_camera: NDArray[np.float64] | None
@@ -38,7 +38,7 @@ class Located:
 
 
 class Recovery:
-    """Relocalises lost frames, and starts a new submap where that fails for too long.
+    """Relocalises lost frames, and starts a new submap if relocalisation fails for too long.
 
     Args:
         label: adds labels to a frame that becomes the first keyframe of a submap.
@@ -92,14 +92,14 @@ class Recovery:
         return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
 
     def _start_submap(self, frame: Frame, found: Relocalisation | None) -> None:
-        """Start a submap at a frame, either where it was found or at the last known pose."""
+        """Start a submap at a frame, at its relocalised pose or else at the last known pose."""
         atlas = self._atlas
         exposure = IDENTITY if found is None else found.result.exposure
         anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
         self._closer.submap_ending(atlas)
         with self._recorder.timed("mapping"):
             if found is None:
-                atlas.start_at(anchor, *self._path.last_place(atlas), inherit=False)
+                atlas.start_at(anchor, *self._path.last_pose(atlas), inherit=False)
             else:
                 atlas.start_at(anchor, found.submap, found.T_submap_camera)
         self._closer.submap_recovered(atlas, found)

@@ -28,10 +28,10 @@ class FrameResult:
         index: the frame's index in its sequence.
         T_map_camera: [4, 4] float64 pose in the frame of the active submap, or None if the
             frame is lost.
-        tracking: the tracker's result; None for the frame that started the map. It is lost for
-            a frame that nothing located and that started a submap of unknown position.
+        tracking: the tracker's result; None for the frame that started the map. Its status is LOST
+            for a frame that could not be located and started a submap of unknown position.
         mapping: result of mapping; None unless the frame became a keyframe of an existing submap.
-        T_world_camera: the same pose in the world as currently known; loop closure may move it.
+        T_world_camera: the same pose in the world frame; loop closure may change it later.
         keyframe: whether the frame became a keyframe.
     """
 

@@ -1,4 +1,4 @@
-"""The method on one page: track each frame, map keyframes, close loops, refine at the end."""
+"""The SLAM pipeline: track each frame, map keyframes, close loops, and refine at the end."""
 
 from __future__ import annotations
 
@@ -75,14 +75,15 @@ class Slam:
     def load_map(self, submaps: Iterable[Submap]) -> None:
         """Load the map of an earlier run, before the first frame; it is extended but not changed.
 
-        The world is that of the earlier run. Frames are lost until one is relocalised in the
-        loaded map, or relocalisation runs out of patience and a new submap starts.
+        The world frame is that of the earlier run. Frames are lost until one is relocalised in the
+        loaded map, or until relocalisation has failed for `patience` frames and a new submap
+        starts.
 
         Args:
-            submaps: as `Atlas.load_map` takes them, with descriptors of this run's kind.
+            submaps: as in `Atlas.load_map`, with descriptors of the same encoder as in this run.
 
         Raises:
-            ValueError: nothing in this system can relocalise a frame.
+            ValueError: loop closure is disabled, or the tracker cannot locate frames.
         """
         if self._closer.relocaliser is None or not isinstance(self.tracker, LocatingTracker):
             raise ValueError("loading a map requires loop closure and a tracker that can locate")
@@ -104,7 +105,7 @@ class Slam:
         """Track one frame, and map it if it becomes a keyframe.
 
         Args:
-            frame: the next one of the sequence.
+            frame: the next frame of the sequence.
             may_map: False for a held-out view, which does not change the map.
         """
         frame = self._denoised(frame)
@@ -203,7 +204,7 @@ class Slam:
         return mapping
 
     def _refine_pose(self, keyframe: Keyframe) -> None:
-        """Refine the pose of a new keyframe against earlier ones; the tracker continues there."""
+        """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
         if self._placement is None or not self.mapper.keyframes:
             return
         T_tracked = keyframe.T_map_camera
@@ -241,7 +242,7 @@ class Slam:
 
     def _segmented(self, frame: Frame, T_map_camera: NDArray[np.float64] | None) -> Frame:
         assert self._labeller is not None
-        # Segmenters work in the world, independent of submaps.
+        # Segmenters use the world frame, which does not depend on submaps.
         T_world_map = self.atlas.T_world_submap(self.atlas.active)
         T_world_camera = None if T_map_camera is None else T_world_map @ T_map_camera
         with self._recorder.timed("labelling"):
@@ -267,7 +268,7 @@ class Slam:
             self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
 
     def _parts(self) -> dict[str, Mapper | Atlas | LoopClosing | CameraPath]:
-        """Parts with a state of arrays and JSON values, in the order of restoring them."""
+        """Components whose state consists of arrays and JSON values, in the order of restoring."""
         return {
             "mapper": self.mapper,
             "atlas": self.atlas,

@@ -352,7 +352,7 @@ class TestState:
         arrays, values = closer.state()
         values = json.loads(json.dumps(values))
         other_atlas, other, _ = closed(frames)
-        for name in ("_links", "_suspected"):
+        for name in ("_links", "_pending"):
             setattr(other, name, [])
         other.restore(arrays, values)
         assert closer.close_between(atlas, atlas.active)

@@ -158,10 +158,10 @@ def _report(
         "T_a_b": best.T_first_second.tolist(),
         "submap_a": best.pair.first,
         "submap_b": best.pair.second,
-        **best.result.figures(),
+        **best.result.quality_values(),
         "verified": choice.verified,
         "agreeing": choice.agreeing,
-        "tried": [f.result.figures() | _verdict(f) for f in found],
+        "tried": [f.result.quality_values() | _verdict(f) for f in found],
     }
 
 

@@ -1,1 +1,1 @@
-"""Loop closure as a whole: from what looks alike to anchors that moved."""
+"""Loop closure: from loop candidates to corrected keyframe poses and submap anchors."""

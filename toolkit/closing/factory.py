@@ -34,11 +34,13 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 @dataclass(frozen=True)
 class ClosingContext:
-    """What loop closure shares with the rest of a run.
+    """Values that loop closure shares with the rest of a run.
 
     Attributes:
-        seed: of random choices. backend_name: the renderer.
-        semantics: reads the features of submaps. taxonomy: of labels, None without.
+        seed: random seed.
+        backend_name: rendering backend.
+        semantics: decodes the features of submaps.
+        taxonomy: classes of the labels; None without semantics.
     """
 
     seed: int
@@ -53,10 +55,10 @@ def build_loop_closer(
     log: LoopLog | None = None,
     recorder: Recorder | None = None,
 ) -> LoopCloser:
-    """What finds and closes the loops of a run.
+    """Build loop detection and closure.
 
     Raises:
-        ToolkitError: FAISS is missing, or the encoder's weights are.
+        ToolkitError: FAISS or the encoder's weights are missing.
     """
     describer = build_describer(options.features)
     finder = CandidateFinder(
@@ -89,7 +91,7 @@ def build_loop_closer(
 
 
 def _class_counter(options: LandmarkOptions, context: ClosingContext) -> ClassCounter:
-    """What counts the classes of a keyframe."""
+    """Build the counter of the classes that a keyframe shows."""
     classes = len(context.taxonomy) if context.taxonomy else 0
     if options.counted == "pixels" or not context.semantics.channels:
         return PixelClassCounter(classes)

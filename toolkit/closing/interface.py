@@ -1,4 +1,4 @@
-"""What the SLAM system reports to loop closure, and the system without loop closure."""
+"""Interface between the SLAM system and loop closure, and its implementation without loops."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class LoopClosing(Protocol):
-    """Events of a run, in the order in which they happen."""
+    """Receives the events of a run, in chronological order."""
 
     @property
     def loops(self) -> Sequence[PoseEdge]:
@@ -25,7 +25,7 @@ class LoopClosing(Protocol):
 
     @property
     def relocaliser(self) -> Relocaliser | None:
-        """Finds lost frames; None if nothing can."""
+        """Relocalises lost frames; None without relocalisation."""
         ...
 
     def map_loaded(self, atlas: Atlas) -> None:
@@ -40,20 +40,24 @@ class LoopClosing(Protocol):
         """The active submap is about to end.
 
         Returns:
-            T_new_old [4, 4], by which its newest keyframe was moved; None if it was not.
+            The motion T_new_old [4, 4] of its newest keyframe; None if the keyframe did not move.
         """
         ...
 
     def submap_started(self, atlas: Atlas, information: Array) -> None:
-        """A submap has started at the newest keyframe of the one before.
+        """A submap has started at the newest keyframe of the previous submap.
 
         Args:
-            information: [6, 6] of that keyframe, from the tracker.
+            information: [6, 6] information matrix of that keyframe, from the tracker.
         """
         ...
 
     def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
-        """A submap has started at a lost frame, which was found or was not."""
+        """A submap has started at a lost frame.
+
+        Args:
+            found: the relocalisation of the frame; None if it failed.
+        """
         ...
 
     def finish(self, atlas: Atlas) -> None:
@@ -67,7 +71,7 @@ class LoopClosing(Protocol):
         ...
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        """Arrays and JSON values that `restore` takes."""
+        """Arrays and JSON values for `restore`."""
         ...
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
@@ -76,7 +80,7 @@ class LoopClosing(Protocol):
 
 
 class NoLoopClosing:
-    """Closes no loops and finds no lost frames."""
+    """Does not close loops and does not relocalise frames."""
 
     loops: Sequence[PoseEdge] = ()
     relocaliser: Relocaliser | None = None

@@ -1,4 +1,4 @@
-"""Loops inside a submap: edges between images, and keyframes that move with what they seeded."""
+"""Loops inside a submap: edges from pairs of images; keyframes move with their Gaussians."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from toolkit.alignment.matching import measure_offset
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import Record, moved_by, verdict
-from toolkit.closing.uncertainty import SURE
+from toolkit.closing.records import Record, correction_values, verdict
+from toolkit.closing.uncertainty import NEGLIGIBLE_NOISE
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.pose_graph.chi_square import quantile
@@ -22,27 +22,27 @@ from toolkit.submaps.submap import Submap
 
 
 class KeyframeLoops:
-    """Measures suspected pairs of the active submap, and corrects it where they contradict it."""
+    """Estimates the relative poses of candidate pairs and corrects the active submap."""
 
     def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
         self._parts, self._options, self._record = parts, options, record
 
-    def close(self, atlas: Atlas, suspected: list[LoopCandidate]) -> bool:
-        """Close the loops among the suspected pairs; whether keyframes moved."""
+    def close(self, atlas: Atlas, candidates: list[LoopCandidate]) -> bool:
+        """Close the loops among the candidate pairs; return whether keyframes moved."""
         submap = atlas.submap(atlas.active)
         keyframes = {keyframe.index: keyframe for keyframe in submap.keyframes}
-        measured = [self._measured(keyframes[c.match], keyframes[c.query]) for c in suspected]
-        loops = [loop for loop in measured if loop is not None]
-        correction = self._corrected(submap, loops) if loops else None
+        edges = [self._loop_edge(keyframes[c.match], keyframes[c.query]) for c in candidates]
+        loops = [loop for loop in edges if loop is not None]
+        correction = self._correct(submap, loops) if loops else None
         if correction is None:
             return False
         atlas.put(submap)
-        # G, III.C: the map is optimised again where its keyframes have moved, poses fixed.
+        # G, III.C: optimise the map again over the moved keyframes, at fixed poses.
         atlas.mapper.optimise_keyframes(correction.moved, self._options.mapping_iterations)
         return True
 
-    def _measured(self, first: Keyframe, second: Keyframe) -> PoseEdge | None:
-        """A loop edge between what two keyframes observed, None where that says nothing."""
+    def _loop_edge(self, first: Keyframe, second: Keyframe) -> PoseEdge | None:
+        """Estimate a loop edge from the images of two keyframes; None if they do not match."""
         offset = measure_offset(first, second, self._parts.matching)
         values: dict[str, Any] = {"match": first.index, "query": second.index}
         if offset is None:
@@ -58,30 +58,32 @@ class KeyframeLoops:
         T = offset.T_first_second
         return self._parts.loop_noise.edge(first.index, second.index, T, offset.information)
 
-    def _corrected(self, submap: Submap, loops: list[PoseEdge]) -> PoseCorrection | None:
-        """Move keyframes and Gaussians where the loops contradict the odometry for certain.
+    def _correct(self, submap: Submap, loops: list[PoseEdge]) -> PoseCorrection | None:
+        """Move keyframes and their Gaussians if the loops significantly contradict the odometry.
 
-        Returns the correction, or None where nothing was moved.
+        Returns:
+            The correction, or None if nothing was moved.
         """
         odometry = []
         for first, second in zip(submap.keyframes, submap.keyframes[1:], strict=False):
-            way = [first.T_map_camera, second.T_map_camera]
-            odometry.append(self._parts.noise.along(first.index, second.index, way, SURE))
+            path = [first.T_map_camera, second.T_map_camera]
+            edge = self._parts.noise.along(first.index, second.index, path, NEGLIGIBLE_NOISE)
+            odometry.append(edge)
         agreement = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency)
-        for place, loop in enumerate(loops):
-            if place not in agreement.kept:
+        for index, loop in enumerate(loops):
+            if index not in agreement.kept:
                 pair = {"match": loop.first, "query": loop.second}
-                self._record("consistency", pair | verdict(agreement.reason(place)))
-        agreed = [loops[k] for k in agreement.kept]
+                self._record("consistency", pair | verdict(agreement.reason(index)))
+        kept = [loops[k] for k in agreement.kept]
         poses = {keyframe.index: keyframe.T_map_camera for keyframe in submap.keyframes}
-        chi2 = sum(loop.chi2(poses[loop.first], poses[loop.second]) for loop in agreed)
-        drifted = chi2 > quantile(self._options.drift_confidence, 6 * max(len(agreed), 1))
-        values = {"submap": submap.number, "loops": len(agreed), "chi2": chi2, "applied": drifted}
+        chi2 = sum(loop.chi2(poses[loop.first], poses[loop.second]) for loop in kept)
+        drifted = chi2 > quantile(self._options.drift_confidence, 6 * max(len(kept), 1))
+        values = {"submap": submap.number, "loops": len(kept), "chi2": chi2, "applied": drifted}
         if not drifted:
             self._record("correction within", values)
             return None
-        graph = keyframe_graph(submap, odometry, agreed)
+        graph = keyframe_graph(submap, odometry, kept)
         correction = PoseCorrection.of(graph, self._parts.optimiser.optimise(graph))
-        self._record("correction within", values | moved_by(correction))
+        self._record("correction within", values | correction_values(correction))
         correct_keyframes(submap, correction)
         return correction

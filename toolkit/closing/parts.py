@@ -1,4 +1,4 @@
-"""What loop closure is made of, and its options."""
+"""The components of loop closure and their options."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from toolkit.registration.result import Registrar
 
 @dataclass(frozen=True)
 class ClosingParts:
-    """What closes loops.
+    """Components of loop closure.
 
     Attributes:
-        registrar: of submaps. nearby: of submaps that nearly fit, from a start alone.
-        matching: of pairs of keyframes. relocaliser: of lost frames.
-        verification, consistency: what must hold before an edge enters the graph.
-        noise: of odometry. loop_noise: of loop edges.
-        optimiser: of pose graphs.
+        registrar: registers submaps.
+        nearby: registers submaps whose relative pose is approximately known.
+        matching: options of matching two keyframes.
+        relocaliser: relocalises lost frames.
+        verification, consistency: conditions that a loop edge must satisfy.
+        noise: noise of odometry edges.
+        loop_noise: noise of loop edges.
+        optimiser: optimises pose graphs.
     """
 
     registrar: Registrar

@@ -13,22 +13,24 @@ from toolkit.pose_graph.correction import PoseCorrection
 from toolkit.registration.result import RegistrationResult
 
 Array = NDArray[np.float64]
-# Writes a line of a kind.
+# Writes one line, from its kind and its values.
 Record = Callable[[str, dict[str, Any]], None]
 
 
-def moved_by(correction: PoseCorrection) -> dict[str, float]:
+def correction_values(correction: PoseCorrection) -> dict[str, float]:
+    """The largest pose change of a correction."""
     return {"largest_m": correction.largest_m, "largest_rad": correction.largest_rad}
 
 
 def verdict(reason: str) -> dict[str, Any]:
+    """Whether something was accepted, from the reason for rejecting it (empty if accepted)."""
     return {"accepted": not reason, "reason": reason}
 
 
-def figures_of(result: RegistrationResult, T_before: Array) -> dict[str, Any]:
-    """A registration for the log."""
+def registration_values(result: RegistrationResult, T_before: Array) -> dict[str, Any]:
+    """Quality of a registration, and its pose change from the initial pose [4, 4]."""
     change = se3.inverse(T_before) @ result.T_target_source
-    return result.figures() | {
+    return result.quality_values() | {
         "moved_m": float(np.linalg.norm(change[:3, 3])),
         "turned_rad": float(se3.rotation_angle_rad(change[:3, :3])),
     }

@@ -1,4 +1,4 @@
-"""Loops between submaps: which pairs to register, and whether the result can be believed."""
+"""Loops between submaps: choice of the pairs to register, and verification of the results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import Record, figures_of, verdict
+from toolkit.closing.records import Record, registration_values, verdict
 from toolkit.closing.visibility import Visibility
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
@@ -25,13 +25,13 @@ from toolkit.pose_graph.graph import PoseEdge
 from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.atlas import Atlas
 
-# Two neighbours saw the same things from their boundary.
-_OF_NEIGHBOURS = VerificationOptions(min_overlap=0.15)
+# Neighbours overlap at least in the views around their boundary.
+_NEIGHBOUR_VERIFICATION = VerificationOptions(min_overlap=0.15)
 
 
 @dataclass(frozen=True, eq=False)
-class _Laid:
-    """Two submaps laid over each other: the edge, what it came from, and how they lay before."""
+class _Registration:
+    """A registration of two submaps: its edge, its result and the relative pose before it."""
 
     edge: PoseEdge
     result: RegistrationResult
@@ -39,31 +39,32 @@ class _Laid:
 
 
 class SubmapLoops:
-    """Measures edges between submaps, and says why where there is none."""
+    """Estimates loop edges between submaps, and records why registrations are rejected."""
 
     def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
         self._parts, self._options, self._record = parts, options, record
 
-    def overlapping(self, atlas: Atlas, held: set[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Pairs of submaps with a loop, or whose keyframes see the same places.
+    def overlapping(self, atlas: Atlas, loops: set[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Pairs of submaps with a loop edge, or with overlapping keyframe views.
 
-        Of the latter, those that share most, until both have `max_partners`.
+        The latter are chosen in order of decreasing overlap, as long as one of the two submaps has
+        fewer than `max_partners` partners.
         """
         views = {number: Visibility.of(atlas.submap(number)) for number in atlas.readable()}
-        # Two submaps of a saved map stay as they are.
+        # The relative poses of loaded submaps are fixed.
         pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
-        chosen = [pair for pair in pairs if pair in held]
+        chosen = [pair for pair in pairs if pair in loops]
         partners = Counter(number for pair in chosen for number in pair)
-        shares = {(a, b): views[a].shared(views[b]) for a, b in pairs if (a, b) not in held}
-        for pair in sorted(shares, key=lambda pair: (-shares[pair], pair)):
+        overlaps = {(a, b): views[a].overlap(views[b]) for a, b in pairs if (a, b) not in loops}
+        for pair in sorted(overlaps, key=lambda pair: (-overlaps[pair], pair)):
             fewest = min(partners[number] for number in pair)
-            if shares[pair] >= self._options.min_visible and fewest < self._options.max_partners:
+            if overlaps[pair] >= self._options.min_visible and fewest < self._options.max_partners:
                 chosen.append(pair)
                 partners.update(pair)
         return sorted(chosen)
 
     def neighbours(self, atlas: Atlas) -> list[tuple[int, int]]:
-        """Pairs of submaps of which the second begins with a keyframe of the first."""
+        """Pairs of consecutive submaps that share the keyframe at their boundary."""
         pairs = [(a, b) for a, b in pairwise(atlas.readable()) if b >= atlas.saved]
         return [
             (first, second)
@@ -71,73 +72,77 @@ class SubmapLoops:
             if next(iter(atlas.keyframe_poses(second))) in atlas.keyframe_poses(first)
         ]
 
-    def registered(
+    def register(
         self, atlas: Atlas, first: int, second: int, odometry: Sequence[PoseEdge]
     ) -> PoseEdge | None:
-        """A loop edge between two submaps, or None where nothing can be verified.
+        """Register two submaps; return their loop edge, or None if it cannot be verified.
 
-        Alike keyframes can lead to another place that looks the same. Where the odometry rules
-        that out, the submaps are laid over each other once more where the odometry has them.
+        Similar keyframes can be of different places (perceptual aliasing). If the odometry
+        contradicts the result, the submaps are registered again from their current poses.
         """
         for registrar in (self._parts.registrar, self._parts.nearby):
-            laid = self._laid(registrar, atlas, first, second)
-            if laid is None:
+            registration = self._registered(registrar, atlas, first, second)
+            if registration is None:
                 return None
-            impossible = self._against(odometry, laid.edge)
-            if self._believed(
-                laid, rejection_reason(laid.result, self._parts.verification) or impossible
-            ):
-                return laid.edge
-            if not impossible:
+            contradiction = self._contradiction(odometry, registration.edge)
+            rejection = rejection_reason(registration.result, self._parts.verification)
+            if self._accept(registration, rejection or contradiction):
+                return registration.edge
+            if not contradiction:
                 return None
         return None
 
-    def joined(
+    def register_neighbours(
         self, atlas: Atlas, first: int, second: int, odometry: Sequence[PoseEdge]
     ) -> PoseEdge | None:
-        """A loop edge between neighbours that lie nearly right, or None.
+        """Register neighbours whose relative pose is approximately known; None if rejected.
 
-        They cannot be look-alikes, so less is asked of them than of others. Where they lie right
-        already, the odometry between them is the better measurement.
+        Perceptual aliasing is impossible, so a smaller overlap suffices. If the registration
+        agrees with the current poses, the odometry between them is the more accurate measurement.
         """
-        laid = self._laid(self._parts.nearby, atlas, first, second)
-        if laid is None:
+        registration = self._registered(self._parts.nearby, atlas, first, second)
+        if registration is None:
             return None
-        reason = rejection_reason(laid.result, _OF_NEIGHBOURS) or self._against(odometry, laid.edge)
-        chi2 = laid.edge.chi2(np.eye(4), laid.T_before)
+        edge = registration.edge
+        reason = rejection_reason(registration.result, _NEIGHBOUR_VERIFICATION)
+        reason = reason or self._contradiction(odometry, edge)
+        chi2 = edge.chi2(np.eye(4), registration.T_before)
         if not reason and chi2 <= quantile(self._options.drift_confidence, 6):
             reason = "the submaps lie so already"
-        return laid.edge if self._believed(laid, reason) else None
+        return edge if self._accept(registration, reason) else None
 
-    def _laid(self, registrar: Registrar, atlas: Atlas, first: int, second: int) -> _Laid | None:
-        """A registration from where two submaps lie, None where one of them cannot be read."""
+    def _registered(
+        self, registrar: Registrar, atlas: Atlas, first: int, second: int
+    ) -> _Registration | None:
+        """Register two submaps from their current poses; None if one of them cannot be read."""
         T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
         try:
             result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
         except ToolkitError as error:
-            # A submap whose file is lost must not end the run.
+            # The run must continue if the file of a submap is missing or damaged.
             self._record("between", {"first": first, "second": second} | verdict(str(error)))
             return None
         noise = self._parts.loop_noise
         edge = noise.edge(first, second, result.T_target_source, result.information)
-        return _Laid(edge, result, T)
+        return _Registration(edge, result, T)
 
-    def _against(self, odometry: Sequence[PoseEdge], edge: PoseEdge) -> str:
-        """Why the odometry rules a loop out, empty where it does not."""
+    def _contradiction(self, odometry: Sequence[PoseEdge], edge: PoseEdge) -> str:
+        """Why a loop is inconsistent with the odometry; empty if it is consistent."""
         chain = OdometryChain(odometry)
         return consistent_loops(chain, [edge], self._parts.consistency).reason(0)
 
-    def _believed(self, laid: _Laid, reason: str) -> bool:
-        """Write a registration down with what speaks against it; whether nothing does."""
-        values = {"first": laid.edge.first, "second": laid.edge.second}
-        self._record("between", values | figures_of(laid.result, laid.T_before) | verdict(reason))
+    def _accept(self, registration: _Registration, reason: str) -> bool:
+        """Record a registration and the reason for rejecting it; return whether it is accepted."""
+        values = {"first": registration.edge.first, "second": registration.edge.second}
+        values |= registration_values(registration.result, registration.T_before)
+        self._record("between", values | verdict(reason))
         return not reason
 
-    def confirmed(self, atlas: Atlas, edge: PoseEdge, pairs: Sequence[LoopCandidate]) -> bool:
-        """Whether a suspected pair of keyframes sees the same place, as the submaps now lie.
+    def confirm(self, atlas: Atlas, edge: PoseEdge, pairs: Sequence[LoopCandidate]) -> bool:
+        """Check whether a candidate pair of keyframes overlaps after the registration.
 
-        Submaps that overlap anyhow can be registered whatever was suspected; without this they
-        would be taken for a proof of it.
+        Submaps that overlap can be registered even if no candidate pair shows the same place; a
+        successful registration alone does not confirm the candidates.
         """
         matches = {k.index: k for k in atlas.submap(edge.first).keyframes}
         queries = {k.index: k for k in atlas.submap(edge.second).keyframes}

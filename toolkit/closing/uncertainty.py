@@ -1,4 +1,4 @@
-"""How sure the poses of a run are: of anchors by the pose graph, of frames by the way from them."""
+"""Pose covariances of a run: anchors from the pose graph, frames from the path since the anchor."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from toolkit.pose_graph.noise import OdometryNoise
 
 Array = NDArray[np.float64]
 
-# Between neighbouring frames the tracker is sure; what counts is how far they are from the anchor.
-SURE = np.eye(6) * 1e9
+# Information of tracking between neighbouring frames. Its noise is negligible compared with the
+# drift along the path from the anchor.
+NEGLIGIBLE_NOISE = np.eye(6) * 1e9
 
 
 def frame_covariances(
@@ -25,24 +26,25 @@ def frame_covariances(
 ) -> Array:
     """Covariances [M, 6, 6] of x in T_world_camera exp(x), x = (translation m, rotation rad).
 
-    A frame has its anchor's covariance, and odometry's of the way that the camera took since.
-    Loops inside a submap make its frames surer than this says.
+    The covariance of a frame is its anchor's plus that of the odometry along the camera's path
+    since the anchor. Loops inside a submap are not taken into account; they reduce it.
 
     Args:
-        anchors: [6, 6] of each submap's anchor, by number.
-        submaps: number of each frame's submap. T_submap_camera: [4, 4] of each frame.
+        anchors: covariance [6, 6] of each submap's anchor, by number.
+        submaps: number of each frame's submap.
+        T_submap_camera: pose [4, 4] of each frame in its submap.
     """
-    found = []
+    covariances = []
     metres = radians = 0.0
-    before: tuple[int, Array] | None = None
+    previous: tuple[int, Array] | None = None
     for number, T in zip(submaps, T_submap_camera, strict=True):
-        if before is None or before[0] != number:
+        if previous is None or previous[0] != number:
             metres = radians = 0.0
-            before = (number, np.eye(4))
-        step = se3.inverse(before[1]) @ T
+            previous = (number, np.eye(4))
+        step = se3.inverse(previous[1]) @ T
         metres += float(np.linalg.norm(step[:3, 3]))
         radians += float(se3.rotation_angle_rad(step[:3, :3]))
-        before = (number, T)
-        spread = covariance_in_frame(anchors[number], T)
-        found.append(spread + noise.covariance(SURE, metres, radians))
-    return np.array(found).reshape(-1, 6, 6)
+        previous = (number, T)
+        anchor = covariance_in_frame(anchors[number], T)
+        covariances.append(anchor + noise.covariance(NEGLIGIBLE_NOISE, metres, radians))
+    return np.array(covariances).reshape(-1, 6, 6)

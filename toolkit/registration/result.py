@@ -47,7 +47,7 @@ class RegistrationResult:
     method: str
     reason: str = ""
 
-    def figures(self) -> dict[str, Any]:
+    def quality_values(self) -> dict[str, Any]:
         """What a log or a report tells of it; None, which JSON knows, for what was not measured."""
         values = {
             "method": self.method,

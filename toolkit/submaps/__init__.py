@@ -1,1 +1,1 @@
-"""Submaps: pieces of bounded size, each in a frame of its own."""
+"""Submaps: parts of the map of bounded size, each with its own coordinate frame."""

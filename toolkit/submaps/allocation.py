@@ -1,7 +1,7 @@
-"""Submap allocation (G-III.A): start a submap where overlap and classes change, or at a size cap.
+"""Submap allocation (G-III.A): start a submap when overlap and classes change, or at a size limit.
 
-The rule "motion" of other submap systems is included for comparison: it only looks at how far the
-camera has moved from the anchor.
+The rule "motion" of other submap systems is included for comparison: it depends only on the
+camera's motion from the anchor.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from toolkit.submaps.options import AllocationOptions
 from toolkit.submaps.volume import SubmapVolume
 
 # KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
-_RICH_CLASSES = 0.4
+_MIN_DIVERGENCE = 0.4
 
 
 @dataclass(frozen=True)
 class AllocationVerdict:
-    """What was found at one keyframe.
+    """Decision at one keyframe.
 
     Attributes:
         index: the keyframe's frame index.
-        submap: number of the submap it was held against.
-        overlap: share of what it sees that the submap's volume holds.
-        divergence: KL divergence from the anchor's classes, nan without labels.
-        reason: why a new submap begins here, empty where none does.
+        submap: number of the submap that the keyframe was compared with.
+        overlap: fraction of the observed surface inside the submap's volume.
+        divergence: KL divergence from the anchor's classes in nats; nan without labels.
+        reason: why a new submap starts at this keyframe; empty if none starts.
     """
 
     index: int
@@ -43,40 +43,42 @@ class AllocationVerdict:
 
     @property
     def starts_submap(self) -> bool:
-        """Whether a new submap begins at this keyframe."""
+        """Whether a new submap starts at this keyframe."""
         return bool(self.reason)
 
     def values(self) -> dict[str, Any]:
-        """As JSON holds it, which knows no nan."""
+        """JSON values: nan becomes None."""
         known = not math.isnan(self.divergence)
         return {**asdict(self), "divergence": self.divergence if known else None}
 
     @classmethod
     def from_values(cls, values: dict[str, Any]) -> AllocationVerdict:
-        """The verdict that `values` came from."""
+        """Restore a verdict from its `values`."""
         divergence = values["divergence"]
         return cls(**{**values, "divergence": math.nan if divergence is None else divergence})
 
 
 class Allocation:
-    """Spatial and semantic allocation with hard caps.
+    """Spatial and semantic allocation with size limits.
 
     Args:
-        classes: of the taxonomy, 0 for a map without labels.
+        num_classes: number of classes of the taxonomy; 0 for a map without labels.
     """
 
-    def __init__(self, options: AllocationOptions, classes: int) -> None:
+    def __init__(self, options: AllocationOptions, num_classes: int) -> None:
         self.options = options
-        set_divergence = options.min_divergence
-        self._min_divergence = _RICH_CLASSES if set_divergence is None else set_divergence
-        self._classes = classes
+        given = options.min_divergence
+        self._min_divergence = _MIN_DIVERGENCE if given is None else given
+        self._num_classes = num_classes
         self._volume = SubmapVolume()
 
     def judge(self, number: int, keyframes: list[Keyframe], gaussians: int) -> AllocationVerdict:
-        """Hold the newest keyframe of a submap against the others.
+        """Decide whether the newest keyframe of a submap starts a new submap.
 
         Args:
-            number: the submap's. keyframes: the submap's, the anchor first. gaussians: how many.
+            number: the submap's number.
+            keyframes: the submap's keyframes, the anchor first.
+            gaussians: number of Gaussians in the submap.
         """
         newest, options = keyframes[-1], self.options
         established = keyframes[: max(1, len(keyframes) - options.recent)]
@@ -92,13 +94,14 @@ class Allocation:
         elif options.rule == "motion":
             reason = self._far_from_anchor(keyframes)
         elif len(keyframes) >= options.min_keyframes:
-            reason = self._elsewhere(overlap, divergence)
+            reason = self._new_view(overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
 
-    def _elsewhere(self, overlap: float, divergence: float) -> str:
-        # Without labels the place alone decides.
-        same_things = divergence <= self._min_divergence
-        if overlap >= self.options.min_overlap or same_things:
+    def _new_view(self, overlap: float, divergence: float) -> str:
+        """Why the view is spatially and semantically new; empty if it is not."""
+        # Without labels the divergence is nan, and the overlap alone decides.
+        same_classes = divergence <= self._min_divergence
+        if overlap >= self.options.min_overlap or same_classes:
             return ""
         return f"overlap {overlap:.2f} and divergence {divergence:.2f}"
 
@@ -111,16 +114,16 @@ class Allocation:
         return f"{moved_m:.2f} m and {turned_deg:.0f} degrees from the anchor"
 
     def _divergence(self, newest: Keyframe, anchor: Keyframe) -> float:
-        if not self._classes or newest.class_ids is None or anchor.class_ids is None:
+        if not self._num_classes or newest.class_ids is None or anchor.class_ids is None:
             return float("nan")
         current, first = (
-            class_histogram(keyframe.class_ids.numpy(), self._classes)  # type: ignore[union-attr]
-            for keyframe in (newest, anchor)
+            class_histogram(k.class_ids.numpy(), self._num_classes)  # type: ignore[union-attr]
+            for k in (newest, anchor)
         )
         return smoothed_kl(current, first)
 
 
 def path_length_m(keyframes: list[Keyframe]) -> float:
-    """Length of the way through the keyframes' places, in metres."""
-    places: NDArray[np.float64] = np.array([k.T_map_camera[:3, 3] for k in keyframes])
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    """Length of the path through the keyframes' positions, in metres."""
+    positions: NDArray[np.float64] = np.array([k.T_map_camera[:3, 3] for k in keyframes])
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())

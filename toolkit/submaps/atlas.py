@@ -23,17 +23,19 @@ from toolkit.submaps.options import BoundaryOptions
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
 
-# An inherited Gaussian lies on the drawn surface or so much behind it, as a share of depth.
-_BEHIND = 0.05
-_NONE = torch.zeros(0, dtype=torch.int64)
+# Maximum distance of a visible Gaussian behind the rendered surface, as a fraction of depth.
+_MAX_BEHIND = 0.05
+_NO_INDICES = torch.zeros(0, dtype=torch.int64)
 
 
 class Atlas:
-    """Owns the anchors and hands submaps out.
+    """Owns the anchors and provides access to the submaps.
 
     Args:
-        mapper: works on the active submap.
-        allocation: when the next one begins; None keeps a single one.
+        mapper: holds and optimises the active submap.
+        allocation: decides when the next submap starts; None keeps a single submap.
+        store: stores inactive submaps; in memory by default.
+        boundary: options of the transition between submaps.
 
     Attributes:
         saved: number of submaps loaded from an earlier run, which come first. They are neither
@@ -56,7 +58,7 @@ class Atlas:
         self._store = store or SubmapStore()
         self._boundary = boundary or BoundaryOptions()
         self._anchors = [np.eye(4)]
-        # Frame indices and poses of the keyframes of each stored submap: small and used often.
+        # Poses of the keyframes of each stored submap by frame index: small and used often.
         self._keyframes: list[dict[int, NDArray[np.float64]]] = []
         self._checkpoints: list[dict[str, int]] = []
         self._descriptors: list[NDArray[np.float32]] = [np.zeros((0, 0), np.float32)]
@@ -71,7 +73,7 @@ class Atlas:
 
     @property
     def has_active_submap(self) -> bool:
-        """Whether a submap is being mapped; not before the camera is found in a loaded map."""
+        """Whether a submap is active; False until the camera is relocalised in a loaded map."""
         return self._in_mapper(self.active)
 
     def load_map(self, submaps: Iterable[Submap]) -> None:
@@ -95,7 +97,7 @@ class Atlas:
         return self._anchors[number]
 
     def move(self, number: int, T_world_submap: NDArray[np.float64]) -> None:
-        """Correct an anchor; nothing inside the submap changes."""
+        """Set the pose [4, 4] of an anchor; the submap's content does not change."""
         self._anchors[number] = T_world_submap.copy()
 
     def keyframe_poses(self, number: int) -> dict[int, NDArray[np.float64]]:
@@ -105,11 +107,11 @@ class Atlas:
         return self._keyframes[number]
 
     def _in_mapper(self, number: int) -> bool:
-        """Whether a submap is active; after `rest` none is."""
+        """Whether a submap is the active one; after `store_active` there is none."""
         return number == len(self._keyframes)
 
     def descriptors(self, number: int) -> NDArray[np.float32]:
-        """[K, D] of a submap's keyframes so far."""
+        """Descriptors [K, D] of a submap's keyframes so far."""
         return self._descriptors[number]
 
     def describe(self, descriptor: NDArray[np.float32]) -> None:
@@ -121,7 +123,7 @@ class Atlas:
         """A submap; the active one shares the mapper's arrays.
 
         Raises:
-            ToolkitError: it rested on disk and cannot be read.
+            ToolkitError: the submap is stored on disk and cannot be read.
         """
         if self._in_mapper(number):
             content = self.mapper.content
@@ -139,7 +141,7 @@ class Atlas:
         return submap
 
     def put(self, submap: Submap) -> None:
-        """Take a submap's new content."""
+        """Replace the content of a submap."""
         number = submap.number
         self._anchors[number] = submap.T_world_submap
         self._descriptors[number] = submap.descriptors
@@ -150,7 +152,7 @@ class Atlas:
         self._store.put(submap)
 
     def judge(self) -> AllocationVerdict | None:
-        """Whether the newest keyframe shall begin a submap; None with a single submap."""
+        """Decide whether the newest keyframe starts a submap; None without allocation."""
         if self._allocation is None:
             return None
         mapper = self.mapper
@@ -162,7 +164,7 @@ class Atlas:
         """Start the next submap at the newest keyframe, which then belongs to both submaps.
 
         Returns:
-            T_new_old [4, 4].
+            T_new_old [4, 4], from the frame of the old submap to that of the new one.
         """
         self.mapper.optimise_window(self._boundary.steps, self._boundary.bundle_adjustment)
         old, last = self.submap(self.active), self.mapper.keyframes[-1]
@@ -177,63 +179,68 @@ class Atlas:
         T_submap_camera: NDArray[np.float64],
         inherit: bool = True,
     ) -> None:
-        """Start a submap at a keyframe that was located in any other submap.
+        """Start a submap at a keyframe that was located in an existing submap.
 
         Args:
             anchor: the first keyframe, at the identity.
-            number: of the other submap. T_submap_camera: [4, 4] pose of the keyframe in it.
-            inherit: False if the pose is a guess, so that no Gaussians are copied.
+            number: the existing submap's number.
+            T_submap_camera: pose [4, 4] of the keyframe in the existing submap.
+            inherit: False if the pose is uncertain, so that no Gaussians are copied.
         """
-        around = self.submap(number)
+        source = self.submap(number)
         if not inherit:
-            around = replace(around, gaussians=around.gaussians.select(_NONE), steps=_NONE.int())
-        self._start(anchor, around, T_submap_camera)
+            empty = source.gaussians.select(_NO_INDICES)
+            source = replace(source, gaussians=empty, steps=_NO_INDICES.int())
+        self._start(anchor, source, T_submap_camera)
 
     def _start(
-        self, anchor: Keyframe, around: Submap, T_around_camera: NDArray[np.float64]
+        self, anchor: Keyframe, source: Submap, T_source_camera: NDArray[np.float64]
     ) -> None:
-        """Start a submap at a keyframe that has a pose in an older submap."""
+        """Start a submap at a keyframe that has a pose in an existing submap."""
         old = self.submap(self.active)
-        content = self._inherited(anchor, around, T_around_camera)
+        content = self._inherited(anchor, source, T_source_camera)
         if self.has_active_submap:
             self.store_active()
-        self._anchors.append(around.T_world_submap @ T_around_camera)
+        self._anchors.append(source.T_world_submap @ T_source_camera)
         self._descriptors.append(self._boundary_row(old, anchor.index))
         self.mapper.replace_content(content)
         self.mapper.add_keyframe(anchor)
 
     @staticmethod
     def _boundary_row(old: Submap, index: int) -> NDArray[np.float32]:
-        """The descriptor of a keyframe that two submaps share, as the new one's first row."""
+        """Descriptor [1, D] of the keyframe that two submaps share; [0, D] if there is none."""
         shared = bool(old.keyframes) and old.keyframes[-1].index == index
         return old.descriptors[-1:].copy() if shared else old.descriptors[:0].copy()
 
     def store_active(self) -> None:
-        """Put the active submap beside the others, before all of them are worked on in turn."""
+        """Move the active submap to the store; afterwards no submap is active."""
         active = self.submap(self.active)
         self._keyframes.append({k.index: k.T_map_camera for k in active.keyframes})
         self._store.put(active)
 
     def readable(self) -> list[int]:
-        """Numbers of the submaps whose content is there."""
+        """Numbers of the submaps whose content can be read."""
         return [number for number in range(len(self)) if number not in self.unreadable]
 
     def _inherited(
-        self, anchor: Keyframe, around: Submap, T_around_camera: NDArray[np.float64]
+        self, anchor: Keyframe, source: Submap, T_source_camera: NDArray[np.float64]
     ) -> MapContent:
         """Copies of the Gaussians that the first keyframe sees, in the new submap's frame."""
-        cloud, T_camera_around = around.gaussians, se3.inverse(T_around_camera)
-        index = _NONE
+        cloud, T_camera_source = source.gaussians, se3.inverse(T_source_camera)
+        index = _NO_INDICES
         if self._boundary.inherit:
-            view = self.mapper.render(cloud, anchor.camera, T_around_camera)
-            index = visible_gaussians(view, cloud, anchor.camera, T_camera_around)
-        moved = cloud.select(index).transformed(T_camera_around)
-        moved = replace(moved, centred_colours=self.mapper.options.centred)
-        origin = torch.full((len(index),), anchor.index, dtype=torch.int32)
-        return MapContent(moved, [], origin, around.steps.index_select(0, index))
+            view = self.mapper.render(cloud, anchor.camera, T_source_camera)
+            index = visible_gaussians(view, cloud, anchor.camera, T_camera_source)
+        copies = cloud.select(index).transformed(T_camera_source)
+        copies = replace(copies, centred_colours=self.mapper.options.centred)
+        seeded_by = torch.full((len(index),), anchor.index, dtype=torch.int32)
+        return MapContent(copies, [], seeded_by, source.steps.index_select(0, index))
 
     def checkpointed(self) -> None:
-        """The present state was written down: of the files, only two such states need any."""
+        """Remove the files that neither of the two newest checkpoints needs.
+
+        Call this after a checkpoint of the current state was written.
+        """
         self._checkpoints = [*self._checkpoints, self._store.state()][-2:]
         self._store.prune(*self._checkpoints)
 
@@ -250,7 +257,7 @@ class Atlas:
         return arrays, values
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
-        """Take over an earlier `state`; submaps that cannot be read are named and left out."""
+        """Restore an earlier `state`; a warning is logged for each submap that cannot be read."""
         self._anchors = [np.array(T) for T in arrays["anchors"]]
         count = len(self._anchors)
         self._descriptors = [np.array(arrays[f"descriptors/{n}"]) for n in range(count)]
@@ -271,7 +278,7 @@ class Atlas:
 def visible_gaussians(
     view: SurfaceView, cloud: GaussianCloud, camera: Camera, T_camera_map: NDArray[np.float64]
 ) -> Tensor:
-    """Indices [V] of the Gaussians on the surface that a view of the map shows."""
+    """Indices [V] of the Gaussians on the surface visible in a rendered view of the map."""
     points = cloud.transformed(T_camera_map).means.double().numpy()
     height, width = view.depth_m.shape
     ahead = points[:, 2] > 0
@@ -279,5 +286,5 @@ def visible_gaussians(
     column, row = np.rint(uv).astype(np.int64).T
     inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     depth_m = view.depth_m.numpy()[row[inside], column[inside]]
-    inside[inside] = points[inside, 2] <= (1.0 + _BEHIND) * depth_m
+    inside[inside] = points[inside, 2] <= (1.0 + _MAX_BEHIND) * depth_m
     return torch.from_numpy(inside.nonzero()[0])

@@ -19,11 +19,11 @@ def build_atlas(
     labeller: Labeller | None,
     folder: Path | None = None,
 ) -> Atlas:
-    """The atlas that the options describe.
+    """Build the atlas described by the options.
 
     Args:
-        labeller: None for a map without labels.
-        folder: where submaps rest; None keeps them in memory.
+        labeller: segments frames; None for a map without labels.
+        folder: where inactive submaps are stored; None keeps them in memory.
     """
     allocation = None
     if options.use:
@@ -34,7 +34,7 @@ def build_atlas(
 
 
 def allocation_options(options: AllocationOptions, labeller: Labeller | None) -> AllocationOptions:
-    """The options with the segmenter's divergence where they set none."""
+    """Options with the segmenter's default of `min_divergence` if it is not set."""
     if labeller is None or options.min_divergence is not None:
         return options
     return replace(options, min_divergence=labeller.segmenter.place_divergence)

@@ -28,10 +28,11 @@ class AllocationOptions:
     min_divergence: NonNegativeFloat | None = None
     """Minimum KL divergence of the classes in view from the anchor's, in nats. Above it, the view
     is semantically new. By default, 0.4, or 0.05 for geometric labels."""
-    # The previous view always covers the newest one, so that the criterion could never fire.
+    # The preceding view always overlaps with the newest one. If it were included, the criterion
+    # would never be met.
     recent: NonNegativeInt = 10
     """Number of newest keyframes excluded from the submap's volume."""
-    # While a camera explores, every view is new: only size tells a turn from a new room.
+    # While the camera explores, every view is new. A minimum size avoids tiny submaps.
     min_keyframes: Annotated[int, Range(ge=2)] = 60
     """Minimum number of keyframes of a submap."""
     moved_m: PositiveFloat = 0.5
@@ -39,11 +40,11 @@ class AllocationOptions:
     turned_deg: PositiveFloat = 50.0
     """Rotation from the anchor that starts a new submap by the rule motion, in degrees."""
     max_keyframes: Annotated[int, Range(ge=2)] = 150
-    """Number of keyframes that starts a new submap by itself."""
+    """Maximum number of keyframes of a submap."""
     max_gaussians: PositiveInt = 1_000_000
-    """Number of Gaussians that starts a new submap by itself."""
+    """Maximum number of Gaussians of a submap."""
     max_path_m: PositiveFloat = 30.0
-    """Path length that starts a new submap by itself, in metres."""
+    """Maximum path length of the camera in a submap, in metres."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class BoundaryOptions:
     bundle_adjustment: bool = False
     """Optimise keyframe poses around the boundary as well."""
     inherit: bool = True
-    """Start a submap with copies of the Gaussians that its anchor sees of the old one."""
+    """Start a submap with copies of the old submap's Gaussians that are visible from its anchor."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The submaps of a finished run, to be read again."""
+"""Access to the submaps of a finished run."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from toolkit.submaps.submap import Submap
 
 
 class SavedSubmaps(Mapping[int, Submap]):
-    """Submaps by number, read from disk when they are asked for.
+    """Submaps by number, read from disk on access.
 
     Args:
-        store: has them all.
-        anchors: T_world_submap [4, 4] of each at the end of the run. A submap's own file may
-            hold an older one: loops that are closed later move anchors alone.
+        store: contains all submaps.
+        anchors: T_world_submap [4, 4] of each submap at the end of the run. The pose in a submap's
+            file may be older, because later loop closures do not rewrite the file.
     """
 
     def __init__(self, store: SubmapStore, anchors: Mapping[int, NDArray[np.float64]]) -> None:
         self._store, self._anchors = store, dict(sorted(anchors.items()))
 
     def __getitem__(self, number: int) -> Submap:
-        """A submap at its final place.
+        """Read a submap; its anchor has the final pose.
 
         Raises:
-            KeyError: there is no such submap.
-            ToolkitError: its folder is missing or damaged.
+            KeyError: there is no submap with this number.
+            ToolkitError: the submap's folder is missing or damaged.
         """
         anchor = self._anchors[number]
         submap = self._store.get(number)

@@ -1,4 +1,4 @@
-"""Where submaps rest: in memory as far as a budget goes, on disk beyond it."""
+"""Storage of inactive submaps: on disk, with the recently used ones cached in memory."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from toolkit.submaps.submap import Submap
 
 _log = logging.getLogger(__name__)
 
-# Number and version, as `_name` writes them.
+# Submap number and version in the folder names of `_name`.
 _NAME = re.compile(r"(\d{4,})_(\d+)")
 
 
 class SubmapStore:
-    """Keeps submaps by number.
+    """Stores submaps by number.
 
-    A changed submap gets a folder of its own, so that an older checkpoint still finds what it
-    knew; `prune` removes what no checkpoint needs.
+    Each version of a submap is written to a separate folder, so that older checkpoints remain
+    valid; `prune` removes the folders that no checkpoint needs.
 
     Args:
-        folder: where to write them, made when needed; None keeps all in memory.
-        budget_mb: memory for those that were put or read last.
+        folder: where to write the submaps, created when needed; None keeps all in memory.
+        budget_mb: size of the LRU cache in MB.
     """
 
     def __init__(self, folder: Path | None = None, budget_mb: float = 500.0) -> None:
         self.folder, self.budget_mb = folder, budget_mb
         self._versions: dict[int, int] = {}
-        self._held: dict[int, Submap] = {}  # the least recently used first
-        self._sizes_mb: dict[int, float] = {}  # of these; to sum one up takes a while
+        self._cache: dict[int, Submap] = {}  # least recently used first
+        self._sizes_mb: dict[int, float] = {}  # of the cached submaps; slow to compute
 
     @classmethod
     def newest(cls, folder: Path, budget_mb: float = 500.0) -> SubmapStore:
-        """The submaps of a folder that a store wrote, each in its last version."""
+        """Open a folder written by a store, with the newest version of each submap."""
         store = cls(folder, budget_mb)
         for path in folder.iterdir() if folder.is_dir() else ():
             found = _NAME.fullmatch(path.name)
@@ -46,33 +46,33 @@ class SubmapStore:
         return store
 
     def __contains__(self, number: int) -> bool:
-        """Whether a submap was ever put."""
+        """Whether a submap is stored."""
         return number in self._versions
 
     def put(self, submap: Submap) -> None:
-        """Keep a submap, or its new content.
+        """Store a submap or a new version of it.
 
         Raises:
-            RunFolderError: the disk is full or may not be written.
+            RunFolderError: the disk is full or not writable.
         """
         number = submap.number
         self._versions[number] = self._versions.get(number, -1) + 1
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_array_tree(self._path(number), *submap.state())
-        self._held.pop(number, None)  # its size may have changed
-        self._hold(submap)
+        self._cache.pop(number, None)  # its size may have changed
+        self._add_to_cache(submap)
 
     def get(self, number: int) -> Submap:
-        """A submap; whoever changes it puts it back.
+        """Return a submap; call `put` after changing it.
 
         Raises:
-            KeyError: it was never put.
-            RunFolderError: its folder is missing.
-            FormatError: its folder is damaged.
+            KeyError: no submap with this number is stored.
+            RunFolderError: the submap's folder is missing.
+            FormatError: the submap's folder is damaged.
         """
-        if number in self._held:
-            submap = self._held[number]
+        if number in self._cache:
+            submap = self._cache[number]
         else:
             self._versions[number]
             tree = read_array_tree(self._path(number))
@@ -82,54 +82,54 @@ class SubmapStore:
                 raise FormatError(
                     f"{self._path(number)} is damaged ({error!r}); run again"
                 ) from error
-        self._hold(submap)
+        self._add_to_cache(submap)
         return submap
 
     def state(self) -> dict[str, int]:
-        """Versions by number, as JSON holds them."""
+        """Versions by submap number, with the keys as strings for JSON."""
         return {str(number): version for number, version in self._versions.items()}
 
     def restore(self, state: dict[str, int]) -> list[int]:
-        """Take over an earlier `state`.
+        """Restore an earlier `state`.
 
         Returns:
-            numbers of the submaps whose folder is missing or damaged; a warning names each.
+            Numbers of the submaps whose folder is missing or damaged; a warning is logged for each.
         """
         self._versions = {int(number): int(version) for number, version in state.items()}
-        self._held.clear()
+        self._cache.clear()
         lost = []
         for number in sorted(self._versions):
             try:
                 self.get(number)
             except (FormatError, RunFolderError) as error:
-                _log.warning("submap %d is lost, the others go on: %s", number, error)
+                _log.warning("Submap %d cannot be read and is skipped: %s", number, error)
                 lost.append(number)
         return lost
 
     def prune(self, *states: dict[str, int]) -> None:
-        """Remove the folders that neither the given states nor the present one know."""
+        """Remove the folders that neither the given states nor the current state need."""
         if self.folder is None or not self.folder.is_dir():
             return
-        known = {_name(int(n), v) for state in (*states, self.state()) for n, v in state.items()}
+        needed = {_name(int(n), v) for state in (*states, self.state()) for n, v in state.items()}
         for path in self.folder.iterdir():
-            if path.name not in known:
+            if path.name not in needed:
                 shutil.rmtree(path, ignore_errors=True)
 
     def _path(self, number: int) -> Path:
         assert self.folder is not None
         return self.folder / _name(number, self._versions[number])
 
-    def _hold(self, submap: Submap) -> None:
+    def _add_to_cache(self, submap: Submap) -> None:
         number = submap.number
-        if self._held.pop(number, None) is not submap:
-            self._sizes_mb[number] = submap.megabytes
-        self._held[number] = submap
+        if self._cache.pop(number, None) is not submap:
+            self._sizes_mb[number] = submap.size_mb
+        self._cache[number] = submap
         if self.folder is None:
             return
-        for oldest in list(self._held)[:-1]:
-            if sum(self._sizes_mb[n] for n in self._held) <= self.budget_mb:
+        for oldest in list(self._cache)[:-1]:
+            if sum(self._sizes_mb[n] for n in self._cache) <= self.budget_mb:
                 return
-            del self._held[oldest]
+            del self._cache[oldest]
 
 
 def _name(number: int, version: int) -> str:

@@ -1,4 +1,4 @@
-"""A piece of the map: Gaussians and keyframes in one frame of their own (G-III.A)."""
+"""A submap: Gaussians and keyframes in their own coordinate frame (G-III.A)."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def _none() -> Tensor:
 
 @dataclass
 class Submap:
-    """Everything but `T_world_submap` is in the submap's frame, its first camera's.
+    """Gaussians and keyframes in the submap's frame, which is that of its first camera.
 
     Attributes:
-        number: its place in the sequence of submaps, from 0.
-        T_world_submap: [4, 4] float64, the anchor's pose; corrections change it alone.
+        number: index in the sequence of submaps, from 0.
+        T_world_submap: [4, 4] float64 pose of the anchor; loop closure between submaps changes it.
         gaussians: N Gaussians.
-        keyframes: their `T_map_camera` is `T_submap_camera`.
-        seeded_by: [N] int32, for each Gaussian the frame index of the keyframe it came from,
-            or of one that has measured it from much nearer since.
-        descriptors: [K, D] float32 of unit length, one row a keyframe; D may be 0.
-        steps: [N] int32, optimisation steps each Gaussian has had.
+        keyframes: in order; their `T_map_camera` is `T_submap_camera`.
+        seeded_by: [N] int32 frame index of the keyframe that seeded each Gaussian, or of the one
+            that has measured it since from much nearer.
+        descriptors: [K, D] float32 of unit length, one row per keyframe; D may be 0.
+        steps: [N] int32 number of optimisation steps of each Gaussian.
     """
 
     number: int
@@ -44,31 +44,31 @@ class Submap:
     steps: Tensor = field(default_factory=_none)
 
     def T_world_camera(self, keyframe: Keyframe) -> NDArray[np.float64]:
-        """[4, 4] pose of one of its keyframes in the world."""
+        """Pose [4, 4] of one of the submap's keyframes in the world frame."""
         return self.T_world_submap @ keyframe.T_map_camera
 
     @property
     def content(self) -> MapContent:
-        """What a mapper works on; shared, not copied."""
+        """The content in the form that a mapper expects; shared, not copied."""
         return MapContent(self.gaussians, self.keyframes, self.seeded_by, self.steps)
 
-    def renumbered(self, number: int, later_by: int) -> Submap:
-        """The same submap as another's number, its frames' indices moved by so many."""
+    def renumbered(self, number: int, offset: int) -> Submap:
+        """The same submap with another number, and with an offset added to all frame indices."""
         return replace(
             self,
             number=number,
-            keyframes=[replace(k, index=k.index + later_by) for k in self.keyframes],
-            seeded_by=self.seeded_by + later_by,
+            keyframes=[replace(k, index=k.index + offset) for k in self.keyframes],
+            seeded_by=self.seeded_by + offset,
         )
 
     @property
-    def megabytes(self) -> float:
-        """Memory of its arrays."""
+    def size_mb(self) -> float:
+        """Size of the arrays in MB."""
         arrays, _ = self.state()
         return sum(array.nbytes for array in arrays.values()) / 1e6
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        """Arrays and JSON values that `from_state` takes; shared, not copied."""
+        """Arrays and JSON values for `from_state`; shared, not copied."""
         arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
         arrays |= {
             "T_world_submap": self.T_world_submap,
@@ -86,7 +86,7 @@ class Submap:
 
     @classmethod
     def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Submap:
-        """The submap that `state` came from."""
+        """Restore a submap from its `state`."""
 
         def tensor(name: str) -> Tensor:
             return torch.from_numpy(np.array(arrays[name]))
@@ -100,7 +100,7 @@ class Submap:
             T_world_submap=np.array(arrays["T_world_submap"]),
             gaussians=GaussianCloud(
                 **{n: tensor(f"gaussians/{n}") for n in PARAMETERS},
-                # Files of older runs hold refined submaps without the key.
+                # Files of older versions contain refined submaps without this key.
                 centred_colours=bool(values.get("centred_colours", False)),
             ),
             keyframes=keyframes,
