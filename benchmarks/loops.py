@@ -265,15 +265,15 @@ class DescribedSequence:
     def score(self, candidates: Sequence[LoopCandidate]) -> LoopScore:
         """Of accepted candidates, all keyframes having been searched at."""
         pairs = [(c.query // _EVERY, c.match // _EVERY) for c in candidates]
-        right = [pair for pair in pairs if self.truth[pair]]
+        correct = [pair for pair in pairs if self.truth[pair]]
         return LoopScore(
             accepted=len(pairs),
-            right=len(right),
+            correct=len(correct),
             searched=len(self.truth),
             with_loop=int(self.truth.any(axis=1).sum()),
-            found=len({query for query, _ in right}),
+            found=len({query for query, _ in correct}),
             true_intervals=int(self.truth.sum()),
-            found_intervals=len(right),
+            found_intervals=len(correct),
         )
 
     def area_under_curve(self, descriptors: NDArray[np.float32]) -> float:

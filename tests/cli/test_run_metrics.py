@@ -113,4 +113,4 @@ def test_a_folder_that_happens_to_be_called_unseen_is_left_alone(tmp_path, caplo
     assert open_unseen("replica", tmp_path) is None
     (tmp_path / "unseen").mkdir()
     assert open_unseen("replica", tmp_path) is None
-    assert "not scored" in caplog.text
+    assert "not evaluated" in caplog.text

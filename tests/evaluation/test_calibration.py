@@ -100,7 +100,7 @@ def test_what_is_no_confidence_is_refused(bad):
 
 
 def test_another_shape_is_refused():
-    with pytest.raises(ValueError, match="one shape"):
+    with pytest.raises(ValueError, match="the same shape"):
         Calibration().add(np.ones(3, int), np.ones(3, int), np.ones(2))
 
 

@@ -73,7 +73,7 @@ def test_small_images_have_no_score_rather_than_another_metric() -> None:
 
 def test_images_of_different_size_are_refused() -> None:
     rendered, truth = image_pair(20, 20)
-    with pytest.raises(ValueError, match="one size"):
+    with pytest.raises(ValueError, match="the same size"):
         psnr_db(rendered[:-1], truth)
     with pytest.raises(ValueError, match=r"\[H, W, 3\]"):
         ssim(rendered[..., 0], truth[..., 0])

@@ -104,7 +104,7 @@ def test_figures_count_searched_keyframes_only():
     searched = [20, 120, 140, 160, 180]
     accepted = [(120, 20), (120, 70), (140, 41), (180, 10)]
     score = score_loops(circling(), searched, accepted, OPTIONS)
-    assert (score.accepted, score.right, score.searched) == (4, 2, 5)
+    assert (score.accepted, score.correct, score.searched) == (4, 2, 5)
     assert (score.with_loop, score.found) == (4, 2)
     assert score.precision == 0.5
     assert score.recall == 0.5
@@ -136,7 +136,7 @@ def test_frames_without_a_true_pose_take_no_part():
     poses = views.T_world_camera.copy()
     poses[120:122] = np.nan
     score = score_loops(replace(views, T_world_camera=poses), [120], [(120, 20)], OPTIONS)
-    assert (score.right, score.with_loop) == (0, 0)
+    assert (score.correct, score.with_loop) == (0, 0)
 
 
 def test_metrics_are_percent_and_name_their_convention():

@@ -176,12 +176,12 @@ def test_figures_of_two_groups_of_views_have_names_of_their_own():
 @pytest.mark.parametrize(
     ("truth", "predicted", "message"),
     [
-        (np.zeros((2, 2), int), np.zeros((2, 3), int), "one shape"),
+        (np.zeros((2, 2), int), np.zeros((2, 3), int), "the same shape"),
         (np.full((2, 2), 9), np.zeros((2, 2), int), r"within 0\.\.8"),
         (np.full((2, 2), -1), np.zeros((2, 2), int), r"within 0\.\.8"),
         (np.zeros((2, 2), int), np.zeros((2, 2, 2), int), r"\[3, H, W\]"),
         (np.zeros((2, 2), int), np.full((3, 2, 2), 99), "node indices"),
-        (np.zeros((2, 2), int), np.full((3, 2, 2), 1), "no class has at level 0"),
+        (np.zeros((2, 2), int), np.full((3, 2, 2), 1), "not at level 0"),
     ],
 )
 def test_images_of_another_tree_or_size_are_refused(truth, predicted, message):

@@ -1,4 +1,4 @@
-"""Whether a confidence means what it says: of all pixels at 80 %, 80 % should be right."""
+"""Calibration of the predicted confidence: of all pixels at 80 %, 80 % should be correct."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _BINS = 15  # as in Guo et al., "On calibration of modern neural networks" (2017
 
 @dataclass(frozen=True)
 class ReliabilityTable:
-    """Confidence against accuracy, by bins of equal width over [0, 1].
+    """Confidence and accuracy in bins of equal width over [0, 1].
 
     Attributes:
-        edges: [B + 1], bounds of the bins.
-        pixels: [B] int64, how many fell in each.
-        confidence: [B], their mean confidence, NaN where a bin is empty.
-        accuracy: [B], the share of them that is right, NaN where a bin is empty.
+        edges: [B + 1] bounds of the bins.
+        pixels: [B] int64 number of pixels in each bin.
+        confidence: [B] mean confidence of the pixels, NaN for an empty bin.
+        accuracy: [B] fraction of correct pixels, NaN for an empty bin.
     """
 
     edges: NDArray[np.float64]
@@ -39,7 +39,7 @@ class ReliabilityTable:
         return float((self.pixels * gaps).sum() / total)
 
     def rows(self) -> list[dict[str, float | int | None]]:
-        """The bins as JSON values, null where a bin is empty."""
+        """Return the bins as JSON values, null for an empty bin."""
         return [
             {
                 "from": float(low),
@@ -60,14 +60,14 @@ class ReliabilityTable:
 
 
 class Calibration:
-    """Collects confidence and truth over a sequence of views."""
+    """Accumulates confidence and correctness over a sequence of views."""
 
     def __init__(self, bins: int = _BINS) -> None:
         self._edges = np.linspace(0.0, 1.0, bins + 1)
         self._pixels = np.zeros(bins, np.int64)
         self._confidence = np.zeros(bins)
-        self._right = np.zeros(bins, np.int64)
-        self._with_truth = 0
+        self._correct = np.zeros(bins, np.int64)
+        self._labelled_pixels = 0
 
     def add(
         self,
@@ -76,64 +76,66 @@ class Calibration:
         confidence: NDArray[np.floating],
         void: int = VOID,
     ) -> None:
-        """Count one view.
+        """Add one view.
 
         Args:
             truth, predicted: class ids [H, W], or node indices of one level.
             confidence: [H, W] in [0, 1], of the prediction.
-            void: the id of void, -1 for node indices.
+            void: id of void; -1 for node indices.
 
         Raises:
-            ValueError: shapes differ, or a confidence that counts is not within [0, 1].
+            ValueError: shapes differ, or the confidence of a valid pixel is not within [0, 1].
         """
         if not truth.shape == predicted.shape == confidence.shape:
             raise ValueError(
-                "truth, predicted and confidence must have one shape, got "
+                "truth, predicted and confidence must have the same shape, got "
                 f"{list(truth.shape)}, {list(predicted.shape)} and {list(confidence.shape)}"
             )
-        self._with_truth += int((truth != void).sum())
-        counted = (truth != void) & (predicted != void)
-        values = confidence[counted].astype(np.float64)
-        # Written so that NaN is refused, too.
+        self._labelled_pixels += int((truth != void).sum())
+        valid = (truth != void) & (predicted != void)
+        values = confidence[valid].astype(np.float64)
+        # This form of the comparison also rejects NaN.
         if not ((values >= 0.0) & (values <= 1.0)).all():
             raise ValueError("confidence must be within [0, 1]")
         bins = len(self._pixels)
-        # Bins hold their upper bound, the first one its lower one as well.
-        which = np.clip(np.ceil(values * bins).astype(int) - 1, 0, bins - 1)
-        right = (truth == predicted)[counted]
-        self._pixels += np.bincount(which, minlength=bins)
-        self._confidence += np.bincount(which, weights=values, minlength=bins)
-        self._right += np.bincount(which[right], minlength=bins)
+        # Bins include their upper bound; the first bin also includes its lower bound.
+        index = np.clip(np.ceil(values * bins).astype(int) - 1, 0, bins - 1)
+        correct = (truth == predicted)[valid]
+        self._pixels += np.bincount(index, minlength=bins)
+        self._confidence += np.bincount(index, weights=values, minlength=bins)
+        self._correct += np.bincount(index[correct], minlength=bins)
 
     @property
     def table(self) -> ReliabilityTable:
-        """What was collected."""
+        """Reliability table of all views added so far."""
         with np.errstate(invalid="ignore"):
             return ReliabilityTable(
                 self._edges,
                 self._pixels.copy(),
                 self._confidence / self._pixels,
-                self._right / self._pixels,
+                self._correct / self._pixels,
             )
 
     @property
     def coverage(self) -> float | None:
-        """Share of the pixels with truth that have a prediction, None without truth."""
-        return float(self._pixels.sum() / self._with_truth) if self._with_truth else None
+        """Fraction of the labelled pixels that have a prediction, None without labels."""
+        if self._labelled_pixels == 0:
+            return None
+        return float(self._pixels.sum() / self._labelled_pixels)
 
 
 def calibration_metrics(result: Calibration, suffix: str = "") -> Metrics:
-    """ECE, mean confidence and coverage in percent; None where nothing was collected.
+    """Compute ECE, mean confidence and coverage in percent; None without data.
 
     Args:
-        result: what was collected.
-        suffix: "" for mapped views, "_unseen" for views kept out of the map.
+        result: calibration over all views of one group.
+        suffix: "" for mapped views, "_unseen" for views excluded from mapping.
     """
     table = result.table
     total = int(table.pixels.sum())
     mean = np.nansum(table.confidence * table.pixels) / total if total else None
-    figures = {"ece": table.ece, "confidence_mean": mean, "calibration_coverage": result.coverage}
+    values = {"ece": table.ece, "confidence_mean": mean, "calibration_coverage": result.coverage}
     return {
         f"{name}{suffix}_percent": None if value is None else float(100.0 * value)
-        for name, value in figures.items()
+        for name, value in values.items()
     }

@@ -1,4 +1,4 @@
-"""Small line charts as inline SVG, coloured by the classes of the page they stand on."""
+"""Line charts as inline SVG. Colours come from the CSS classes of the embedding page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 18.0, 14.0, 44.0
 
 @dataclass(frozen=True)
 class Series:
-    """A line: its points [N, 2], its name in the legend and its CSS class."""
+    """A line: points [N, 2], name in the legend and CSS class."""
 
     points: Array
     name: str
@@ -27,14 +27,14 @@ class Series:
 
 @dataclass(frozen=True)
 class Axes:
-    """Labels of a chart and what stands in it besides lines.
+    """Axis labels, reference line and marks of a chart.
 
     Attributes:
-        x_label, y_label: with unit.
-        equal: one unit is as long on both axes (a map).
-        level: height of a dashed horizontal line and its name in the legend, or None.
-        marks_x: where to draw thin vertical marks.
-        marks_name: what they are, in the legend.
+        x_label, y_label: labels with units.
+        equal: use the same scale on both axes.
+        level: y value of a dashed horizontal line and its name in the legend, or None.
+        marks_x: x values of short vertical marks.
+        marks_name: name of the marks in the legend.
     """
 
     x_label: str
@@ -47,7 +47,7 @@ class Axes:
 
 @dataclass(frozen=True)
 class _Window:
-    """The range of values shown, and where it lies in the drawing."""
+    """Range of the displayed values, and the mapping from values to SVG coordinates."""
 
     x_low: float
     x_high: float
@@ -55,18 +55,18 @@ class _Window:
     y_high: float
 
     def x(self, value: Array | float) -> Array | float:
-        share = (value - self.x_low) / (self.x_high - self.x_low)
-        return _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
+        fraction = (value - self.x_low) / (self.x_high - self.x_low)
+        return _LEFT + fraction * (_WIDTH - _LEFT - _RIGHT)
 
     def y(self, value: Array | float) -> Array | float:
-        share = (value - self.y_low) / (self.y_high - self.y_low)
-        return _HEIGHT - _BOTTOM - share * (_HEIGHT - _BOTTOM - _TOP)
+        fraction = (value - self.y_low) / (self.y_high - self.y_low)
+        return _HEIGHT - _BOTTOM - fraction * (_HEIGHT - _BOTTOM - _TOP)
 
 
 def line_chart(series: Sequence[Series], axes: Axes) -> str:
-    """An SVG element with lines, grid, axis labels and a legend above it.
+    """Return an SVG element with lines, grid and axis labels below an HTML legend.
 
-    Points that are not finite break a line. Without any point the chart is empty.
+    Non-finite points interrupt a line. Without finite points, the result is an empty string.
     """
     points = np.concatenate([np.empty((0, 2)), *(s.points for s in series)])
     points = points[np.isfinite(points).all(axis=1)]
@@ -92,9 +92,9 @@ def line_chart(series: Sequence[Series], axes: Axes) -> str:
     return _legend(series, axes) + svg
 
 
-def ticks(low: float, high: float, about: int = 6) -> list[float]:
-    """Round numbers (1, 2 or 5 times a power of ten apart) between low and high."""
-    raw_step = (high - low) / about
+def ticks(low: float, high: float, target_count: int = 6) -> list[float]:
+    """Return tick values between low and high whose step is 1, 2 or 5 times a power of ten."""
+    raw_step = (high - low) / target_count
     power = 10.0 ** math.floor(math.log10(raw_step))
     step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= raw_step * 0.999)
     first = math.ceil(low / step - 1e-9)
@@ -103,7 +103,7 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
 
 
 def _window_from_zero(points: Array, axes: Axes) -> _Window:
-    """Full width in x; from zero to a little above the highest value in y."""
+    """Return a window over all x values, and over y from zero to above the largest value."""
     x_low, x_high = float(points[:, 0].min()), float(points[:, 0].max())
     if x_high <= x_low:
         x_low, x_high = x_low - 0.5, x_high + 0.5
@@ -112,7 +112,7 @@ def _window_from_zero(points: Array, axes: Axes) -> _Window:
 
 
 def _equal_window(points: Array) -> _Window:
-    """All points in the middle of a window of the drawing's own proportions."""
+    """Return a window centred on the points, with the aspect ratio of the chart."""
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     extent = np.maximum(points.max(axis=0) - points.min(axis=0), 1e-3)
     pixels = np.array([_WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM])
@@ -133,7 +133,7 @@ def _grid(window: _Window) -> list[str]:
         x = window.x(value)
         parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>')
         parts.append(f'<text class="tick mid" x="{x:.1f}" y="{bottom + 17}">{text}</text>')
-    y_ticks = ticks(window.y_low, window.y_high, about=5)
+    y_ticks = ticks(window.y_low, window.y_high, target_count=5)
     for value, text in zip(y_ticks, _numbers(y_ticks), strict=True):
         y = window.y(value)
         parts.append(f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
@@ -152,15 +152,16 @@ def _labels(axes: Axes) -> list[str]:
 
 
 def _polylines(series: Series, window: _Window) -> list[str]:
-    """The series' line, in pieces where points are not finite; single points as dots."""
+    """Return the line of a series, split at non-finite points; single points become dots."""
     finite = np.isfinite(series.points).all(axis=1)
     breaks = np.flatnonzero(np.diff(finite.astype(int))) + 1
     parts = []
-    for piece, kept in zip(np.split(series.points, breaks), np.split(finite, breaks), strict=True):
-        if len(piece) == 0 or not kept[0]:
+    segments = zip(np.split(series.points, breaks), np.split(finite, breaks), strict=True)
+    for segment, is_finite in segments:
+        if len(segment) == 0 or not is_finite[0]:
             continue
-        pixels = np.stack([window.x(piece[:, 0]), window.y(piece[:, 1])], axis=1)
-        if len(piece) == 1:
+        pixels = np.stack([window.x(segment[:, 0]), window.y(segment[:, 1])], axis=1)
+        if len(segment) == 1:
             x, y = pixels[0]
             parts.append(
                 f'<circle class="{series.css_class} dot" cx="{x:.1f}" cy="{y:.1f}" r="4"/>'
@@ -183,8 +184,8 @@ def _legend(series: Sequence[Series], axes: Axes) -> str:
 
 
 def _numbers(values: Sequence[float]) -> list[str]:
-    """Tick values with the same number of digits, as many as their step needs."""
+    """Format tick values with the number of decimals that their step needs."""
     step = values[1] - values[0] if len(values) > 1 else 1.0
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    # Zero is a multiple of the step that rounding may have left below it: no "-0.0".
+    # Rounding may leave zero slightly negative; avoid "-0.0".
     return [f"{value if abs(value) > step / 2 else 0.0:.{digits}f}" for value in values]

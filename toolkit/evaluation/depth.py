@@ -1,4 +1,4 @@
-"""How close rendered depth is to measured depth."""
+"""Error of rendered depth against measured depth."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class DepthError:
     """Mean absolute depth difference of one view.
 
     Attributes:
-        l1_m: mean of |rendered - measured| in metres over the pixels counted, None if
-            there are none.
-        pixels: pixels counted: measured and rendered depth are both valid.
-        coverage: share of the pixels with measured depth that were counted, in [0, 1];
-            a map full of holes has a small error and a small coverage.
+        l1_m: mean of |rendered - measured| in metres over the valid pixels, None if there are
+            none.
+        pixels: number of valid pixels, with both measured and rendered depth.
+        coverage: fraction of the pixels with measured depth that are valid, in [0, 1]. A map
+            with many holes may have a small error, but has a small coverage.
     """
 
     l1_m: float | None
@@ -26,15 +26,15 @@ class DepthError:
 
 
 def depth_l1(rendered_m: NDArray, measured_m: NDArray) -> DepthError:
-    """L1 of depth where both images hold some; holes count in the coverage alone.
+    """Compute the L1 depth error over pixels where both depths are valid.
 
-    SplaTAM and Hier-SLAM count holes of the measurement as perfect pixels, which makes
-    their figure smaller by the share of holes.
+    Pixels without rendered depth only reduce the coverage. SplaTAM and Hier-SLAM count pixels
+    without measured depth as pixels without error, which makes their values smaller.
 
     Args:
-        rendered_m: [H, W] z-depth divided by the silhouette, metres; 0 or not finite
-            where nothing was rendered.
-        measured_m: [H, W] z-depth in metres; 0 or not finite where missing.
+        rendered_m: [H, W] z-depth divided by the silhouette, in metres; 0 or non-finite where
+            nothing was rendered.
+        measured_m: [H, W] z-depth in metres; 0 or non-finite where missing.
 
     Raises:
         ValueError: shapes differ.
@@ -45,11 +45,11 @@ def depth_l1(rendered_m: NDArray, measured_m: NDArray) -> DepthError:
             f"{list(measured_m.shape)}"
         )
     measured = _is_valid(measured_m)
-    counted = measured & _is_valid(rendered_m)
-    pixels = int(counted.sum())
+    valid = measured & _is_valid(rendered_m)
+    pixels = int(valid.sum())
     if pixels == 0:
         return DepthError(None, 0, 0.0)
-    difference = rendered_m[counted].astype(np.float64) - measured_m[counted]
+    difference = rendered_m[valid].astype(np.float64) - measured_m[valid]
     return DepthError(float(np.abs(difference).mean()), pixels, pixels / int(measured.sum()))
 
 

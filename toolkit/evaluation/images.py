@@ -1,8 +1,8 @@
 """Image quality of a rendered view: PSNR, SSIM and MS-SSIM (LPIPS is in `lpips.py`).
 
-PSNR is over all pixels of one view; the mean over views is a mean of decibels.
-SSIM (Wang et al. 2004) and MS-SSIM (Wang et al. 2003) are different metrics:
-SplaTAM and Hier-SLAM report the second under the name of the first.
+PSNR is computed over all pixels of a view; the mean over views is the mean of the dB values.
+SSIM (Wang et al. 2004) and MS-SSIM (Wang et al. 2003) are different metrics: SplaTAM and
+Hier-SLAM report MS-SSIM under the name SSIM.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WINDOW_SIZE = 11
 WINDOW_SIGMA = 1.5
 # The original MS-SSIM weights, finest scale first.
 MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
-# An exact copy has no finite PSNR; above this a difference is below float32's own.
+# The PSNR of identical images is infinite. At this limit, the error is that of float32.
 MAX_PSNR_DB = 100.0
 
 _MARGIN = WINDOW_SIZE // 2
@@ -30,14 +30,13 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def psnr_db(rendered: Image, truth: Image) -> float:
-    """Peak signal-to-noise ratio in dB over all pixels and channels, at most 100.
+    """Compute the peak signal-to-noise ratio in dB over all pixels and channels, at most 100.
 
     Args:
-        rendered: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
-        truth: the same.
+        rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
 
     Raises:
-        ValueError: shapes differ or are not those of images.
+        ValueError: shapes differ or are not [H, W, 3].
     """
     a, b = _as_pair(rendered, truth)
     mean_square = float(np.mean((a - b) ** 2))
@@ -47,19 +46,19 @@ def psnr_db(rendered: Image, truth: Image) -> float:
 
 
 def ssim(rendered: Image, truth: Image) -> float | None:
-    """Structural similarity: Gaussian window 11x11, sigma 1.5, data range 1.
+    """Compute the structural similarity: 11x11 Gaussian window, sigma 1.5, data range 1.
 
-    The mean over all pixels and channels, the border mirrored (as in torchmetrics).
+    The result is the mean over all pixels and channels with a mirrored border, as in
+    torchmetrics.
 
     Args:
-        rendered: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
-        truth: the same.
+        rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
 
     Returns:
-        A number of at most 1, or None for an image smaller than the window.
+        SSIM, at most 1; None for an image smaller than the window.
 
     Raises:
-        ValueError: shapes differ or are not those of images.
+        ValueError: shapes differ or are not [H, W, 3].
     """
     a, b = _as_pair(rendered, truth)
     if min(a.shape[:2]) < WINDOW_SIZE:
@@ -69,21 +68,20 @@ def ssim(rendered: Image, truth: Image) -> float | None:
 
 
 def ms_ssim(rendered: Image, truth: Image) -> float | None:
-    """Multi-scale structural similarity over five scales, each half the one before.
+    """Compute the multi-scale structural similarity over five scales, each half the previous.
 
-    As in torchmetrics: contrast over pixels whose window lies inside the image, the
-    coarsest scale's similarity over all pixels, channels pooled.
+    As in torchmetrics, contrast is averaged over pixels whose window lies inside the image, the
+    similarity of the coarsest scale over all pixels, and both over all channels.
 
     Args:
-        rendered: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
-        truth: the same.
+        rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
 
     Returns:
-        A number in [0, 1]; None where the shorter side is below 176 pixels, since the
-        window no longer fits the coarsest scale and fewer scales are another metric.
+        MS-SSIM in [0, 1]. None if the shorter side is below 176 pixels: the window would not
+        fit in the coarsest scale, and values for fewer scales are not comparable.
 
     Raises:
-        ValueError: shapes differ or are not those of images.
+        ValueError: shapes differ or are not [H, W, 3].
     """
     a, b = _as_pair(rendered, truth)
     if min(a.shape[:2]) < WINDOW_SIZE * 2 ** (len(MS_SSIM_WEIGHTS) - 1):
@@ -96,19 +94,19 @@ def ms_ssim(rendered: Image, truth: Image) -> float | None:
         is_coarsest = scale == len(MS_SSIM_WEIGHTS) - 1
         inside = contrast[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
         factor = float((similarity if is_coarsest else inside).mean())
-        # Anticorrelated structure is negative, and has no real fractional power.
+        # Anticorrelated structure gives a negative factor, which has no real fractional power.
         product *= max(factor, 0.0) ** weight
     return product
 
 
 def mean_or_none(values: Sequence[float | None]) -> float | None:
-    """The mean of the values that exist, None if none does."""
-    present = [value for value in values if value is not None]
-    return float(np.mean(present)) if present else None
+    """Return the mean of the values that are not None, or None if there are none."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def _as_pair(rendered: Image, truth: Image) -> tuple[Array, Array]:
-    """Both images as [H, W, 3] float64: variances are differences of near equals."""
+    """Convert both images to float64: variances are differences of nearly equal numbers."""
     pair = []
     for name, image in (("rendered", rendered), ("truth", truth)):
         if image.ndim != 3 or image.shape[2] != 3:
@@ -117,13 +115,13 @@ def _as_pair(rendered: Image, truth: Image) -> tuple[Array, Array]:
         pair.append(np.clip(values.astype(np.float64), 0.0, 1.0))
     if pair[0].shape != pair[1].shape:
         raise ValueError(
-            f"images must be of one size, got {list(rendered.shape)} and {list(truth.shape)}"
+            f"images must have the same size, got {list(rendered.shape)} and {list(truth.shape)}"
         )
     return pair[0], pair[1]
 
 
 def _ssim_maps(a: Array, b: Array) -> tuple[Array, Array]:
-    """SSIM and its contrast-structure factor, each [H, W, 3]."""
+    """Return SSIM and its contrast-structure factor, each [H, W, 3]."""
     mean_a, mean_b = _blur(a), _blur(b)
     variance_a = _blur(a * a) - mean_a**2
     variance_b = _blur(b * b) - mean_b**2
@@ -134,14 +132,14 @@ def _ssim_maps(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _blur(image: Array) -> Array:
-    """Gaussian window with mirrored border."""
+    """Filter with the Gaussian window and a mirrored border."""
     size = (WINDOW_SIZE, WINDOW_SIZE)
     blurred = cv2.GaussianBlur(image, size, WINDOW_SIGMA, borderType=cv2.BORDER_REFLECT_101)
     return np.asarray(blurred, dtype=np.float64)
 
 
 def _halved(image: Array) -> Array:
-    """Means of 2x2 pixels; an odd last row or column is left out."""
+    """Average blocks of 2x2 pixels; an odd last row or column is dropped."""
     height, width = image.shape[0] // 2, image.shape[1] // 2
     blocks = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3)
     return np.asarray(blocks.mean(axis=(1, 3)))

@@ -1,15 +1,15 @@
-"""How well loops are found: precision, recall and F1 against true poses.
+"""Precision, recall and F1 of loop detection against ground-truth poses.
 
-Two frames are a true loop where they are farther apart in time than the detector's own gap,
-their camera centres are closer than tau, and their views overlap, for back to back nothing can
-be recognised. A candidate is right if its two frames are a true loop. Most true loops are never
-searched for, as the detector searches at every n-th keyframe alone; so the headline recall is
-over the searched keyframes that have a true loop before them.
+Two frames form a true loop if they are separated by at least the minimum gap of the detector,
+their camera centres are closer than tau, and their views overlap: views in opposite directions
+cannot be recognised. A candidate is correct if its two frames form a true loop. The detector only
+searches at every n-th keyframe, so the main recall is computed over the searched keyframes that
+have an earlier true loop.
 
-G cuts the sequence into intervals of 10 frames: two intervals are a true loop where every
-admissible pair of their frames is close (here their views must overlap by as much on average),
-and a candidate is right if its frames lie in such intervals. A camera that moves tau within an
-interval has no loop by that rule, so these figures stand beside the headline.
+G divides the sequence into intervals of 10 frames. Two intervals form a true loop if all pairs of
+their frames beyond the gap are close (here, the mean overlap of their views must also reach the
+minimum), and a candidate is correct if its frames lie in such intervals. Intervals in which the
+camera moves by tau cannot form a loop by this rule, so these metrics are reported in addition.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ _G_INTERVAL = 10
 
 @dataclass(frozen=True)
 class LoopTruthOptions:
-    """What is a true loop.
+    """Definition of a true loop.
 
     Attributes:
-        max_distance_m: of camera centres (G: tau_loop).
-        min_overlap: of the two views, the smaller share of one's observed points in the
-            other's frustum; 0 asks for position alone.
-        min_gap_frames, min_gap_m: the detector's own gap, along the true path.
-        interval: frames that are judged together, 1 for each by itself.
+        max_distance_m: maximum distance of the camera centres (G: tau_loop).
+        min_overlap: minimum overlap of the views: the smaller of the two fractions of observed
+            points of one view inside the frustum of the other; 0 to ignore overlap.
+        min_gap_frames, min_gap_m: minimum gap of the detector, in frames and along the true path.
+        interval: number of frames per interval; 1 to compare single frames.
     """
 
     max_distance_m: float = 0.5
@@ -60,14 +60,14 @@ class LoopTruthOptions:
 
 @dataclass(frozen=True)
 class TrueViews:
-    """Where the frames of a sequence were, and what they saw.
+    """Ground-truth poses and observed points of the frames of a sequence.
 
     Attributes:
-        camera: of all frames.
-        T_world_camera: [N, 4, 4] true poses by frame index; NaN where there is none.
+        camera: intrinsics of all frames.
+        T_world_camera: [N, 4, 4] ground-truth poses by frame index; NaN where missing.
         points_m: [N, P, 3] observed points in camera coordinates, NaN where missing
             (`toolkit.geometry.frustum.observed_points`).
-        far_m: [N] z-depths where the frusta end (`far_depth_m`).
+        far_m: [N] z-depths of the far planes of the frusta (`far_depth_m`).
 
     Raises:
         ValueError: lengths differ.
@@ -81,7 +81,7 @@ class TrueViews:
     def __post_init__(self) -> None:
         if not len(self.T_world_camera) == len(self.points_m) == len(self.far_m):
             raise ValueError(
-                f"poses, points and far ends must be of the same frames, got "
+                f"poses, points and far depths must be of the same frames, got "
                 f"{len(self.T_world_camera)}, {len(self.points_m)} and {len(self.far_m)}"
             )
 
@@ -89,35 +89,43 @@ class TrueViews:
         return len(self.far_m)
 
     def overlaps(self, frame: int, others: NDArray[np.integer]) -> Array:
-        """Overlap [M] in [0, 1] of one view with M others, the smaller of both directions."""
+        """Return the overlap [M] in [0, 1] of one view with M others.
+
+        It is the smaller of the fractions of points of one view visible in the other.
+        """
         T_frame_others = se3.inverse(self.T_world_camera[frame]) @ self.T_world_camera[others]
-        mine, theirs = self.points_m[frame], self.points_m[others]
-        seen_there = in_view(
+        frame_points, other_points = self.points_m[frame], self.points_m[others]
+        in_others = in_view(
             self.camera,
-            _moved(se3.inverse(T_frame_others), mine[None]),
+            _transformed(se3.inverse(T_frame_others), frame_points[None]),
             _NEAR_M,
             self.far_m[others][:, None],
         )
-        seen_here = in_view(self.camera, _moved(T_frame_others, theirs), _NEAR_M, self.far_m[frame])
-        return np.minimum(_share(seen_there, mine[None]), _share(seen_here, theirs))
+        in_frame = in_view(
+            self.camera, _transformed(T_frame_others, other_points), _NEAR_M, self.far_m[frame]
+        )
+        return np.minimum(
+            _visible_fraction(in_others, frame_points[None]),
+            _visible_fraction(in_frame, other_points),
+        )
 
 
 @dataclass(frozen=True)
 class LoopScore:
-    """Counts, and the figures made of them; None where there is nothing to divide by.
+    """Counts and the metrics derived from them; None where the denominator is zero.
 
     Attributes:
-        accepted: candidates that the detector accepted.
-        right: of these, those that are a true loop.
-        searched: keyframes searched at.
-        with_loop: of these, those that have a true loop before them.
-        found: of these, those with a right candidate.
-        true_intervals: all pairs of intervals, or of frames, that are a true loop.
-        found_intervals: of these, those with an accepted candidate.
+        accepted: number of candidates accepted by the detector.
+        correct: number of accepted candidates that are true loops.
+        searched: number of keyframes at which loops were searched.
+        with_loop: number of searched keyframes with an earlier true loop.
+        found: number of these with a correct candidate.
+        true_intervals: number of pairs of intervals, or of frames, that form a true loop.
+        found_intervals: number of these with an accepted candidate.
     """
 
     accepted: int
-    right: int
+    correct: int
     searched: int
     with_loop: int
     found: int
@@ -126,22 +134,22 @@ class LoopScore:
 
     @property
     def precision(self) -> float | None:
-        """Share of accepted candidates that are right."""
-        return self.right / self.accepted if self.accepted else None
+        """Fraction of the accepted candidates that are correct."""
+        return self.correct / self.accepted if self.accepted else None
 
     @property
     def recall(self) -> float | None:
-        """Share of searched keyframes with a true loop that found one."""
+        """Fraction of the searched keyframes with a true loop for which a loop was found."""
         return self.found / self.with_loop if self.with_loop else None
 
     @property
     def recall_of_all(self) -> float | None:
-        """Share of all true pairs that were found, searched for or not (G: of intervals)."""
+        """Fraction of all true pairs that were found, searched or not (G: pairs of intervals)."""
         return self.found_intervals / self.true_intervals if self.true_intervals else None
 
     @property
     def f1(self) -> float | None:
-        """Harmonic mean of precision and recall; 0 where a loop is there and none accepted."""
+        """Harmonic mean of precision and recall; 0 if no loop was accepted although one exists."""
         if self.recall is None:
             return None
         precision = self.precision or 0.0
@@ -150,7 +158,10 @@ class LoopScore:
 
 
 def true_intervals(views: TrueViews, options: LoopTruthOptions | None = None) -> Pairs:
-    """Which pairs of intervals [I, I] (later, earlier) are a true loop; see the module."""
+    """Return a mask [I, I] of the pairs of intervals (later, earlier) that form a true loop.
+
+    The module's docstring defines true loops.
+    """
     options = options or LoopTruthOptions()
     starts = range(0, len(views), options.interval)
     known: Pairs = np.asarray(np.isfinite(views.T_world_camera).all(axis=(1, 2)))
@@ -167,13 +178,14 @@ def true_intervals(views: TrueViews, options: LoopTruthOptions | None = None) ->
 
 
 def _pairs_of(views: TrueViews, frame: int, travelled_m: Array, options: LoopTruthOptions) -> Array:
-    """Which earlier frames are beyond the gap, which of them close, and these ones' overlap.
+    """Compare a frame with all earlier frames.
 
     Args:
-        travelled_m: [N] along the true path, NaN where there is no pose.
+        travelled_m: [N] distance along the true path, NaN for frames without a pose.
 
     Returns:
-        [3, N], the first two being 0 or 1.
+        [3, N]: whether a frame is beyond the gap (0 or 1), whether it is also close (0 or 1),
+        and its overlap if it is close.
     """
     positions_m = views.T_world_camera[:, :3, 3]
     with np.errstate(invalid="ignore"):
@@ -194,12 +206,12 @@ def score_loops(
     accepted: Iterable[FramePair],
     options: LoopTruthOptions | None = None,
 ) -> LoopScore:
-    """Score a detector.
+    """Count correct and missed loops of a detector.
 
     Args:
-        searched: frame indices of the keyframes that loops were searched for.
+        searched: frame indices of the keyframes at which loops were searched.
         accepted: (query, match) frame indices of the accepted candidates, match < query.
-        options: what is a true loop; its gap must be the detector's own.
+        options: definition of a true loop; its gap must be that of the detector.
 
     Raises:
         ValueError: a frame is outside the sequence.
@@ -209,16 +221,16 @@ def score_loops(
     queries = sorted(set(searched))
     _check_frames([*queries, *(frame for pair in pairs for frame in pair)], len(views))
     truth = true_intervals(views, options)
-    right = [p for p in pairs if truth[p[0] // options.interval, p[1] // options.interval]]
+    correct = [p for p in pairs if truth[p[0] // options.interval, p[1] // options.interval]]
     with_loop = {q for q in queries if truth[q // options.interval].any()}
     return LoopScore(
         accepted=len(pairs),
-        right=len(right),
+        correct=len(correct),
         searched=len(queries),
         with_loop=len(with_loop),
-        found=len(with_loop & {query for query, _ in right}),
+        found=len(with_loop & {query for query, _ in correct}),
         true_intervals=int(truth.sum()),
-        found_intervals=len({(q // options.interval, m // options.interval) for q, m in right}),
+        found_intervals=len({(q // options.interval, m // options.interval) for q, m in correct}),
     )
 
 
@@ -228,30 +240,30 @@ def loop_metrics(
     accepted: Iterable[FramePair],
     options: LoopTruthOptions | None = None,
 ) -> Metrics:
-    """Figures in percent: the headline, and beside it G's and others.
+    """Compute loop metrics in percent, by our definition of a true loop and by variants of G's.
 
     Args:
-        views, searched, accepted, options: as `score_loops`.
+        views, searched, accepted, options: as in `score_loops`.
 
     Returns:
-        `loop_precision_percent` and so on; with `_position` for position alone, without
-        overlap; with `_intervals` by G's intervals of 10 frames; with both as G has it.
+        `loop_precision_percent` etc.; with the suffix `_position` without the overlap criterion,
+        with `_intervals` for intervals of 10 frames, and with both suffixes by G's definition.
     """
     options = options or LoopTruthOptions()
     pairs = list(accepted)
-    alone = replace(options, min_overlap=0.0)
+    position_only = replace(options, min_overlap=0.0)
     metrics: Metrics = {
         "loops_searched": len(set(searched)),
         "loops_accepted": len(set(pairs)),
     }
-    for suffix, asked in (
+    for suffix, variant in (
         ("", options),
-        ("_position", alone),
+        ("_position", position_only),
         ("_intervals", replace(options, interval=_G_INTERVAL)),
-        ("_intervals_position", replace(alone, interval=_G_INTERVAL)),
+        ("_intervals_position", replace(position_only, interval=_G_INTERVAL)),
     ):
-        score = score_loops(views, searched, pairs, asked)
-        figures = {
+        score = score_loops(views, searched, pairs, variant)
+        values = {
             "precision": score.precision,
             "recall": score.recall,
             "f1": score.f1,
@@ -259,10 +271,10 @@ def loop_metrics(
         }
         metrics |= {
             f"loop_{name}{suffix}_percent": None if value is None else 100.0 * value
-            for name, value in figures.items()
+            for name, value in values.items()
         }
         metrics[f"loops_searched_with_truth{suffix}"] = score.with_loop
-        metrics[f"loop_convention{suffix}"] = _convention(asked)
+        metrics[f"loop_convention{suffix}"] = _convention(variant)
     return metrics
 
 
@@ -279,23 +291,26 @@ def _convention(options: LoopTruthOptions) -> str:
 
 
 def _travelled_m(positions_m: Array, known: NDArray[np.bool_]) -> Array:
-    """Length of the path up to each frame [N]; over frames without a pose as the crow flies."""
-    places = positions_m[known]
-    steps = np.linalg.norm(np.diff(places, axis=0, prepend=places[:1]), axis=1)
+    """Return the path length up to each frame [N], NaN without a pose.
+
+    Gaps of frames without a pose are bridged by straight lines.
+    """
+    known_m = positions_m[known]
+    steps = np.linalg.norm(np.diff(known_m, axis=0, prepend=known_m[:1]), axis=1)
     travelled = np.full(len(positions_m), np.nan)
     travelled[known] = np.cumsum(steps)
     return travelled
 
 
-def _moved(T: Array, points_m: NDArray) -> Array:
-    """Points [M or 1, P, 3] moved by M motions [M, 4, 4]."""
+def _transformed(T: Array, points_m: NDArray) -> Array:
+    """Transform points [M or 1, P, 3] by M transformations [M, 4, 4]."""
     return np.asarray(points_m @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
 
 
-def _share(seen: Pairs, points_m: NDArray) -> Array:
-    """Share [M] of the measured points [M or 1, P, 3] that are seen [M, P]."""
+def _visible_fraction(visible: Pairs, points_m: NDArray) -> Array:
+    """Return the fraction [M] of the measured points [M or 1, P, 3] that are visible [M, P]."""
     measured = np.isfinite(points_m[..., 2])
-    return (seen & measured).sum(axis=1) / np.maximum(measured.sum(axis=1), 1)
+    return (visible & measured).sum(axis=1) / np.maximum(measured.sum(axis=1), 1)
 
 
 def _check_frames(frames: Collection[int], count: int) -> None:

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from toolkit.errors import DependencyError, FormatError
 
-# Shorter images leave nothing of AlexNet's second pooling.
+# The output of AlexNet's second pooling layer is empty for smaller images.
 MIN_SIDE = 31
 
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -49,8 +49,8 @@ _LAYERS = (
     _Layer(10, (256, 256, 3, 3), 1, 1, False),
 )
 
-# Names of the same parameters in torchvision's AlexNet, in a whole `lpips.LPIPS` and in the files
-# of its linear weights.
+# Names of the same parameters in torchvision's AlexNet, in a complete `lpips.LPIPS` module and in
+# the files of its linear weights.
 _CONVOLUTION = re.compile(r"(?:net\.)?(?:features|slice\d)\.(\d+)\.(weight|bias)")
 _HEAD = re.compile(r"lin(?:s\.)?(\d)\.model\.\d\.weight")
 
@@ -61,15 +61,15 @@ _REMEDY = (
 
 
 class Lpips:
-    """The distance between two images; 0 for equal ones.
+    """Perceptual distance between two images; 0 for identical images.
 
     Args:
         weights: parameters by name: `features.INDEX.weight` and `.bias` of the convolutions,
             `lin.LEVEL` of the five linear heads, each [1, C, 1, 1].
-        origin: where they come from, for errors.
+        origin: files of the weights, for error messages.
 
     Raises:
-        FormatError: a parameter is missing or has a wrong shape.
+        FormatError: a parameter is missing or has the wrong shape.
     """
 
     def __init__(self, weights: Mapping[str, Tensor], origin: str = "LPIPS weights") -> None:
@@ -90,12 +90,12 @@ class Lpips:
 
     @classmethod
     def load(cls, paths: Sequence[Path]) -> Lpips:
-        """Read weights from files: .safetensors, or what `torch.save` wrote of a state dict.
+        """Read weights from .safetensors files or state dicts written by `torch.save`.
 
         Raises:
-            DependencyError: a .safetensors file is given and safetensors is missing.
-            FormatError: a file is missing or damaged, holds more than tensors, or the files
-                together lack a parameter.
+            DependencyError: a .safetensors file is given and safetensors is not installed.
+            FormatError: a file is missing, damaged or contains other objects than tensors, or
+                no file contains one of the parameters.
         """
         weights: dict[str, Tensor] = {}
         for path in paths:
@@ -107,14 +107,17 @@ class Lpips:
         return cls(weights, ", ".join(str(path) for path in paths))
 
     def __call__(self, rendered: NDArray[np.floating], truth: NDArray[np.floating]) -> float | None:
-        """The distance of two images [H, W, 3] in [0, 1]; None below 31 pixels a side.
+        """Compute the distance of two images [H, W, 3] in [0, 1].
+
+        Returns:
+            The distance; None if a side is shorter than 31 pixels.
 
         Raises:
-            ValueError: the images differ in shape, or are none.
+            ValueError: shapes differ or are not [H, W, 3].
         """
         if rendered.shape != truth.shape or rendered.ndim != 3 or rendered.shape[2] != 3:
             raise ValueError(
-                f"images must have one shape [H, W, 3], got {list(rendered.shape)} and "
+                f"images must have the same shape [H, W, 3], got {list(rendered.shape)} and "
                 f"{list(truth.shape)}"
             )
         if min(rendered.shape[:2]) < MIN_SIDE:
@@ -128,7 +131,7 @@ class Lpips:
         return float(torch.stack(distances).sum())
 
     def _activations(self, images: NDArray[np.floating]) -> list[Tensor]:
-        """Activations [2, C, H, W] of the five layers, each pixel's of unit length."""
+        """Return activations [2, C, H, W] of the five layers, normalised at each pixel."""
         x = torch.from_numpy(images.astype(np.float32)).clamp(0.0, 1.0).permute(0, 3, 1, 2)
         x = (2.0 * x - 1.0 - _channels(_SHIFT)) / _channels(_SCALE)
         levels = []
@@ -147,7 +150,7 @@ def _channels(values: Sequence[float]) -> Tensor:
     return torch.tensor(values).reshape(1, 3, 1, 1)
 
 
-# What torch.load raises for files that are not its own.
+# Exceptions raised by torch.load for files that are not PyTorch files.
 _UNREADABLE = (
     *(OSError, RuntimeError, EOFError, LookupError, ValueError),
     pickle.UnpicklingError,
@@ -155,7 +158,7 @@ _UNREADABLE = (
 
 
 def _read(path: Path) -> Mapping[str, Tensor]:
-    """The tensors of a file by name."""
+    """Read the tensors of a file by name."""
     if not path.is_file():
         raise FormatError(f"LPIPS weights {path} do not exist; {_REMEDY}")
     if path.suffix == ".safetensors":

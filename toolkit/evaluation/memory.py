@@ -1,4 +1,4 @@
-"""How much memory a process has needed at most."""
+"""Peak memory of this process."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _STATUS = Path("/proc/self/status")
 
 
 def peak_memory_mb() -> float:
-    """Largest resident memory of this process since it started, in MB (10^6 bytes).
+    """Return the peak resident memory of this process in MB (10^6 bytes).
 
-    On Linux from `VmHWM`: `getrusage` also counts the parent from which the process
-    was spawned, and would charge a small child with a large parent.
+    On Linux, it is read from `VmHWM`: `getrusage` may report the memory of the parent process
+    from which this one was forked.
     """
     if _STATUS.exists():
         for line in _STATUS.read_text().splitlines():

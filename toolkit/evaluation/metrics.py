@@ -1,8 +1,7 @@
-"""A run's figures as one flat dictionary: units in the keys, conventions named.
+"""Metrics of a run as a flat dictionary with units and conventions.
 
-Published figures of this field differ in alignment, in masks and in which SSIM they
-mean, so each group carries the convention it follows. A figure that does not exist is
-None (null in the file), never 0.
+Published results differ in alignment, masks and the variant of SSIM, so each group of metrics
+includes its convention. A metric that is not available is None (null in the file), never 0.
 """
 
 from __future__ import annotations
@@ -46,14 +45,14 @@ IMAGE_CONVENTIONS: Metrics = {
 
 @dataclass(frozen=True)
 class ViewQuality:
-    """How well one view is rendered; None where a figure does not exist.
+    """Image and depth quality of one rendered view; None where a metric is not available.
 
     Attributes:
-        frame_index: the view's frame.
-        psnr_db: over all pixels.
+        frame_index: index of the view's frame.
+        psnr_db: over all pixels, in dB.
         ssim, ms_ssim, lpips: without unit.
-        depth_l1_m: metres.
-        depth_coverage: share of measured pixels that were compared, in [0, 1].
+        depth_l1_m: mean absolute depth error in metres.
+        depth_coverage: fraction of the pixels with measured depth that were compared, in [0, 1].
     """
 
     frame_index: int
@@ -67,16 +66,16 @@ class ViewQuality:
 
 @dataclass(frozen=True)
 class RunCosts:
-    """What a run needed, in totals; None where it was not measured.
+    """Total times and memory of a run; None where not measured.
 
     Attributes:
-        frames: frames given to the system.
-        frames_lost: frames without a pose.
-        keyframes, gaussians: of the final map.
-        tracking_ms, labelling_ms, mapping_ms, refinement_ms: milliseconds, all frames
-            together.
-        peak_memory_mb: largest resident memory of the process.
-        map_mb: the map's parameters.
+        frames: number of processed frames.
+        frames_lost: number of frames without a pose.
+        keyframes, gaussians: numbers in the final map.
+        tracking_ms, labelling_ms, mapping_ms, refinement_ms: total times over all frames, in
+            milliseconds.
+        peak_memory_mb: peak resident memory of the process, in MB.
+        map_mb: size of the map's parameters, in MB.
     """
 
     frames: int
@@ -97,14 +96,14 @@ def view_quality(
     measured: tuple[NDArray[np.float32], NDArray[np.float32]],
     lpips: Lpips | None = None,
 ) -> ViewQuality:
-    """Score one view.
+    """Evaluate one view.
 
     Args:
-        frame_index: the view's frame.
-        rendered: colour [H, W, 3] in [0, 1] and z-depth [H, W] of the surface in
-            metres, 0 where nothing solid was rendered.
-        measured: the frame's colour and depth, depth 0 where missing.
-        lpips: the network of LPIPS, or None where its weights are not available.
+        frame_index: index of the view's frame.
+        rendered: colour [H, W, 3] in [0, 1] and surface depth [H, W] in metres, 0 where no
+            surface was rendered.
+        measured: colour and depth of the frame, depth 0 where missing.
+        lpips: network of LPIPS, or None without its weights.
 
     Raises:
         ValueError: shapes differ.
@@ -126,10 +125,10 @@ def view_quality(
 def trajectory_metrics(
     estimate: Trajectory, truth: Trajectory | None, alignment: AlignmentKind = "se3"
 ) -> Metrics:
-    """ATE and RPE in centimetres and degrees; all None without a true trajectory.
+    """Compute ATE and RPE in centimetres and degrees; None without ground truth.
 
     Raises:
-        DatasetError: there is a truth, but no poses pair up in time.
+        DatasetError: there is ground truth, but no poses can be associated in time.
     """
     convention: Metrics = {
         "ate_alignment": alignment,
@@ -154,11 +153,11 @@ def trajectory_metrics(
 
 
 def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
-    """Means over views, as `psnr{suffix}_db`, `ssim{suffix}` and so on.
+    """Compute means over views: `psnr{suffix}_db`, `ssim{suffix}` etc.
 
     Args:
-        views: the views of one group; none gives None everywhere.
-        suffix: "" for mapped views, "_unseen" for views kept out of the map.
+        views: views of one group; all means are None without views.
+        suffix: "" for mapped views, "_unseen" for views excluded from mapping.
     """
     depth_l1_m = mean_or_none([view.depth_l1_m for view in views])
     coverage = mean_or_none([view.depth_coverage for view in views])
@@ -174,7 +173,7 @@ def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
 
 
 def cost_metrics(costs: RunCosts) -> Metrics:
-    """Counts, means over frames and memory."""
+    """Return counts, mean times per frame and memory."""
     per_frame = {
         "tracking_ms_per_frame": costs.tracking_ms,
         "labelling_ms_per_frame": costs.labelling_ms,
@@ -195,7 +194,7 @@ def cost_metrics(costs: RunCosts) -> Metrics:
 
 
 def write_metrics(path: str | os.PathLike[str], metrics: Metrics) -> None:
-    """Write metrics.json: sorted keys, null for what does not exist, whole or not at all.
+    """Write metrics.json atomically, with sorted keys and null for metrics not available.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -212,14 +211,16 @@ def read_metrics(path: str | os.PathLike[str]) -> Metrics:
     """Read metrics.json.
 
     Raises:
-        FormatError: the file is missing or holds no flat dictionary.
+        FormatError: the file is missing or does not contain a dictionary.
     """
     try:
         metrics = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FormatError(
-            f"{path} cannot be read as metrics ({error}); make it again with: semsplat evaluate"
+            f"{path} cannot be read as metrics ({error}); create it again with: semsplat evaluate"
         ) from error
     if not isinstance(metrics, dict):
-        raise FormatError(f"{path} holds no dictionary; make it again with: semsplat evaluate")
+        raise FormatError(
+            f"{path} does not contain a dictionary; create it again with: semsplat evaluate"
+        )
     return metrics

@@ -1,4 +1,4 @@
-"""A run as one static page: works offline, nothing beside the file is needed."""
+"""Report of a run as a single self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
 from toolkit.io.pictures import DepthSpan, colour_picture, depth_picture
 
-# A page of six views stays below some ten MB.
+# Limits the size of a report with six views to about 10 MB.
 _MAX_IMAGE_WIDTH = 640
 
-# Title, key, digits, unit: shown large at the top.
+# Title, key, decimals and unit of the metrics at the top of the page.
 _HEADLINES = (
     ("ATE RMSE", "ate_rmse_cm", 2, "cm"),
     ("rotation drift", "rpe_rotation_deg", 3, "deg a frame"),
@@ -48,13 +48,13 @@ _HEADLINES = (
 
 @dataclass(frozen=True)
 class ReportView:
-    """One view for the page: what the camera saw beside what the map shows.
+    """Observed and rendered images of one view.
 
     Attributes:
         title: for instance "frame 40, unseen".
         observed_rgb, rendered_rgb: [H, W, 3] float in [0, 1].
-        observed_depth_m, rendered_depth_m: [H, W] metres, 0 where missing.
-        psnr_db: of this view, or None.
+        observed_depth_m, rendered_depth_m: [H, W] in metres, 0 where missing.
+        psnr_db: PSNR of this view, or None.
     """
 
     title: str
@@ -67,21 +67,21 @@ class ReportView:
 
 @dataclass(frozen=True)
 class ReportContent:
-    """All that the page shows.
+    """Content of the report.
 
     Attributes:
-        title: the run's name.
-        subtitle: data set, size, date: what the reader wants to know first.
-        metrics: the run's figures; those it lacks read n/a.
-        estimate: poses in the map's frame, the first camera's.
-        truth: true poses in any frame, or None.
-        alignment: how the two are laid over each other.
-        lost_at_s: times of frames without a pose.
-        views: renders beside input.
-        stage_times: the longest first.
+        title: name of the run.
+        subtitle: summary such as number of frames and image size.
+        metrics: metrics of the run; missing ones are displayed as n/a.
+        estimate: estimated poses in the map's frame, that of the first camera.
+        truth: ground-truth poses in any frame, or None.
+        alignment: kind of the alignment of estimate and ground truth.
+        lost_at_s: timestamps of frames without a pose.
+        views: observed and rendered images.
+        stage_times: times by stage, sorted by decreasing total time.
         settings: the settings as YAML.
-        warnings: one line each.
-        machine: where it ran.
+        warnings: warnings of one line each.
+        machine: description of the software and machine.
     """
 
     title: str
@@ -99,20 +99,20 @@ class ReportContent:
 
 
 def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
-    """Write report.html, whole or not at all.
+    """Write report.html atomically.
 
     Raises:
-        DatasetError: there is a truth, but no poses pair up in time.
+        DatasetError: there is ground truth, but no poses can be associated in time.
         RunFolderError: the file cannot be written.
     """
     atomic.write_bytes(path, render_report(content).encode())
 
 
 def render_report(content: ReportContent) -> str:
-    """The page as HTML.
+    """Render the report as HTML.
 
     Raises:
-        DatasetError: there is a truth, but no poses pair up in time.
+        DatasetError: there is ground truth, but no poses can be associated in time.
     """
     has_truth = content.truth is not None and len(content.truth) > 0 and len(content.estimate) > 0
     error = None
@@ -123,7 +123,7 @@ def render_report(content: ReportContent) -> str:
     return environment.from_string(template).render(
         content=content,
         headlines=_headlines(content.metrics),
-        path_chart=Markup(_path_chart(content, error)),
+        path_chart=Markup(_trajectory_chart(content, error)),
         error_chart=Markup(_error_chart(content, error)),
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
@@ -133,18 +133,18 @@ def render_report(content: ReportContent) -> str:
 
 
 def _headlines(metrics: Metrics) -> list[dict[str, str]]:
-    shown = []
+    headlines = []
     for title, key, digits, unit in _HEADLINES:
         value = metrics.get(key)
         if isinstance(value, (int, float)):
-            shown.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
+            headlines.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
         else:
-            shown.append({"title": title, "value": "n/a", "unit": ""})
-    return shown
+            headlines.append({"title": title, "value": "n/a", "unit": ""})
+    return headlines
 
 
-def _path_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
-    """Both paths from above: right and forward of the first camera."""
+def _trajectory_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
+    """Draw both trajectories from above, in the axes of the first camera (x right, z forward)."""
     top = [0, 2]
     series = []
     if error is not None and content.truth is not None:
@@ -160,13 +160,13 @@ def _path_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -
 
 
 def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
-    """Distance to the truth over time, with frames that were lost."""
+    """Draw the error over time and mark lost frames."""
     if error is None:
         return ""
     start_s = float(content.estimate.timestamps_s[0])
     lost_s = np.asarray(content.lost_at_s, dtype=np.float64)
     times_s = np.concatenate([error.timestamps_s, lost_s]) - start_s
-    # A lost frame has no error: it breaks the line.
+    # Lost frames have no error; NaN interrupts the line.
     errors_cm = np.concatenate([100.0 * error.errors_m, np.full(len(lost_s), np.nan)])
     points = np.stack([times_s, errors_cm], axis=1)[np.argsort(times_s, kind="stable")]
     rmse_cm = 100.0 * error.rmse_m
@@ -189,7 +189,7 @@ def _stages(stage_times: Sequence[StageTime]) -> list[dict[str, Any]]:
 
 
 def _memory(metrics: Metrics) -> list[tuple[str, str]]:
-    """Rows of the memory table."""
+    """Return the rows of the memory table."""
     rows = [
         ("peak of the process", _with_unit(metrics.get("peak_memory_mb"), "MB")),
         ("parameters of the map", _with_unit(metrics.get("map_mb"), "MB")),
@@ -211,7 +211,7 @@ def _text(value: Any) -> str:
 
 
 def _embedded(view: ReportView) -> dict[str, str]:
-    """A view's title and its four images as data URLs; both depths on one scale."""
+    """Return the title of a view and its four images as data URLs, depths on one scale."""
     span = DepthSpan.of([view.observed_depth_m])
     score = "" if view.psnr_db is None else f"{view.psnr_db:.2f} dB"
     return {

@@ -1,4 +1,4 @@
-"""How well the loops of a run were found, from its log and the true poses."""
+"""Loop metrics of a run, from its loop log and the ground-truth poses."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, loop_metrics
 from toolkit.evaluation.metrics import Metrics
 from toolkit.geometry.frustum import far_depth_m, observed_points
 
-# Observed points of a frame by which overlap is judged.
+# Number of observed points per frame for computing overlap.
 _POINTS = 300
 
 
 def run_loop_metrics(
     records: Sequence[dict[str, Any]], dataset: Dataset, options: LoopTruthOptions
 ) -> Metrics:
-    """Precision, recall and F1 of the loops that a run verified, and of those it suspected.
+    """Compute precision, recall and F1 of a run's verified loops and of its loop candidates.
 
-    A verified pair is farther apart than a loop may be where the same things were seen from
-    elsewhere: its edge is as good, and the run knows the distance, so it claims no loop there.
-    Nor does it where the edge that proved a pair was taken back, then or later.
+    Verified pairs whose estimated camera distance exceeds the maximum of a loop do not count:
+    their edge is valid, but they observe the same surfaces from different positions. Pairs whose
+    edge was rejected or removed later do not count either.
 
     Args:
-        records: the lines of loops.jsonl.
-        dataset: with the truth; every frame is read once.
-        options: with the detector's own gap.
+        records: records of loops.jsonl.
+        dataset: the dataset with ground truth; every frame is read once.
+        options: definition of a true loop, with the gap of the detector.
 
     Returns:
-        Flat figures; "_suspected" are by descriptors and landmarks alone. Empty where nothing
-        was searched, or nothing is known.
+        Metrics by name; "_suspected" for candidates selected by descriptors and landmarks, before
+        verification. Empty if no loops were searched or there is no ground truth.
     """
-    # The frames of a saved map have negative indices, and no truth in this data set.
+    # Frames of a loaded map have negative indices and no ground truth in this dataset.
     records = [r for r in records if r.get("match", 0) >= 0]
     searched = [r["query"] for r in records if r["kind"] == "search"]
     if not searched or dataset.ground_truth is None:
@@ -46,39 +46,39 @@ def run_loop_metrics(
         for r in _accepted(records)
         if r["apart_m"] < options.max_distance_m
     ]
-    suspected = [
+    candidates = [
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]
     ]
-    by_looks = loop_metrics(views, searched, suspected, options)
+    candidate_metrics = loop_metrics(views, searched, candidates, options)
     return {
         **loop_metrics(views, searched, verified, options),
         **{
             f"{name.removesuffix('_percent')}_suspected_percent": value
-            for name, value in by_looks.items()
+            for name, value in candidate_metrics.items()
             if name.endswith("_percent")
         },
     }
 
 
 def _accepted(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Verdicts on pairs of frames that were taken for loops to the end."""
-    taken_back = {_about(r) for r in records if r["kind"] in ("consistency", "retracted")}
+    """Return the records of verified pairs of frames whose edge was not removed later."""
+    removed = {_edge(r) for r in records if r["kind"] in ("consistency", "retracted")}
     return [
         r
         for r in records
-        if r["kind"] in ("within", "verified") and r["accepted"] and _about(r) not in taken_back
+        if r["kind"] in ("within", "verified") and r["accepted"] and _edge(r) not in removed
     ]
 
 
-def _about(record: dict[str, Any]) -> tuple[str, int, int]:
-    """What a verdict is about: an edge between two submaps, or between two keyframes of one."""
+def _edge(record: dict[str, Any]) -> tuple[str, int, int]:
+    """Return the edge of a record, between two submaps or between two keyframes of one."""
     if "first" in record:
         return "submaps", record["first"], record["second"]
     return "keyframes", record["match"], record["query"]
 
 
 def true_views(dataset: Dataset) -> TrueViews:
-    """Where each frame of a sequence was, and what it saw.
+    """Collect ground-truth poses and observed points of all frames of a dataset.
 
     Raises:
         DatasetError: a frame cannot be read.

@@ -1,7 +1,7 @@
-"""Measures what a run produced: its path against the truth, its map against the views.
+"""Evaluate the trajectory and the map of a run against its dataset.
 
-`semsplat run` and `semsplat evaluate` both call `measure_run`, so a run measured again
-gives the same figures, but for what the files round. Views are read one at a time.
+`semsplat run` and `semsplat evaluate` both call `measure_run`, so evaluating a run again gives the
+same metrics, up to the rounding of values in files. Views are read one at a time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from toolkit.evaluation.metrics import (
     trajectory_metrics,
     view_quality,
 )
-from toolkit.evaluation.semantic_views import SemanticReading, SemanticScores
+from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.evaluation.walls import wall_thickness
 from toolkit.exposure import IDENTITY, Exposure
@@ -41,20 +41,20 @@ from toolkit.tracking.dense import DenseTracker
 
 _log = logging.getLogger(__name__)
 
-# Rendered pixels thinner than this have no surface to compare.
+# Minimum silhouette (0-1) of rendered pixels whose depth is evaluated.
 _MIN_SILHOUETTE = 0.5
 
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """A frame that has a pose, and its exposure.
+    """Pose and exposure of a tracked frame.
 
     Attributes:
-        index: its position in the data set.
-        timestamp_s: its time in seconds.
+        index: index in the dataset.
+        timestamp_s: timestamp in seconds.
         T_map_camera: [4, 4] float64 pose in the map's frame.
-        exposure: of the observed image against the map.
-        held_out: whether it was kept out of the map.
+        exposure: exposure of the observed image against the map.
+        held_out: whether the frame was excluded from mapping.
     """
 
     index: int
@@ -75,22 +75,23 @@ class View:
 
 @dataclass(frozen=True)
 class MeasureOptions:
-    """How a run is measured.
+    """Options of the evaluation of a run.
 
     Attributes:
         backend_name: the renderer.
-        alignment: "se3" where the map has a frame of its own; "none" where it was built
-            from given poses, whose world it shares.
-        max_views: most views scored of each group (mapped, held out, unseen), evenly spaced.
-        semantics: how the map's features are read, None for a map without any.
-        mesh: file of the true surface in the world of the truth, or None.
-        lpips: the network of LPIPS, or None where its weights are not available.
+        alignment: "se3" for estimated poses; "none" for maps built from ground-truth poses, in
+            whose frame they are.
+        max_views: maximum number of evaluated views in each group (mapped, held out, unseen),
+            evenly spaced.
+        semantics: decoder and class names, None for a map without semantics.
+        mesh: file of the ground-truth mesh in the frame of the ground truth, or None.
+        lpips: network of LPIPS, or None without its weights.
     """
 
     backend_name: str = "auto"
     alignment: Literal["none", "se3"] = "se3"
     max_views: int = 100
-    semantics: SemanticReading | None = None
+    semantics: SemanticEvaluation | None = None
     mesh: Path | None = None
     lpips: Lpips | None = None
 
@@ -102,23 +103,24 @@ def measure_run(
     unseen: Dataset | None = None,
     options: MeasureOptions | None = None,
 ) -> Metrics:
-    """The figures of a run that follow from its map, its poses and the data.
+    """Compute the metrics of a run from its map, its poses and the dataset.
 
     Args:
         scene: the final map.
-        tracked: every frame that has a pose, in order of time.
-        dataset: the frames, and the truth if there is any.
-        unseen: further views with true poses in the world of `dataset`, or None.
-        options: the defaults without it.
+        tracked: all frames with a pose, in order of time.
+        dataset: frames, and ground truth if available.
+        unseen: additional views with ground-truth poses in the frame of `dataset`, or None.
+        options: evaluation options; defaults if absent.
 
     Returns:
-        A flat dictionary, units in the keys, None for what does not exist. Views "unseen"
-        are the held-out frames at their tracked poses and the views of `unseen`, at true
-        poses carried into the map; "unseen_refined" are the same, each pose refined on the
-        frozen map.
+        A flat dictionary with units in the keys, None for metrics that are not available.
+        "unseen" are the held-out frames at their tracked poses and the views of `unseen` at
+        ground-truth poses transformed into the map. "unseen_refined" are the same views with each
+        pose refined on the final map.
 
     Raises:
-        DatasetError: a frame cannot be read, or truth and estimate share no time.
+        DatasetError: a frame cannot be read, or no estimated pose can be associated with the
+            ground truth.
     """
     options = options or MeasureOptions()
     estimate = Trajectory(
@@ -150,17 +152,17 @@ def measure_run(
         **image_metrics(unseen_quality, "_unseen"),
         **image_metrics(refined_quality, "_unseen_refined"),
         **{name: value for score in scores for name, value in score.metrics().items()},
-        **_wall_metrics(scene, options.mesh, T_map_world),
+        **_surface_metrics(scene, options.mesh, T_map_world),
         **IMAGE_CONVENTIONS,
         **_view_conventions(options),
     }
 
 
 def open_unseen(kind: str, path: Path, image_size: tuple[int, int] | None = None) -> Dataset | None:
-    """The views off the path that a synthetic room keeps in `unseen/`, None without them.
+    """Open the additional views of a synthetic room in `unseen/`, None if there are none.
 
     Args:
-        kind, path, image_size: as the data set itself was opened.
+        kind, path, image_size: as for the dataset itself.
     """
     folder = path / "unseen"
     if not folder.is_dir():
@@ -168,8 +170,8 @@ def open_unseen(kind: str, path: Path, image_size: tuple[int, int] | None = None
     try:
         return open_dataset(kind, folder, image_size)
     except ToolkitError as error:
-        # A folder of that name need not be ours, and nothing was promised about it.
-        _log.warning("views in %s are not scored: %s", folder, error)
+        # Another dataset may have a folder of this name with different content.
+        _log.warning("The views in %s are not evaluated: %s", folder, error)
         return None
 
 
@@ -215,15 +217,15 @@ def _unseen_views(
             yield View(image, T_map_world @ T_world_camera)
 
 
-def _evenly_spaced(count: int, most: int) -> list[int]:
-    """At most `most` of the numbers below `count`, the first and the last among them."""
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, most))})
+def _evenly_spaced(count: int, max_count: int) -> list[int]:
+    """Return at most `max_count` indices below `count`, including the first and the last."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, max_count))})
 
 
 def _map_from_world(
     estimate: Trajectory, truth: Trajectory | None, alignment: Literal["none", "se3"]
 ) -> NDArray[np.float64] | None:
-    """T_map_world [4, 4]; None where nothing says how the two lie."""
+    """Return T_map_world [4, 4], None if it is unknown."""
     if alignment == "none":
         return np.eye(4)
     if truth is None or len(truth) == 0 or len(estimate) == 0:
@@ -232,7 +234,7 @@ def _map_from_world(
     return se3.inverse(error.alignment.T_world_map)
 
 
-def _wall_metrics(
+def _surface_metrics(
     scene: GaussianScene, mesh: Path | None, T_map_world: NDArray[np.float64] | None
 ) -> Metrics:
     if mesh is None or T_map_world is None:
@@ -241,9 +243,9 @@ def _wall_metrics(
 
 
 def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
-    """The view at the pose and exposure that fit the map best; itself where that fails."""
+    """Refine pose and exposure of a view on the map; return the view unchanged if that fails."""
     gaussians = scene.seen_from(view.frame.camera, view.T_map_camera)
-    # As in the map's file, which does not store how colours were fitted.
+    # The map's file does not store this flag; evaluate as after loading.
     gaussians = replace(gaussians, centred_colours=False)
     result = tracker.locate(view.frame, gaussians, view.T_map_camera)
     if result.lost:
@@ -256,15 +258,15 @@ def _quality(
 ) -> ViewQuality:
     camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
     gaussians = scene.seen_from(camera, view.T_map_camera)
-    drawing = RenderOptions(_MIN_SILHOUETTE, features=scores.wanted)
+    render_options = RenderOptions(_MIN_SILHOUETTE, features=scores.needs_features)
     renderer = backend(options.backend_name)
-    drawn = render_surface(renderer, gaussians, camera, T_camera_map, drawing)
-    scores.add(view.frame, drawn)
-    # Back to the camera's own exposure, so that the observed image stays as it is.
-    colour = view.exposure.undo(drawn.output.colour.numpy())
+    rendered = render_surface(renderer, gaussians, camera, T_camera_map, render_options)
+    scores.add(view.frame, rendered)
+    # Apply the exposure to the rendered image, so that the observed image is not changed.
+    colour = view.exposure.undo(rendered.output.colour.numpy())
     return view_quality(
         view.frame.index,
-        (colour.clip(0.0, 1.0).astype(np.float32), drawn.depth_m.numpy()),
+        (colour.clip(0.0, 1.0).astype(np.float32), rendered.depth_m.numpy()),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,
     )

@@ -1,13 +1,13 @@
-"""How well labels are predicted, at every level of the semantic tree.
+"""Accuracy and mIoU of predicted labels at every level of the taxonomy.
 
-A confusion matrix is [K + 1, K + 1] counts of pixels, truth in rows and prediction in
-columns; row and column 0 are void. Intersection over union of a class is its hits over all
-pixels that have it in truth or prediction.
+A confusion matrix contains [K + 1, K + 1] pixel counts with ground truth in rows and prediction in
+columns; row and column 0 are void. The intersection over union (IoU) of a class is the number of
+its correct pixels divided by the number of pixels with this class in ground truth or prediction.
 
-Without void (the usual figures), pixels whose truth is void are left out, and a prediction
-of void elsewhere is a miss. With void, void is one more class. The mean is over the classes
-that the truth has; "union" means those that truth or prediction has, where one pixel of a
-class that is not there costs as much as a whole class missed.
+Without void (the default), pixels whose ground truth is void are ignored, and a prediction of void
+at other pixels is an error. With void, void is an additional class. mIoU is the mean over the
+classes of the ground truth; "union" is the mean over the classes of ground truth or prediction,
+for which a single wrong pixel of an absent class counts as much as a missed class.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ _CONVENTIONS: Metrics = {
 
 @dataclass(frozen=True)
 class SegmentationScore:
-    """Figures of one confusion matrix, in [0, 1]; None where there is no pixel to score.
+    """Metrics of one confusion matrix, in [0, 1]; None without evaluated pixels.
 
     Attributes:
-        miou: mean over the classes that the truth has.
-        miou_union: mean over the classes that truth or prediction has.
-        accuracy: share of pixels predicted right.
-        fwiou: IoU weighted by the classes' share of the truth.
-        classes: how many the mean is over.
-        pixels: how many were scored.
+        miou: mean IoU over the classes of the ground truth.
+        miou_union: mean IoU over the classes of ground truth or prediction.
+        accuracy: fraction of correctly predicted pixels.
+        fwiou: frequency-weighted IoU, by the number of ground-truth pixels of each class.
+        classes: number of classes of the ground truth.
+        pixels: number of evaluated pixels.
     """
 
     miou: float | None
@@ -69,12 +69,12 @@ class SegmentationScore:
 
 @dataclass(frozen=True)
 class ViewScore:
-    """Figures of one view, in [0, 1]; None where its truth is void everywhere.
+    """Metrics of one view, in [0, 1]; None if its ground truth is void everywhere.
 
     Attributes:
-        miou: at each level, without void.
-        visible: over the classes in the view's truth.
-        subset: the same for predictions decoded among these classes alone; None unless given.
+        miou: union mIoU at each level, without void.
+        visible: mIoU over the classes in the view's ground truth.
+        subset: the same for predictions decoded among these classes only; None unless given.
     """
 
     miou: tuple[float | None, ...]
@@ -83,14 +83,14 @@ class ViewScore:
 
 
 def confusion(truth: NDArray[np.integer], predicted: NDArray[np.integer], classes: int) -> Counts:
-    """Counts [K + 1, K + 1] of two images of ids 0..K, truth in rows.
+    """Compute the confusion matrix [K + 1, K + 1] of two images of ids 0..K.
 
     Raises:
         ValueError: shapes differ, or an id is not within 0..K.
     """
     if truth.shape != predicted.shape:
         raise ValueError(
-            f"truth and prediction must have one shape, got {list(truth.shape)} and "
+            f"truth and prediction must have the same shape, got {list(truth.shape)} and "
             f"{list(predicted.shape)}"
         )
     _check_ids("truth", truth, 0, classes)
@@ -101,62 +101,62 @@ def confusion(truth: NDArray[np.integer], predicted: NDArray[np.integer], classe
 
 
 def class_iou(counts: Counts, with_void: bool = False) -> NDArray[np.float64]:
-    """IoU [K + 1] of each class, NaN for those that appear nowhere; void's is [0].
+    """Compute the IoU [K + 1] of each class, void first; NaN for absent classes.
 
     Args:
         counts: a confusion matrix.
         with_void: whether void is a class; otherwise its entry is NaN.
     """
-    scored = _scored(counts, with_void)
-    hits = np.diagonal(scored).astype(np.float64)
-    union = scored.sum(axis=0) + scored.sum(axis=1) - hits
+    evaluated = _evaluated(counts, with_void)
+    intersection = np.diagonal(evaluated).astype(np.float64)
+    union = evaluated.sum(axis=0) + evaluated.sum(axis=1) - intersection
     iou = np.full(len(counts), np.nan)
-    np.divide(hits, union, out=iou, where=union > 0)
+    np.divide(intersection, union, out=iou, where=union > 0)
     if not with_void:
         iou[VOID] = np.nan
     return iou
 
 
 def score(counts: Counts, with_void: bool = False) -> SegmentationScore:
-    """The figures of a confusion matrix, without or with void as a class."""
-    scored = _scored(counts, with_void)
-    pixels = int(scored.sum())
+    """Compute the metrics of a confusion matrix, without or with void as a class."""
+    evaluated = _evaluated(counts, with_void)
+    pixels = int(evaluated.sum())
     iou = class_iou(counts, with_void)
-    appears = np.isfinite(iou)
-    true = appears & (scored.sum(axis=1) > 0)
+    in_union = np.isfinite(iou)
+    in_truth = in_union & (evaluated.sum(axis=1) > 0)
     if pixels == 0:
         return SegmentationScore(None, None, None, None, 0, 0)
-    shares = scored.sum(axis=1) / pixels
+    frequency = evaluated.sum(axis=1) / pixels
     return SegmentationScore(
-        miou=float(iou[true].mean()),
-        miou_union=float(iou[appears].mean()),
-        accuracy=float(np.diagonal(scored).sum() / pixels),
-        fwiou=float((shares[true] * iou[true]).sum()),
-        classes=int(true.sum()),
+        miou=float(iou[in_truth].mean()),
+        miou_union=float(iou[in_union].mean()),
+        accuracy=float(np.diagonal(evaluated).sum() / pixels),
+        fwiou=float((frequency[in_truth] * iou[in_truth]).sum()),
+        classes=int(in_truth.sum()),
         pixels=pixels,
     )
 
 
 def visible_classes(truth: NDArray[np.integer]) -> NDArray[np.intp]:
-    """The class ids, without void, of one view's truth: what "subset" decodes among."""
+    """Return the class ids in the ground truth of one view, without void."""
     return np.flatnonzero(np.bincount(truth.ravel())[1:]) + 1
 
 
 class Segmentation:
-    """Label predictions against the truth, over a sequence of views.
+    """Accumulates label predictions and ground truth over a sequence of views.
 
     Args:
-        taxonomy: the tree of truth and prediction.
+        taxonomy: taxonomy of ground truth and prediction.
 
     Attributes:
-        views: each view's own figures, in order.
+        views: metrics of each view, in order.
     """
 
     def __init__(self, taxonomy: Taxonomy) -> None:
         self.taxonomy = taxonomy
         self.views: list[ViewScore] = []
-        # Per level: from node indices to 1..K of that level, with void (-1) in the last place.
-        self._tables = [_numbering(taxonomy, level) for level in range(taxonomy.depth)]
+        # For each level: node index to class number 1..K of the level, void (-1) as last entry.
+        self._tables = [_level_table(taxonomy, level) for level in range(taxonomy.depth)]
         sizes = [len(taxonomy.nodes_at(level)) + 1 for level in range(taxonomy.depth)]
         self._counts = [np.zeros((size, size), np.int64) for size in sizes]
 
@@ -166,42 +166,42 @@ class Segmentation:
         predicted: NDArray[np.integer],
         subset: NDArray[np.integer] | None = None,
     ) -> ViewScore:
-        """Count one view.
+        """Add one view.
 
         Args:
             truth: class ids [H, W], 0 void.
             predicted: class ids [H, W], 0 void; or node indices at each level [L, H, W],
                 -1 void.
-            subset: class ids [H, W] decoded among `visible_classes(truth)` alone.
+            subset: class ids [H, W] decoded among `visible_classes(truth)` only.
 
         Raises:
-            ValueError: shapes differ, or an id is none of the tree.
+            ValueError: shapes differ, or an id is not in the taxonomy.
         """
         truths = self._all_levels(truth)
         counts = [
-            confusion(table[true], _numbered(nodes, table, level), len(total) - 1)
+            confusion(table[true], _class_numbers(nodes, table, level), len(total) - 1)
             for level, (true, nodes, table, total) in enumerate(
                 zip(truths, self._all_levels(predicted), self._tables, self._counts, strict=True)
             )
         ]
-        among = None
+        subset_miou = None
         if subset is not None:
-            among = _over_truth(confusion(truth, subset, len(self.taxonomy)))
-        for total, counted in zip(self._counts, counts, strict=True):
-            total += counted
-        mious = tuple(score(counted).miou_union for counted in counts)
-        self.views.append(ViewScore(mious, _over_truth(counts[-1]), among))
+            subset_miou = _truth_miou(confusion(truth, subset, len(self.taxonomy)))
+        for total, view_counts in zip(self._counts, counts, strict=True):
+            total += view_counts
+        mious = tuple(score(view_counts).miou_union for view_counts in counts)
+        self.views.append(ViewScore(mious, _truth_miou(counts[-1]), subset_miou))
         return self.views[-1]
 
     def counts(self, level: int | None = None) -> Counts:
-        """The confusion matrix over all views at a level, the finest if None.
+        """Return the confusion matrix over all views at a level, the finest if None.
 
-        Rows and columns are void and then `taxonomy.nodes_at(level)`.
+        Rows and columns are void followed by `taxonomy.nodes_at(level)`.
         """
         return self._counts[-1 if level is None else level].copy()
 
     def _all_levels(self, ids: NDArray[np.integer]) -> Sequence[NDArray[np.integer]]:
-        """Node indices [H, W] at each level, of class ids or of what is that already."""
+        """Return node indices [H, W] at each level, from class ids or node indices."""
         taxonomy = self.taxonomy
         if ids.ndim == 2:
             _check_ids("class ids", ids, 0, len(taxonomy))
@@ -216,18 +216,18 @@ class Segmentation:
 
 
 def segmentation_metrics(result: Segmentation, suffix: str = "") -> Metrics:
-    """All figures in percent, flat: `miou_percent`, `miou_level_0_percent` and so on.
+    """Compute all metrics in percent: `miou_percent`, `miou_level_0_percent` etc.
 
     Args:
-        result: what was counted; None everywhere without views.
-        suffix: "" for mapped views, "_unseen" for views kept out of the map; it stands
-            before the unit.
+        result: predictions over all views of one group; all metrics are None without views.
+        suffix: "" for mapped views, "_unseen" for views excluded from mapping; placed before the
+            unit.
     """
     taxonomy = result.taxonomy
     finest = result.counts()
     leaf, with_void = score(finest), score(finest, with_void=True)
     per_view = [view.miou[-1] for view in result.views]
-    figures: dict[str, float | None] = {
+    values: dict[str, float | None] = {
         "miou": leaf.miou,
         "miou_union": leaf.miou_union,
         "accuracy": leaf.accuracy,
@@ -242,14 +242,14 @@ def segmentation_metrics(result: Segmentation, suffix: str = "") -> Metrics:
     }
     for level in range(taxonomy.depth):
         at_level = score(result.counts(level))
-        figures[f"miou_level_{level}"] = at_level.miou
-        figures[f"accuracy_level_{level}"] = at_level.accuracy
-        figures[f"miou_per_view_level_{level}"] = mean_or_none(
+        values[f"miou_level_{level}"] = at_level.miou
+        values[f"accuracy_level_{level}"] = at_level.accuracy
+        values[f"miou_per_view_level_{level}"] = mean_or_none(
             [view.miou[level] for view in result.views]
         )
     percent: Metrics = {
         f"{name}{suffix}_percent": None if value is None else 100.0 * value
-        for name, value in figures.items()
+        for name, value in values.items()
     }
     return {
         **percent,
@@ -259,7 +259,7 @@ def segmentation_metrics(result: Segmentation, suffix: str = "") -> Metrics:
 
 
 def segmentation_conventions(taxonomy: Taxonomy) -> Metrics:
-    """What the figures mean, and what each level of the tree is called."""
+    """Return the definitions of the metrics and the names of the taxonomy's levels."""
     names: Metrics = {f"level_{number}_name": name for number, name in enumerate(taxonomy.levels)}
     return _CONVENTIONS | names
 
@@ -271,24 +271,27 @@ def _check_ids(name: str, ids: NDArray[np.integer], low: int, high: int) -> None
         )
 
 
-def _scored(counts: Counts, with_void: bool) -> Counts:
-    """The counts that a score is made of."""
+def _evaluated(counts: Counts, with_void: bool) -> Counts:
+    """Return the counts of the evaluated pixels."""
     if with_void:
         return counts
-    scored = counts.copy()
-    scored[VOID] = 0
-    return scored
+    evaluated = counts.copy()
+    evaluated[VOID] = 0
+    return evaluated
 
 
-def _over_truth(counts: Counts) -> float | None:
-    """Mean IoU over the classes of the truth alone, without void."""
-    true = counts.sum(axis=1) > 0
-    true[VOID] = False
-    return float(class_iou(counts)[true].mean()) if true.any() else None
+def _truth_miou(counts: Counts) -> float | None:
+    """Compute the mIoU over the classes of the ground truth, without void."""
+    in_truth = counts.sum(axis=1) > 0
+    in_truth[VOID] = False
+    return float(class_iou(counts)[in_truth].mean()) if in_truth.any() else None
 
 
-def _numbering(taxonomy: Taxonomy, level: int) -> NDArray[np.int32]:
-    """Table [M + 1] from node index to its number 1..K at a level, -1 for other levels' nodes."""
+def _level_table(taxonomy: Taxonomy, level: int) -> NDArray[np.int32]:
+    """Return a table [M + 1] from node index to class number 1..K of a level.
+
+    Nodes of other levels are -1; the last entry is void.
+    """
     table = np.full(len(taxonomy.nodes) + 1, -1, np.int32)
     present = np.unique(taxonomy.node_ids[:, level])
     table[present] = np.arange(1, len(present) + 1)
@@ -296,10 +299,10 @@ def _numbering(taxonomy: Taxonomy, level: int) -> NDArray[np.int32]:
     return table
 
 
-def _numbered(
+def _class_numbers(
     nodes: NDArray[np.integer], table: NDArray[np.int32], level: int
 ) -> NDArray[np.int32]:
     numbers = table[nodes]
     if (numbers < 0).any():
-        raise ValueError(f"predicted holds nodes that no class has at level {level}")
+        raise ValueError(f"predicted contains nodes that are not at level {level}")
     return numbers

@@ -1,4 +1,4 @@
-"""Scores what views of a map show against the labels of the data set."""
+"""Evaluate the labels of rendered views against the labels of the dataset."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 
 @dataclass(frozen=True)
-class SemanticReading:
-    """A map's semantics, and the names of the data set's own labels.
+class SemanticEvaluation:
+    """What is needed to evaluate the labels of a map.
 
     Attributes:
-        semantics: decodes views of the map.
-        taxonomy: the map's classes.
-        truth_names: class names by id of the data set's labels, without void.
-        subset: decode each view a second time among the classes of its true labels alone, for
-            the papers' subset mIoU.
+        semantics: decodes rendered features into classes.
+        taxonomy: classes of the map.
+        truth_names: class names of the dataset's labels by id, without void.
+        subset: decode each view a second time among the classes of its ground-truth labels only,
+            for the papers' subset mIoU.
     """
 
     semantics: SemanticMapping
@@ -41,7 +41,7 @@ class SemanticReading:
 
     @property
     def comparable(self) -> bool:
-        """Whether the map's tree has every class of the truth."""
+        """Whether the taxonomy of the map contains every class of the dataset."""
         known = {name.casefold() for name in self.taxonomy.classes}
         return bool(self.truth_names) and all(
             name.casefold() in known for name in self.truth_names.values()
@@ -49,56 +49,58 @@ class SemanticReading:
 
 
 class SemanticScores:
-    """Collects the scores of one group of views; does nothing without a reading.
+    """Accumulates the semantic metrics of one group of views; empty for maps without semantics.
 
     Args:
-        reading: what is scored, or None for a map without semantics.
-        suffix: of the figures' names, as `segmentation_metrics` takes it.
+        evaluation: decoder and class names, or None for a map without semantics.
+        suffix: suffix of the metrics' names, as in `segmentation_metrics`.
     """
 
-    def __init__(self, reading: SemanticReading | None, suffix: str = "") -> None:
-        self._reading = reading if reading is not None and reading.comparable else None
+    def __init__(self, evaluation: SemanticEvaluation | None, suffix: str = "") -> None:
+        comparable = evaluation is not None and evaluation.comparable
+        self._evaluation = evaluation if comparable else None
         self._suffix = suffix
-        if self._reading is not None:
-            self._table = self._reading.taxonomy.relabelling(self._reading.truth_names)
-            self._segmentation = Segmentation(self._reading.taxonomy)
+        if self._evaluation is not None:
+            self._table = self._evaluation.taxonomy.relabelling(self._evaluation.truth_names)
+            self._segmentation = Segmentation(self._evaluation.taxonomy)
             self.calibration = Calibration()
 
     @property
-    def wanted(self) -> bool:
-        """Whether views must be drawn with their features."""
-        return self._reading is not None
+    def needs_features(self) -> bool:
+        """Whether views must be rendered with feature channels."""
+        return self._evaluation is not None
 
-    def add(self, frame: Frame, drawn: SurfaceView) -> None:
-        """Score a drawn view against the frame's own labels, if it has any."""
-        if self._reading is None or frame.labels is None:
+    def add(self, frame: Frame, rendered: SurfaceView) -> None:
+        """Evaluate a rendered view against the labels of the frame, if it has any."""
+        if self._evaluation is None or frame.labels is None:
             return
         truth = self._truth(frame.labels)
-        decoding = self._reading.semantics.decode_view(drawn)
+        decoding = self._evaluation.semantics.decode_view(rendered)
         nodes = decoding.nodes.T.reshape(-1, *truth.shape)
-        self._segmentation.add(truth, nodes, self._subset(truth, drawn))
+        self._segmentation.add(truth, nodes, self._subset(truth, rendered))
         predicted = decoding.class_ids.reshape(truth.shape)
         self.calibration.add(truth, predicted, decoding.confidence.reshape(truth.shape))
 
     def metrics(self) -> Metrics:
-        """Flat figures, empty without semantics or labelled views."""
-        if self._reading is None or not self._segmentation.views:
+        """Return the metrics by name; empty without semantics or labelled views."""
+        if self._evaluation is None or not self._segmentation.views:
             return {}
         return {
             **segmentation_metrics(self._segmentation, self._suffix),
             **calibration_metrics(self.calibration, self._suffix),
-            **segmentation_conventions(self._reading.taxonomy),
+            **segmentation_conventions(self._evaluation.taxonomy),
         }
 
-    def _subset(self, truth: NDArray[np.int32], drawn: SurfaceView) -> NDArray[np.int32] | None:
-        """Class ids [H, W] decoded among the classes of the true labels, if asked for."""
-        assert self._reading is not None
+    def _subset(self, truth: NDArray[np.int32], rendered: SurfaceView) -> NDArray[np.int32] | None:
+        """Decode class ids [H, W] among the classes of the ground truth, if requested."""
+        assert self._evaluation is not None
         visible = visible_classes(truth)
-        if not self._reading.subset or not len(visible):
+        if not self._evaluation.subset or not len(visible):
             return None
-        return self._reading.semantics.decode_view(drawn, visible).class_ids.reshape(truth.shape)
+        decoding = self._evaluation.semantics.decode_view(rendered, visible)
+        return decoding.class_ids.reshape(truth.shape)
 
     def _truth(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Class ids of the map's tree; ids without a name are void."""
+        """Map dataset labels to class ids of the taxonomy; ids without a name are void."""
         named = (labels >= 0) & (labels < len(self._table))
         return np.maximum(self._table[np.where(named, labels, 0)], 0)

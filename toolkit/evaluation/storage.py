@@ -1,4 +1,4 @@
-"""How much room a map's Gaussians take."""
+"""Memory of a map's parameters."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ _GEOMETRY_FLOATS = 3 + 1 + 1 + 3
 
 
 def gaussian_bytes(feature_channels: int) -> int:
-    """Bytes of one Gaussian's parameters, float32."""
+    """Return the size of one Gaussian's float32 parameters, in bytes."""
     return _FLOAT_BYTES * (_GEOMETRY_FLOATS + feature_channels)

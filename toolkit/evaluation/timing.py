@@ -1,4 +1,4 @@
-"""How long each stage of a run took."""
+"""Execution times of the stages of a run."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class StageTime:
     """Times of one stage.
 
     Attributes:
-        stage: its name; stages may lie within each other.
-        calls: how often it ran.
-        total_s: seconds, all calls together.
-        median_ms, max_ms: milliseconds a call.
+        stage: name of the stage; stages may be nested.
+        calls: number of calls.
+        total_s: total time of all calls, in seconds.
+        median_ms, max_ms: time per call, in milliseconds.
     """
 
     stage: str
@@ -29,7 +29,7 @@ class StageTime:
 
 
 class StageRecorder:
-    """A `Recorder` that keeps every duration and every counted number."""
+    """A `Recorder` that stores every duration and every counted value."""
 
     def __init__(self) -> None:
         self.durations_ms: dict[str, list[float]] = {}
@@ -37,7 +37,7 @@ class StageRecorder:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Time the block, also when it raises."""
+        """Measure the time of the block, also if it raises an exception."""
         start = time.perf_counter()
         try:
             yield
@@ -46,21 +46,21 @@ class StageRecorder:
             self.durations_ms.setdefault(stage, []).append(elapsed_ms)
 
     def count(self, name: str, value: float) -> None:
-        """Keep a number."""
+        """Store a value."""
         self.counts.setdefault(name, []).append(float(value))
 
     def total_ms(self, *stages: str) -> float | None:
-        """Milliseconds of all calls together, None where none of the stages ever ran."""
+        """Return the total time of some stages in milliseconds, None if none of them ran."""
         durations = [d for stage in stages for d in self.durations_ms.get(stage, [])]
         return sum(durations) if durations else None
 
     def median_ms(self, stage: str) -> float | None:
-        """Milliseconds of a usual call, None for a stage that never ran."""
+        """Return the median time per call in milliseconds, None if the stage never ran."""
         durations = self.durations_ms.get(stage)
         return float(np.median(durations)) if durations else None
 
     def stage_times(self) -> list[StageTime]:
-        """All stages, the longest first."""
+        """Return the times of all stages, sorted by decreasing total time."""
         times = [
             StageTime(
                 stage=stage,

@@ -1,8 +1,8 @@
-"""How far an estimated path lies from the true one: ATE and RPE.
+"""Trajectory errors: absolute trajectory error (ATE) and relative pose error (RPE).
 
-Both papers and the TUM benchmark (Sturm et al. 2012) report the root mean square of
-the distances between camera centres after a best-fitting alignment: rigid (SE(3))
-where the sensor gives metres, with scale (Sim(3)) for a monocular camera.
+Both papers and the TUM benchmark (Sturm et al. 2012) report the root mean square of the distances
+between camera centres after a least-squares alignment: rigid (SE(3)) for sensors with metric
+depth, with scale (Sim(3)) for monocular cameras.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from toolkit.geometry.trajectory import Trajectory
 Array = NDArray[np.float64]
 AlignmentKind = Literal["none", "se3", "sim3"]
 
-# evo's default. Sparse truth and a wider window change the figure: 0.02 s, the default of
-# TUM's own script, adds 1 % to the ATE of its fr2/desk, so reports name the difference.
+# The default of evo. The value affects results: with 0.02 s, the default of the TUM script, the
+# ATE of fr2/desk is 1 % larger. It is therefore reported with the metrics.
 MAX_TIME_DIFFERENCE_S = 0.01
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """The motion that lays an estimated path over the true one.
+    """Transformation that aligns an estimated trajectory with the ground truth.
+
+    A point is transformed as `p_world = scale * R @ p_map + t`.
 
     Attributes:
-        T_world_map: [4, 4] rigid part, estimate's frame to the truth's frame.
-        scale: factor on the estimate's lengths, 1 unless the alignment is Sim(3).
-
-    A point moves as `p_world = scale * R @ p_map + t`.
+        T_world_map: [4, 4] rigid part, from the estimate's frame to the ground truth's frame.
+        scale: scale of the estimate, 1 unless the alignment is Sim(3).
     """
 
     T_world_map: Array
     scale: float = 1.0
 
     def applied_to(self, estimate: Trajectory) -> Trajectory:
-        """The estimate in the truth's frame and scale; rotations keep their form."""
+        """Transform the estimate to the frame and scale of the ground truth."""
         scaled = estimate.T_world_camera.copy()
         scaled[:, :3, 3] *= self.scale
         return Trajectory(estimate.timestamps_s, self.T_world_map @ scaled)
@@ -51,12 +51,12 @@ class AbsoluteTrajectoryError:
     """Distances between true and aligned estimated camera centres.
 
     Attributes:
-        rmse_m, mean_m, median_m, max_m: metres, over all pairs.
-        kind: the alignment's name, "none", "se3" or "sim3".
-        alignment: the motion itself.
-        pairs: poses compared.
-        timestamps_s: [pairs] times of the estimate.
-        errors_m: [pairs] the distances.
+        rmse_m, mean_m, median_m, max_m: statistics over all pairs, in metres.
+        kind: kind of the alignment, "none", "se3" or "sim3".
+        alignment: the transformation.
+        pairs: number of compared poses.
+        timestamps_s: [pairs] timestamps of the estimate.
+        errors_m: [pairs] distances in metres.
     """
 
     rmse_m: float
@@ -72,13 +72,13 @@ class AbsoluteTrajectoryError:
 
 @dataclass(frozen=True)
 class RelativePoseError:
-    """Drift over a fixed number of frames; it needs no alignment.
+    """Drift over a fixed number of frames; independent of the alignment.
 
     Attributes:
-        delta_frames: associated poses between the two ends of a step.
-        translation_rmse_m, translation_median_m: metres a step.
-        rotation_rmse_deg, rotation_median_deg: degrees a step.
-        pairs: steps compared (overlapping ones for delta_frames > 1).
+        delta_frames: interval in associated poses.
+        translation_rmse_m, translation_median_m: metres per interval.
+        rotation_rmse_deg, rotation_median_deg: degrees per interval.
+        pairs: number of intervals; they overlap if delta_frames > 1.
     """
 
     delta_frames: int
@@ -94,31 +94,34 @@ def associate(
     truth: Trajectory,
     max_difference_s: float = MAX_TIME_DIFFERENCE_S,
 ) -> tuple[Trajectory, Trajectory]:
-    """The poses of both paths at the estimate's times, nearest in time, of equal length.
+    """Associate each estimated pose with the ground truth at its timestamp.
+
+    Returns:
+        Two trajectories of equal length.
 
     Raises:
-        DatasetError: no estimated pose has a true one near it in time.
+        DatasetError: no estimated pose has a ground-truth pose within the time difference.
     """
     near_truth = truth.associated_to(estimate.timestamps_s, max_difference_s)
     if len(near_truth) == 0:
         raise DatasetError(
-            f"no estimated pose ({estimate}) lies within {max_difference_s:g} s of a true one "
-            f"({truth}): both need the same clock, or raise the allowed difference"
+            f"no estimated pose ({estimate}) is within {max_difference_s:g} s of a ground-truth "
+            f"pose ({truth}); both need the same clock, or increase the maximum time difference"
         )
     kept = np.isin(estimate.timestamps_s, near_truth.timestamps_s)
     return Trajectory(estimate.timestamps_s[kept], estimate.T_world_camera[kept]), near_truth
 
 
 def align(points_map: Array, points_world: Array, with_scale: bool = False) -> Alignment:
-    """Least-squares motion from one point set to another (Umeyama 1991).
+    """Compute the least-squares transformation between point sets (Umeyama 1991).
 
     Args:
-        points_map: [N, 3] points to be moved, N >= 1.
-        points_world: [N, 3] where they should come to lie.
-        with_scale: also fit a scale (Sim(3)); it stays 1 for points that coincide.
+        points_map: [N, 3] points to transform, N >= 1.
+        points_world: [N, 3] corresponding target points.
+        with_scale: estimate a scale as well (Sim(3)); it is 1 if all points coincide.
 
     Raises:
-        ValueError: shapes disagree or there are no points.
+        ValueError: shapes differ or there are no points.
     """
     if points_map.shape != points_world.shape or points_map.ndim != 2 or len(points_map) == 0:
         raise ValueError(
@@ -128,12 +131,12 @@ def align(points_map: Array, points_world: Array, with_scale: bool = False) -> A
     mean_map, mean_world = points_map.mean(axis=0), points_world.mean(axis=0)
     centred_map, centred_world = points_map - mean_map, points_world - mean_world
     U, singular, Vt = np.linalg.svd(centred_world.T @ centred_map / len(points_map))
-    # A reflection fits a flat path as well as a rotation does; turn the weakest axis back.
+    # A reflection may fit best if the points are nearly coplanar; flip the weakest axis then.
     signs = np.array([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)])
     R = U @ np.diag(signs) @ Vt
     variance = float((centred_map**2).sum() / len(points_map))
-    fits_scale = with_scale and variance > 0.0
-    scale = float((singular * signs).sum() / variance) if fits_scale else 1.0
+    estimate_scale = with_scale and variance > 0.0
+    scale = float((singular * signs).sum() / variance) if estimate_scale else 1.0
     translation = mean_world - scale * R @ mean_map
     return Alignment(se3.from_rotation_translation(R, translation), scale)
 
@@ -144,10 +147,10 @@ def absolute_trajectory_error(
     kind: AlignmentKind = "se3",
     max_difference_s: float = MAX_TIME_DIFFERENCE_S,
 ) -> AbsoluteTrajectoryError:
-    """ATE of an estimate against the truth, over the poses that pair up in time.
+    """Compute the ATE of an estimate over the poses that are associated in time.
 
     Raises:
-        DatasetError: no poses pair up.
+        DatasetError: no poses can be associated.
     """
     estimate, truth = associate(estimate, truth, max_difference_s)
     if kind == "none":
@@ -175,10 +178,13 @@ def relative_pose_error(
     delta_frames: int = 1,
     max_difference_s: float = MAX_TIME_DIFFERENCE_S,
 ) -> RelativePoseError | None:
-    """RPE over all steps of `delta_frames` paired poses; None where the path is shorter.
+    """Compute the RPE over all intervals of `delta_frames` associated poses.
+
+    Returns:
+        The error; None if the trajectory is shorter than one interval.
 
     Raises:
-        DatasetError: no poses pair up.
+        DatasetError: no poses can be associated.
         ValueError: delta_frames is below 1.
     """
     if delta_frames < 1:
@@ -202,7 +208,7 @@ def relative_pose_error(
 
 
 def _steps(T_world_camera: Array, delta_frames: int) -> Array:
-    """Motions [N - delta, 4, 4] from each pose to the one `delta_frames` later."""
+    """Return the motions [N - delta, 4, 4] from each pose to the one `delta_frames` later."""
     return se3.inverse(T_world_camera[:-delta_frames]) @ T_world_camera[delta_frames:]
 
 

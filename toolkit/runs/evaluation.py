@@ -13,7 +13,7 @@ from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
-from toolkit.evaluation.semantic_views import SemanticReading
+from toolkit.evaluation.semantic_views import SemanticEvaluation
 from toolkit.gaussians.scene import GaussianScene, WholeScene
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
@@ -30,28 +30,29 @@ def evaluate(
     """Evaluate a finished run.
 
     Args:
-        run: as `load_run` returns it.
-        dataset_path: folder of the dataset, if it has moved since the run.
-        max_views: maximum number of views scored in each group (mapped, held out, unseen), >= 1.
-        evaluation: which optional metrics are computed; by default those of the run.
+        run: result of `load_run`.
+        dataset_path: folder of the dataset, if it was moved after the run.
+        max_views: maximum number of evaluated views in each group (mapped, held out, unseen),
+            >= 1.
+        evaluation: optional metrics to compute; by default those of the run.
 
     Returns:
-        Metrics by name, with the unit in the name; None where a metric does not apply. Times and
-        memory are not part of them: they are measured while the run executes.
+        Metrics by name, with the unit in the name; None for metrics that are not available. Times
+        and memory are not included: they are measured while the run executes.
 
     Raises:
-        ToolkitError: the dataset or the weights of LPIPS cannot be read, or the dataset shares
-            no time with the trajectory.
+        ToolkitError: the dataset or the weights of LPIPS cannot be read, or no pose can be
+            associated with the ground truth.
     """
     dataset = run.open_dataset(dataset_path)
     path = Path(dataset_path) if dataset_path else run.dataset_path
     location = replace(run.settings.dataset, path=path)
     evaluation = evaluation or run.settings.evaluation
     settings = replace(run.settings, dataset=location, evaluation=evaluation)
-    reading = reading_of(run.semantics, run.taxonomy, dataset, evaluation.subset)
+    semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = WholeScene(run.gaussians)
-    figures = measured(scene, run.tracked, dataset, settings, reading, max_views)
-    return figures | {
+    metrics = evaluate_scene(scene, run.tracked, dataset, settings, semantics, max_views)
+    return metrics | {
         "frames": len(run.tracked) + len(run.lost),
         "frames_lost": len(run.lost),
         "keyframes": len(run.keyframes),
@@ -59,38 +60,39 @@ def evaluate(
     }
 
 
-def reading_of(
+def semantic_evaluation(
     semantics: SemanticMapping, taxonomy: Taxonomy | None, dataset: Dataset, subset: bool = False
-) -> SemanticReading | None:
-    """How a map is scored against the data set's labels; None where there is nothing to score.
+) -> SemanticEvaluation | None:
+    """Prepare the evaluation of a map's labels, None if the map or the dataset has no labels.
 
     Args:
-        subset: measure the papers' subset mIoU as well.
+        subset: compute the papers' subset mIoU as well.
     """
     names = dataset.label_names
     if taxonomy is None or not names:
         return None
-    return SemanticReading(semantics, taxonomy, names, subset)
+    return SemanticEvaluation(semantics, taxonomy, names, subset)
 
 
-def measured(
+def evaluate_scene(
     scene: GaussianScene,
     tracked: Sequence[TrackedFrame],
     dataset: Dataset,
     settings: RunSettings,
-    reading: SemanticReading | None = None,
+    semantics: SemanticEvaluation | None = None,
     max_views: int = MeasureOptions.max_views,
 ) -> Metrics:
-    """A run's figures, measured as its settings ask for.
+    """Evaluate the map and trajectory of a run with the options of its settings.
 
     Args:
-        scene, tracked, dataset: as `measure_run` takes them.
-        settings: what the run was made with, with the place of its data set.
-        reading: of the map's semantics, or None.
-        max_views: most views scored of each group.
+        scene, tracked, dataset: as in `measure_run`.
+        settings: settings of the run, with the current path of the dataset.
+        semantics: evaluation of the map's labels, or None.
+        max_views: maximum number of evaluated views in each group.
 
     Raises:
-        DatasetError: a frame cannot be read, or truth and estimate share no time.
+        DatasetError: a frame cannot be read, or no estimated pose can be associated with the
+            ground truth.
         FormatError: the weights of LPIPS cannot be read.
     """
     path = settings.dataset.path
@@ -98,24 +100,24 @@ def measured(
     mesh = path / "mesh.ply" if path and settings.dataset.kind == "synthetic" else None
     if mesh is not None and not mesh.is_file():
         mesh = None
-    lpips = lpips_of(settings)
+    lpips = load_lpips(settings)
     options = MeasureOptions(
-        settings.backend, alignment_of(settings), max_views, reading, mesh, lpips
+        settings.backend, alignment_kind(settings), max_views, semantics, mesh, lpips
     )
     return measure_run(scene, tracked, dataset, unseen, options)
 
 
-def lpips_of(settings: RunSettings) -> Lpips | None:
-    """The network of LPIPS, or None where no weights are given.
+def load_lpips(settings: RunSettings) -> Lpips | None:
+    """Load the network of LPIPS, None if no weights are given.
 
     Raises:
-        DependencyError: a .safetensors file is given and safetensors is missing.
+        DependencyError: a .safetensors file is given and safetensors is not installed.
         FormatError: the weights cannot be read or are not those of LPIPS.
     """
     weights = settings.evaluation.lpips_weights
     return Lpips.load(weights) if weights else None
 
 
-def alignment_of(settings: RunSettings) -> Literal["none", "se3"]:
-    """Given poses put the map into the world of the truth; otherwise it has its own."""
+def alignment_kind(settings: RunSettings) -> Literal["none", "se3"]:
+    """Return how a run's trajectory is aligned: maps from given poses need no alignment."""
     return "none" if settings.poses == "given" else "se3"

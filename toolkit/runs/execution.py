@@ -19,7 +19,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
-from toolkit.runs.evaluation import lpips_of
+from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
@@ -30,7 +30,7 @@ from toolkit.slam import Slam
 
 _log = logging.getLogger(__name__)
 
-# Wraps frames in a progress bar: (frames, total, number of the first one).
+# Wraps frames in a progress bar; arguments: frames, total number, index of the first frame.
 Progress = Callable[[Iterable[Frame], int, int], Iterable[Frame]]
 
 
@@ -61,10 +61,10 @@ def run(
     settings = with_absolute_paths(_with_path(settings, path))
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
     config = dump_settings(settings)
-    lpips_of(settings)  # reports unusable weights before the run instead of after it
-    # Before the folder is created: the saved map may be unsuitable.
-    begun = resume and RunFolder(out).has_checkpoint
-    saved = None if begun else open_saved_map(settings, dataset)
+    load_lpips(settings)  # reports unusable weights before the run instead of after it
+    # Check the saved map before the folder is created. A checkpoint already contains the map.
+    has_checkpoint = resume and RunFolder(out).has_checkpoint
+    saved = None if has_checkpoint else open_saved_map(settings, dataset)
     if resume:
         folder = RunFolder.open(out)
         folder.check_config(config)
@@ -100,16 +100,22 @@ def _execute(
         frames = prefetched(dataset, range(start or 0, len(dataset)), prepare=slam.prepare)
         _process(slam, progress(frames, len(dataset), start or 0), folder, settings, recorder)
         if not slam.result().keyframe_indices:
-            raise DatasetError(f"no frame of {settings.dataset.path} could start a map")
+            raise DatasetError(
+                f"no frame of {settings.dataset.path} could start a map; check that the frames "
+                "have depth"
+            )
         _save(slam, folder, len(dataset))
         write_results(_finish(slam), dataset, folder, settings, recorder)
 
 
 def _restore(slam: Slam, dataset: Dataset, folder: RunFolder) -> int | None:
-    """Restore the newest checkpoint; the frame to continue at, or None without a checkpoint.
+    """Restore the newest checkpoint.
+
+    Returns:
+        The frame at which to continue, None without a checkpoint.
 
     Raises:
-        RunFolderError: the checkpoint is damaged or of another sequence.
+        RunFolderError: the checkpoint is damaged or belongs to another sequence.
     """
     checkpoint = folder.load_checkpoint()
     if checkpoint is None:
@@ -117,26 +123,26 @@ def _restore(slam: Slam, dataset: Dataset, folder: RunFolder) -> int | None:
     if not 0 <= checkpoint.next_frame <= len(dataset):
         raise RunFolderError(
             f"the checkpoint in {folder.checkpoints} is at frame {checkpoint.next_frame}, but "
-            f"{dataset.name} has {len(dataset)} frames; resume with the dataset of the run"
+            f"{dataset.name} has {len(dataset)} frames; resume with the run's dataset"
         )
     try:
         slam.restore(checkpoint.arrays, checkpoint.values)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise RunFolderError(
-            f"the checkpoint in {folder.checkpoints} is damaged ({error!r}); start again"
+            f"the checkpoint in {folder.checkpoints} is damaged ({error!r}); start a new run"
         ) from error
     return checkpoint.next_frame
 
 
 def _dataset_path(settings: RunSettings, out: Path, resume: bool, progress: Progress) -> Path:
-    """The folder of the dataset; the default room is created for a synthetic run without one."""
+    """Return the folder of the dataset; create the default room for a synthetic run without one."""
     if settings.dataset.path is not None:
         return settings.dataset.path
     if settings.dataset.kind != "synthetic":
         raise SettingsError(f"--dataset.kind {settings.dataset.kind} needs --dataset.path DIR")
     room = out.with_name(out.name + "_room")
     if not resume and not (room / "traj.txt").exists():
-        _log.info("making a synthetic room in %s", room)
+        _log.info("Creating a synthetic room in %s.", room)
         make_room(
             room, RoomSettings(seed=settings.seed), lambda frames, total: progress(frames, total, 0)
         )
@@ -160,8 +166,8 @@ def _process(
         with recorder.timed("frame"):
             result = slam.process_frame(frame, may_map=not held_out(frame.index, settings))
         if result.lost:
-            reason = result.tracking.reason if result.tracking else "the map has not begun"
-            _log.warning("frame %d is lost: %s", frame.index, reason)
+            reason = result.tracking.reason if result.tracking else "no map exists yet"
+            _log.warning("Frame %d is lost: %s.", frame.index, reason)
         due = time.monotonic() - saved_at > settings.checkpoint.every_s
         new_keyframes += result.keyframe
         if due or new_keyframes >= settings.checkpoint.every_keyframes:

@@ -1,4 +1,4 @@
-"""What `semsplat run` leaves behind once the map is finished."""
+"""Write the results of a run: trajectory, map, rendered views, metrics and report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
-from toolkit.runs.evaluation import alignment_of, measured, reading_of
+from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.decoding import Decoding
@@ -44,14 +44,14 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
-_SHOWN_VIEWS = 6
+_NUM_VIEWS = 6
 _LEGEND_ROWS = 8
 
 
 def held_out(index: int, settings: RunSettings) -> bool:
-    """Whether a frame is kept out of the map.
+    """Return whether a frame is excluded from mapping.
 
-    The first frame starts the map, so the last of every n is the one left out.
+    It is the last of every n frames, because the first frame must start the map.
     """
     return settings.hold_out is not None and index % settings.hold_out == settings.hold_out - 1
 
@@ -61,14 +61,14 @@ def write_results(
     dataset: Dataset,
     folder: RunFolder,
     settings: RunSettings,
-    watch: StageRecorder,
+    recorder: StageRecorder,
 ) -> None:
-    """Trajectory, map, renders, figures and report of a finished run."""
+    """Write trajectory, map, rendered views, metrics and report of a finished run."""
     scene: GaussianScene = result.map
     if result.taxonomy is not None:
         features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
         folder.write_semantics(features, result.semantics.state(), result.taxonomy)
-        # What is measured is what the file holds, which is rounded.
+        # Evaluate the map as stored: the file contains rounded features.
         scene = RoundedScene(scene)
     tracked = tracked_frames(result, settings)
     folder.write_trajectory(result.trajectory, result.covariances)
@@ -78,23 +78,25 @@ def write_results(
     if settings.dataset.path is not None:
         frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
     folder.write_json(folder.frames, frames)
-    # Before evaluation, which has memory needs of its own.
-    costs = _costs(result, scene, dataset, watch)
-    _log.info("measuring the run")
-    reading = reading_of(result.semantics, result.taxonomy, dataset, settings.evaluation.subset)
-    metrics = cost_metrics(costs) | measured(scene, tracked, dataset, settings, reading)
+    # Measured before the evaluation, whose memory does not count.
+    costs = _costs(result, scene, dataset, recorder)
+    _log.info("Evaluating the run.")
+    semantics = semantic_evaluation(
+        result.semantics, result.taxonomy, dataset, settings.evaluation.subset
+    )
+    metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
     metrics |= _loop_metrics(dataset, folder, settings)
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder)
-    write_report(folder.report, _report(result, dataset, settings, metrics, views, watch))
-    _log.info("wrote %s, with report.html in it", folder.path)
+    write_report(folder.report, _report(result, dataset, settings, metrics, views, recorder))
+    _log.info("Wrote the results to %s; see report.html there.", folder.path)
 
 
 def _labelled_parts(
     scene: GaussianScene, result: SlamResult, settings: RunSettings
 ) -> Iterator[tuple[GaussianCloud, SplatLabels | None, int | None]]:
-    """Each part of a map with its labels and, if any, the number of its submap."""
+    """Yield the parts of a map with their labels and submap numbers, as far as they have them."""
     numbers = result.map.numbers if isinstance(result.map, FusedMap) else [None]
     for number, part in zip(numbers, scene.parts(), strict=True):
         labels = None
@@ -105,7 +107,7 @@ def _labelled_parts(
 
 
 def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFrame]:
-    """Every frame that has a pose, as evaluation takes it."""
+    """Return all frames with a pose, in the form used by the evaluation."""
     trajectory = result.trajectory
     return [
         TrackedFrame(index, float(time), T, exposure, held_out(index, settings))
@@ -130,7 +132,7 @@ def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) ->
 
 
 def splat_labels(decoding: Decoding, min_confidence: float) -> SplatLabels:
-    """The columns of a map's file; levels below the confidence are left open."""
+    """Return the label columns of a map's file; levels below the confidence are void."""
     levels = decoding.backed_off(min_confidence)
     return SplatLabels(decoding.class_ids, levels, decoding.confidence)
 
@@ -163,7 +165,7 @@ def _frames(result: SlamResult, tracked: list[TrackedFrame]) -> dict[str, Any]:
 
 
 def _costs(
-    result: SlamResult, scene: GaussianScene, dataset: Dataset, watch: StageRecorder
+    result: SlamResult, scene: GaussianScene, dataset: Dataset, recorder: StageRecorder
 ) -> RunCosts:
     count = len(scene)
     return RunCosts(
@@ -171,10 +173,10 @@ def _costs(
         frames_lost=len(result.lost_frames),
         keyframes=len(result.keyframe_indices),
         gaussians=count,
-        tracking_ms=watch.total_ms("denoising", "tracking"),
-        labelling_ms=watch.total_ms("labelling"),
-        mapping_ms=watch.total_ms("placing", "mapping"),
-        refinement_ms=watch.total_ms("refinement"),
+        tracking_ms=recorder.total_ms("denoising", "tracking"),
+        labelling_ms=recorder.total_ms("labelling"),
+        mapping_ms=recorder.total_ms("placing", "mapping"),
+        refinement_ms=recorder.total_ms("refinement"),
         peak_memory_mb=peak_memory_mb(),
         map_mb=count * gaussian_bytes(result.semantics.channels) / 1e6,
     )
@@ -182,14 +184,15 @@ def _costs(
 
 @dataclass(frozen=True)
 class _FinalMap:
-    """What is drawn, and how it is read."""
+    """The final map with the decoder of its features and the renderer."""
 
     scene: GaussianScene
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
     backend_name: str
 
-    def view(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> SurfaceView:
+    def render(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> SurfaceView:
+        """Render a view, with features if the map has semantics."""
         options = RenderOptions(features=self.taxonomy is not None)
         gaussians = self.scene.seen_from(camera, T_map_camera)
         T_camera_map = se3.inverse(T_map_camera)
@@ -199,22 +202,22 @@ class _FinalMap:
 def _render_views(
     final: _FinalMap, tracked: list[TrackedFrame], dataset: Dataset, folder: RunFolder
 ) -> list[ReportView]:
-    """A few views spread over the path: strips in `renders/`, and the same for the report."""
+    """Render evenly spaced views: images in `renders/`, and the views of the report."""
     views = []
     palette = None if final.taxonomy is None else Palette(final.taxonomy)
-    count = min(_SHOWN_VIEWS, len(tracked))
-    for place in np.linspace(0, len(tracked) - 1, count).round().astype(int):
-        view = tracked[place]
+    count = min(_NUM_VIEWS, len(tracked))
+    for position in np.linspace(0, len(tracked) - 1, count).round().astype(int):
+        view = tracked[position]
         frame = dataset[view.index]
-        drawn = final.view(frame.camera, view.T_map_camera)
-        colour = view.exposure.undo(drawn.output.colour).clamp(0.0, 1.0).numpy()
-        depth_m, silhouette = drawn.depth_m.numpy(), drawn.output.silhouette.numpy()
+        rendered = final.render(frame.camera, view.T_map_camera)
+        colour = view.exposure.undo(rendered.output.colour).clamp(0.0, 1.0).numpy()
+        depth_m, silhouette = rendered.depth_m.numpy(), rendered.output.silhouette.numpy()
         name = f"frame{view.index:06d}"
         write_rgb(folder.renders / f"{name}.png", colour)
         picture = view_strip(colour, depth_m, silhouette, frame.rgb)
         write_rgb(folder.renders / f"{name}_strip.png", picture.astype(np.float32) / 255.0)
         if palette is not None:
-            nodes = final.semantics.decode_view(drawn).nodes.T.reshape(-1, *depth_m.shape)
+            nodes = final.semantics.decode_view(rendered).nodes.T.reshape(-1, *depth_m.shape)
             picture = palette.level_strip(colour, list(nodes), legend_rows=_LEGEND_ROWS)
             write_rgb(folder.renders / f"{name}_levels.png", picture.astype(np.float32) / 255.0)
         title = f"frame {view.index}" + (", unseen" if view.held_out else "")
@@ -230,7 +233,7 @@ def _report(
     settings: RunSettings,
     metrics: Metrics,
     views: list[ReportView],
-    watch: StageRecorder,
+    recorder: StageRecorder,
 ) -> ReportContent:
     camera = dataset.camera
     return ReportContent(
@@ -239,9 +242,9 @@ def _report(
         metrics=metrics,
         estimate=result.trajectory,
         truth=dataset.ground_truth,
-        alignment=alignment_of(settings),
+        alignment=alignment_kind(settings),
         views=views,
-        stage_times=watch.stage_times(),
+        stage_times=recorder.stage_times(),
         settings=dump_settings(settings),
         warnings=[f"frame {index} is lost" for index in result.lost_frames],
         machine=f"semsplat {__version__}, torch {torch.__version__}, "
