@@ -26,7 +26,7 @@ from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import run_metrics
 from benchmarks.semantics_cost import measure_cost
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
-from toolkit.mapping.consensus import segments_of
+from toolkit.mapping.consensus import connected_segments
 
 PartName = Literal["quality", "room", "noise", "ablation", "cost"]
 CODES = ("none", "flat", "one-hot", "binary")
@@ -251,7 +251,7 @@ def renamed(
     labels: NDArray[np.integer], present: NDArray[np.integer], generator: np.random.Generator
 ) -> NDArray[np.integer]:
     """A label image in which WRONG_SHARE of the segments have another class of the sequence."""
-    segments, own = segments_of(labels)
+    segments, own = connected_segments(labels)
     wrong = (generator.random(len(own)) < WRONG_SHARE) & (own > 0)
     shift = generator.integers(1, len(present), len(own))
     place = (np.searchsorted(present, own) + shift) % len(present)

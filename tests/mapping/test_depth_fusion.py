@@ -55,7 +55,7 @@ def seen(cloud: GaussianCloud, *keyframes: Keyframe) -> MeasuredCentres:
 
 def test_from_as_far_as_before_it_goes_a_fifth_of_the_way():
     found = seen(at((0.3, 0.2, WALL_M + 0.05)), keyframe(3), keyframe(7))
-    assert found.places.tolist() == [0] and not found.anew.any()
+    assert found.indices.tolist() == [0] and not found.replaced.any()
     ray = np.array([0.3, 0.2, WALL_M + 0.05])
     surface = ray * WALL_M / ray[2]
     np.testing.assert_allclose(found.centres[0], ray + 0.2 * (surface - ray), atol=1e-5)
@@ -64,14 +64,14 @@ def test_from_as_far_as_before_it_goes_a_fifth_of_the_way():
 def test_from_half_as_far_it_is_measured_anew():
     eye = np.array([0.0, 0.0, 2.0])
     found = seen(at((0.3, 0.2, WALL_M + 0.05)), keyframe(3), keyframe(7, z=2.0))
-    assert found.anew.tolist() == [True]
+    assert found.replaced.tolist() == [True]
     ray = np.array([0.3, 0.2, WALL_M + 0.05]) - eye
     np.testing.assert_allclose(found.centres[0], eye + ray * 2.0 / ray[2], atol=1e-5)
 
 
 def test_from_far_away_nothing_new_is_learned():
     found = seen(at((0.3, 0.2, WALL_M + 0.05)), keyframe(3, z=2.5), keyframe(7))
-    assert len(found.places) == 0
+    assert len(found.indices) == 0
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_from_far_away_nothing_new_is_learned():
     ids=["before the wall", "behind it", "outside the view", "behind the camera"],
 )
 def test_what_is_not_on_the_surface_stays(centre):
-    assert len(seen(at(centre), keyframe(3), keyframe(7)).places) == 0
+    assert len(seen(at(centre), keyframe(3), keyframe(7)).indices) == 0
 
 
 def test_a_slanted_wall_is_not_bent():
@@ -88,7 +88,7 @@ def test_a_slanted_wall_is_not_bent():
     x = np.linspace(-1.0, 1.0, 40)
     centres = [(float(a), 0.11, WALL_M + 0.5 * float(a)) for a in x]
     found = seen(at(*centres), keyframe(3, slope=0.5), keyframe(7, slope=0.5))
-    assert len(found.places) > 30
+    assert len(found.indices) > 30
     off = found.centres[:, 2] - (WALL_M + 0.5 * found.centres[:, 0])
     assert off.abs().max() < 1e-5
 
@@ -97,16 +97,16 @@ def test_at_an_edge_of_depth_nothing_moves():
     step = keyframe(7)
     step.depth_m[:, 20:] = 2.0
     centres = [((u - 19.5) / 40.0 * WALL_M, 0.0, WALL_M + 0.05) for u in (10.5, 19.5)]
-    assert seen(at(*centres), keyframe(3), step).places.tolist() == [0]
+    assert seen(at(*centres), keyframe(3), step).indices.tolist() == [0]
 
 
 def test_missing_depth_moves_nothing():
     blind = replace(keyframe(7), depth_m=torch.zeros(30, 40))
-    assert len(seen(at((0.3, 0.2, WALL_M)), keyframe(3), blind).places) == 0
+    assert len(seen(at((0.3, 0.2, WALL_M)), keyframe(3), blind).indices) == 0
 
 
 def test_an_empty_map_is_measured_too():
-    assert len(seen(GaussianCloud.empty(0), keyframe(3)).places) == 0
+    assert len(seen(GaussianCloud.empty(0), keyframe(3)).indices) == 0
 
 
 def test_a_noisy_wall_becomes_thinner(room):

@@ -23,7 +23,7 @@ def test_what_left_a_plane_is_put_back_where_it_slid_to():
         centres = grid(axis)
         surfaces = Surfaces.of(centres)
         moved = centres + torch.from_numpy(generator.normal(0, 0.05, (100, 3))).float()
-        back = surfaces.nearest(moved)
+        back = surfaces.project(moved)
         along = [other for other in range(3) if other != axis]
         assert torch.allclose(back[:, axis], torch.zeros(100), atol=1e-6)
         assert torch.allclose(back[:, along], moved[:, along], atol=1e-6)
@@ -33,12 +33,12 @@ def test_what_moves_later_leaves_the_surfaces_as_they_were():
     centres = grid(2)
     surfaces = Surfaces.of(centres)
     centres += 1.0
-    assert torch.allclose(surfaces.nearest(centres)[:, 2], torch.zeros(100), atol=1e-6)
+    assert torch.allclose(surfaces.project(centres)[:, 2], torch.zeros(100), atol=1e-6)
 
 
 def test_a_handful_of_centres_has_no_surface():
     centres = torch.eye(3)
     moved = centres + 0.3
-    assert torch.equal(Surfaces.of(centres).nearest(moved), moved)
+    assert torch.equal(Surfaces.of(centres).project(moved), moved)
     none = torch.zeros(0, 3)
-    assert torch.equal(Surfaces.of(none).nearest(none), none)
+    assert torch.equal(Surfaces.of(none).project(none), none)

@@ -35,7 +35,7 @@ class ViewFeatures:
             return colour
         classes = torch.zeros_like(colour)
         if self.semantics is not None and output.features.shape[-1]:
-            classes = self.semantics.picture(output)
+            classes = self.semantics.class_colours(output)
         return torch.cat([colour, classes])
 
     def describe(self, pictures: Tensor) -> Tensor:

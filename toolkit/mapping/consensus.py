@@ -1,9 +1,9 @@
-"""What all keyframes together say a Gaussian is, and which of their labels were wrong.
+"""Label consensus: features of the Gaussians and corrected labels from votes of all keyframes.
 
-Steps on one keyframe after another would take many rounds to vote a wrong label out. Here
-every keyframe votes once; then each connected piece of a label image is held against the
-map, and takes the map's class where that is the likelier: segmenters err by whole segments,
-so a part of one that other views know tells about the part that only this view has seen.
+Optimisation on one keyframe after another would take many rounds to outvote a wrong label. Here
+every keyframe votes once. Then each connected segment of a label image is compared with the map,
+and takes the map's class if that is more probable. Segmenters usually mislabel entire segments.
+Therefore the part of a segment that other views observe also decides on the rest of it.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ from toolkit.mapping.options import ConsensusOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 
-Draw = Callable[[GaussianCloud, Keyframe], SurfaceView]
+Render = Callable[[GaussianCloud, Keyframe], SurfaceView]
+
+# Gaussians with a smaller number of votes keep their features.
+_MIN_VOTES = 1e-6
 
 
 def label_consensus(
     gaussians: GaussianCloud,
     keyframes: list[Keyframe],
     semantics: SemanticMapping,
-    draw: Draw,
+    render: Render,
     options: ConsensusOptions,
 ) -> GaussianCloud:
     """Return the Gaussians with the features that all labelled keyframes vote for.
@@ -38,71 +41,73 @@ def label_consensus(
     Corrects `class_ids` of keyframes in place.
 
     Args:
-        draw: the Gaussians as a keyframe sees them, with their features.
+        render: renders Gaussians with their features from a keyframe.
     """
     labelled = [keyframe for keyframe in keyframes if keyframe.class_ids is not None]
-    ballot = _Ballot(gaussians, semantics, draw)
+    votes = _FeatureVotes(gaussians, semantics, render)
     for keyframe in labelled:
-        ballot.count(keyframe)
+        votes.add(keyframe)
     for _ in range(options.rounds):
-        gaussians = ballot.elected()
+        gaussians = votes.fitted()
         changed = False
         for keyframe in labelled:
-            better = _corrected(gaussians, ballot.views, keyframe, semantics, draw, options)
-            if better is not None:
-                ballot.recount(keyframe, better)
-                keyframe.class_ids = better
+            corrected = _corrected(gaussians, votes.views, keyframe, semantics, render, options)
+            if corrected is not None:
+                votes.change(keyframe, corrected)
+                keyframe.class_ids = corrected
                 changed = True
         if not changed:
             return gaussians
-    return ballot.elected()
+    return votes.fitted()
 
 
-class _Ballot:
-    """Votes for the features of Gaussians; counting is linear, so votes can be taken back.
+class _FeatureVotes:
+    """Votes for the features of Gaussians; they are sums, so that votes can be changed later.
 
     Attributes:
-        views: [N] how many views told of each Gaussian.
+        views: [N] number of votes for each Gaussian, at most one per view.
     """
 
-    def __init__(self, gaussians: GaussianCloud, semantics: SemanticMapping, draw: Draw) -> None:
-        self._gaussians, self._semantics, self._draw = gaussians, semantics, draw
+    def __init__(
+        self, gaussians: GaussianCloud, semantics: SemanticMapping, render: Render
+    ) -> None:
+        self._gaussians, self._semantics, self._render = gaussians, semantics, render
         self._votes = torch.zeros_like(gaussians.features)
         self.views = gaussians.features.new_zeros(len(gaussians))
 
-    def count(self, keyframe: Keyframe) -> None:
+    def add(self, keyframe: Keyframe) -> None:
         """Add a keyframe's votes."""
         labels = keyframe.labels
         assert labels is not None
-        words = self._semantics.codewords(labels)
-        ids, votes, share = self._semantics.votes(self._view(keyframe), words, labels > 0)
-        weight = _one_vote(share)
+        codewords = self._semantics.codewords(labels)
+        ids, votes, total = self._semantics.votes(self._view(keyframe), codewords, labels > 0)
+        weight = _view_weight(total)
         self._votes[ids] += votes * weight[:, None]
-        self.views[ids] += share * weight
+        self.views[ids] += total * weight
 
-    def recount(self, keyframe: Keyframe, better: Tensor) -> None:
-        """Change a counted keyframe's votes to those of better labels, void where it was void."""
+    def change(self, keyframe: Keyframe, corrected: Tensor) -> None:
+        """Replace a keyframe's votes by those of corrected labels; void pixels stay void."""
         labels = keyframe.labels
         assert labels is not None
-        change = self._semantics.codewords(better) - self._semantics.codewords(labels)
-        ids, votes, share = self._semantics.votes(self._view(keyframe), change, labels > 0)
-        self._votes[ids] += votes * _one_vote(share)[:, None]
+        change = self._semantics.codewords(corrected) - self._semantics.codewords(labels)
+        ids, votes, total = self._semantics.votes(self._view(keyframe), change, labels > 0)
+        self._votes[ids] += votes * _view_weight(total)[:, None]
 
     def _view(self, keyframe: Keyframe) -> SurfaceView:
-        return self._draw(self._gaussians, keyframe)
+        return self._render(self._gaussians, keyframe)
 
-    def elected(self) -> GaussianCloud:
-        """The Gaussians with the features that the votes ask for."""
-        told = self.views > 1e-6
+    def fitted(self) -> GaussianCloud:
+        """The Gaussians with features fitted to the votes."""
+        labelled = self.views > _MIN_VOTES
         features = self._gaussians.features.clone()
-        votes = self._votes[told].clamp(min=0.0)
-        features[told] = self._semantics.from_votes(votes, self.views[told])
+        votes = self._votes[labelled].clamp(min=0.0)
+        features[labelled] = self._semantics.from_votes(votes, self.views[labelled])
         return replace(self._gaussians, features=features)
 
 
-def _one_vote(share: Tensor) -> Tensor:
-    """One view, one vote: a close look shall not outvote two from afar."""
-    return 1.0 / share.clamp(min=1.0)
+def _view_weight(total: Tensor) -> Tensor:
+    """Weight that limits the votes of a view to one, so that close views do not dominate."""
+    return 1.0 / total.clamp(min=1.0)
 
 
 def _corrected(
@@ -110,45 +115,44 @@ def _corrected(
     views: Tensor,
     keyframe: Keyframe,
     semantics: SemanticMapping,
-    draw: Draw,
+    render: Render,
     options: ConsensusOptions,
 ) -> Tensor | None:
-    """A keyframe's labels with the overruled segments renamed, or None if there are none."""
-    # The number of views is drawn in the place of red.
+    """Labels of a keyframe with corrected segments; None if no segment changes."""
+    # Render the number of views in place of the colour.
     counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
-    view = draw(counted, keyframe)
+    view = render(counted, keyframe)
     silhouette = view.output.silhouette.clamp(min=0.5)
     known = (view.images[0] / silhouette >= options.min_views).view(-1).cpu().numpy()
     class_ids, probabilities = semantics.probabilities(view)
     assert keyframe.class_ids is not None
-    labels = keyframe.class_ids.numpy()
-    segments, own = segments_of(labels)
+    segments, own_class = connected_segments(keyframe.class_ids.numpy())
     flat = segments.reshape(-1)
-    count = len(own)
+    count = len(own_class)
     area = np.bincount(flat, minlength=count)
     evidence = np.bincount(flat[known], minlength=count)
     means = np.stack(
         [np.bincount(flat[known], p[known], minlength=count) for p in probabilities.cpu().numpy()]
     ) / np.maximum(evidence, 1)
-    place = np.searchsorted(class_ids, own)
-    said = means[np.minimum(place, len(class_ids) - 1), np.arange(count)]
-    likeliest = means.argmax(axis=0)
-    overruled = evidence > np.maximum(options.min_share * area, 1.0)
-    overruled &= means[likeliest, np.arange(count)] > said + options.margin
-    overruled &= own > 0
-    if not overruled.any():
+    row = np.minimum(np.searchsorted(class_ids, own_class), len(class_ids) - 1)
+    own_probability = means[row, np.arange(count)]
+    most_probable = means.argmax(axis=0)
+    changed = evidence > np.maximum(options.min_share * area, 1.0)
+    changed &= means[most_probable, np.arange(count)] > own_probability + options.margin
+    changed &= own_class > 0
+    if not changed.any():
         return None
-    better = np.where(overruled, class_ids[likeliest], own)
-    return torch.from_numpy(better[segments].astype(np.int16))
+    corrected = np.where(changed, class_ids[most_probable], own_class)
+    return torch.from_numpy(corrected[segments].astype(np.int16))
 
 
-def segments_of(labels: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Connected pieces of a label image: their numbers [H, W], and the class of each [K]."""
+def connected_segments(labels: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Connected segments of a label image: their numbers [H, W] and the class of each [K]."""
     segments = np.zeros(labels.shape, np.int32)
     classes: list[int] = []
     for class_id in np.unique(labels):
-        found, pieces = cv2.connectedComponents((labels == class_id).astype(np.uint8))
-        inside = pieces > 0
-        segments[inside] = pieces[inside] - 1 + len(classes)
-        classes += [int(class_id)] * (found - 1)
+        count, components = cv2.connectedComponents((labels == class_id).astype(np.uint8))
+        inside = components > 0
+        segments[inside] = components[inside] - 1 + len(classes)
+        classes += [int(class_id)] * (count - 1)
     return segments, np.array(classes, np.int64)

@@ -1,4 +1,4 @@
-"""Densification: Gaussians are seeded where the map lacks them, and useless ones are pruned."""
+"""Densification: seeds Gaussians where the map is incomplete, and prunes Gaussians."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Densification:
 
     Args:
         start_values: features [C + 1, S] of new Gaussians by class id.
-        generator: chooses pixels if the options seed a random share of them.
+        generator: chooses pixels if only a random fraction of them is seeded.
     """
 
     def __init__(
@@ -33,7 +33,8 @@ class Densification:
         """Seed Gaussians at the pixels that the map does not explain; return how many.
 
         Args:
-            view: the map from the keyframe. depth_m: [H, W] of the keyframe on the map's device.
+            view: the map rendered from the keyframe.
+            depth_m: [H, W] measured depth on the map's device.
         """
         options = self._options
         mask = uncovered_pixels(
@@ -52,7 +53,7 @@ class Densification:
         return len(seeds)
 
     def prune(self, gaussian_map: GaussianMap) -> int:
-        """Remove useless Gaussians; return how many."""
+        """Remove transparent, very large and non-finite Gaussians; return how many."""
         options = self._options
         mask = prune_mask(gaussian_map.gaussians, options.min_opacity, options.max_radius_m)
         count = int(mask.sum())
@@ -70,21 +71,21 @@ def uncovered_pixels(
         view: the rendered map.
         depth_m: [H, W] measured depth, 0 where missing.
         min_silhouette: pixels below it are uncovered.
-        floor: pixels are uncovered if the map lies behind the measured depth by more than this
-            share of it,
-        factor: and by more than this multiple of the median depth error.
+        floor, factor: pixels are uncovered if the map lies behind the measured depth by more than
+            `floor` times the depth and by more than `factor` times the median depth error.
     """
     measured = depth_m > 0
-    thin = view.output.silhouette < min_silhouette
-    behind = torch.where(measured & ~thin, view.depth_m - depth_m, torch.zeros_like(depth_m))
-    errors = behind.abs()[measured & ~thin]
+    transparent = view.output.silhouette < min_silhouette
+    opaque = measured & ~transparent
+    behind = torch.where(opaque, view.depth_m - depth_m, torch.zeros_like(depth_m))
+    errors = behind.abs()[opaque]
     median = float(errors.median()) if errors.numel() else 0.0
     threshold = (floor * depth_m).clamp(min=factor * median)
-    return measured & (thin | (behind > threshold))
+    return measured & (transparent | (behind > threshold))
 
 
 def prune_mask(gaussians: GaussianCloud, min_opacity: float, max_radius_m: float) -> Tensor:
-    """Mask [N] of the Gaussians that are transparent, far too large or not finite."""
+    """Mask [N] of the Gaussians that are transparent, too large or not finite."""
     mask = gaussians.opacities < min_opacity
     mask |= gaussians.radii_m > max_radius_m
     mask |= ~torch.isfinite(gaussians.means).all(dim=1)

@@ -1,11 +1,11 @@
-"""Each Gaussian's centre is the running mean of what keyframes measure there.
+"""Depth fusion: the centre of each Gaussian is the running mean of the depths measured there.
 
-Mapping fits what many Gaussians show together, not each one's place: seeded from noisy depth,
-they stay scattered about their surface, and walls are as thick as the noise. So every keyframe
-moves the centres that it sees along their rays, some of the way to the depth it measured. The
-noise's variance grows with the fourth power of the distance, and so does the share of the way
-as a surface comes nearer: from two thirds of the distance, what was known before counts for
-nothing.
+Mapping fits the composited images of many Gaussians, not the position of each: if they are seeded
+from noisy depth, they stay scattered around the surface, and walls become as thick as the noise.
+Therefore every keyframe moves the centres that it observes along their rays by a fraction of the
+distance to the measured depth. The variance of the noise grows with the fourth power of the
+distance, and the fraction grows accordingly for closer views. From two thirds of the previous
+distance, a new measurement replaces the previous ones.
 """
 
 from __future__ import annotations
@@ -22,45 +22,46 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.gaussian_map import GaussianMap
 
-# Of the way, seen from as far as before: a mean over the last ten, or nearly.
-_SHARE = 0.2
-# Less of the way is not worth the work.
-_LEAST_SHARE = 0.02
-# A Gaussian this near to the measured depth lies on that surface: so much inverse depth (1 / m,
-# five standard deviations of a sensor that triangulates), where it was measured or where it is
-# now, and never more than this share of the depth.
-_NOISE = 0.006
-_ON_SURFACE = 0.05
-# Neighbouring pixels that differ by more (share of inverse depth) show no single surface.
+# Weight of a new measurement at the same distance as before, similar to a mean over the last ten.
+_WEIGHT = 0.2
+# Measurements with a smaller weight are skipped.
+_MIN_WEIGHT = 0.02
+# Maximum distance of a Gaussian from the measured surface that it belongs to: in inverse depth
+# (1 / m, five standard deviations of a triangulating sensor) at the larger of the previous and the
+# current distance, and as a fraction of depth.
+_MAX_INVERSE_DISTANCE = 0.006
+_MAX_DISTANCE = 0.05
+# Neighbouring pixels whose inverse depths differ by more than this fraction are a depth edge.
 _EDGE = 0.03
-_NEAREST_M = 0.05
+_MIN_DEPTH_M = 0.05
 
 
 @dataclass(frozen=True)
 class MeasuredCentres:
-    """What a keyframe says of the Gaussians it sees.
+    """Centres of the Gaussians that a keyframe measures.
 
     Attributes:
-        places: [n] int64 among the Gaussians. centres: [n, 3], where they lie now.
-        anew: [n] bool, those whose centre is this keyframe's measurement alone.
+        indices: [n] int64 indices of the Gaussians.
+        centres: [n, 3] updated centres (m).
+        replaced: [n] bool, centres that are determined by this keyframe's measurement alone.
     """
 
-    places: Tensor
+    indices: Tensor
     centres: Tensor
-    anew: Tensor
+    replaced: Tensor
 
 
 def fuse_depth(gaussian_map: GaussianMap, depth_m: Tensor) -> None:
     """Move the centres that the newest keyframe of a map measures.
 
     Args:
-        depth_m: [H, W] of that keyframe, on the map's device.
+        depth_m: [H, W] measured depth of that keyframe, on the map's device.
     """
     keyframes = gaussian_map.keyframes
     found = measured_centres(gaussian_map.gaussians, gaussian_map.seeded_by, keyframes, depth_m)
-    gaussian_map.move(gaussian_map.gaussians.means.index_copy(0, found.places, found.centres))
+    gaussian_map.move(gaussian_map.gaussians.means.index_copy(0, found.indices, found.centres))
     gaussian_map.seeded_by = gaussian_map.seeded_by.index_fill(
-        0, found.places[found.anew], keyframes[-1].index
+        0, found.indices[found.replaced], keyframes[-1].index
     )
 
 
@@ -70,41 +71,42 @@ def measured_centres(
     keyframes: Sequence[Keyframe],
     depth_m: Tensor,
 ) -> MeasuredCentres:
-    """Centres after the newest keyframe.
+    """Update the centres with the depth of the newest keyframe.
 
     Args:
-        gaussians: N of them. seeded_by: [N] int32, frame index of the keyframe that measured
-            each one alone.
+        gaussians: N Gaussians.
+        seeded_by: [N] int32 frame index of the keyframe whose measurement a centre started from.
         keyframes: in order of their indices, the newest one last.
-        depth_m: [H, W] of the newest one, on the device of the Gaussians.
+        depth_m: [H, W] measured depth of the newest keyframe, on the device of the Gaussians.
     """
     means, newest = gaussians.means, keyframes[-1]
-    indices = torch.tensor([k.index for k in keyframes], device=means.device)
-    stands = np.array([k.T_map_camera[:3, 3] for k in keyframes], np.float32)
-    row = torch.searchsorted(indices, seeded_by.long()).clamp(max=len(keyframes) - 1)
-    measured_from = torch.from_numpy(stands).to(means)[row]
+    frame_indices = torch.tensor([k.index for k in keyframes], device=means.device)
+    positions = np.array([k.T_map_camera[:3, 3] for k in keyframes], np.float32)
+    row = torch.searchsorted(frame_indices, seeded_by.long()).clamp(max=len(keyframes) - 1)
+    measured_from = torch.from_numpy(positions).to(means)[row]
 
     T_camera_map = torch.from_numpy(se3.inverse(newest.T_map_camera)).to(means)
     points = means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
-    from_m = (means - measured_from).norm(dim=1)
-    nearer = from_m / points.norm(dim=1).clamp(min=_NEAREST_M)
-    share = (_SHARE * nearer**4).clamp(max=1.0)
-    seen = (share > _LEAST_SHARE) & (points[:, 2] > _NEAREST_M)
-    (places,) = torch.nonzero(seen, as_tuple=True)
-    points = points[places]
+    previous_m = (means - measured_from).norm(dim=1)
+    ratio = previous_m / points.norm(dim=1).clamp(min=_MIN_DEPTH_M)
+    weight = (_WEIGHT * ratio**4).clamp(max=1.0)
+    candidates = (weight > _MIN_WEIGHT) & (points[:, 2] > _MIN_DEPTH_M)
+    (indices,) = torch.nonzero(candidates, as_tuple=True)
+    points = points[indices]
     depth = _surface_depth(depth_m, newest, points)
-    gate = torch.minimum(_NOISE * torch.maximum(from_m[places], depth) ** 2, _ON_SURFACE * depth)
-    on_surface = (depth - points[:, 2]).abs() < gate
-    places, points, depth = places[on_surface], points[on_surface], depth[on_surface]
+    noise = _MAX_INVERSE_DISTANCE * torch.maximum(previous_m[indices], depth) ** 2
+    on_surface = (depth - points[:, 2]).abs() < torch.minimum(noise, _MAX_DISTANCE * depth)
+    indices, points, depth = indices[on_surface], points[on_surface], depth[on_surface]
 
-    share = share[places]
-    eye = torch.from_numpy(newest.T_map_camera[:3, 3]).to(means)
-    stretch = 1.0 + share * (depth / points[:, 2] - 1.0)
-    return MeasuredCentres(places, eye + stretch[:, None] * (means[places] - eye), share >= 1.0)
+    weight = weight[indices]
+    position = torch.from_numpy(newest.T_map_camera[:3, 3]).to(means)
+    scale = 1.0 + weight * (depth / points[:, 2] - 1.0)
+    centres = position + scale[:, None] * (means[indices] - position)
+    return MeasuredCentres(indices, centres, weight >= 1.0)
 
 
 def _surface_depth(depth_m: Tensor, keyframe: Keyframe, points: Tensor) -> Tensor:
-    """Depth [n] of the surface where points [n, 3] in the camera's frame appear; 0 for none."""
+    """Depth [n] measured at the projections of points [n, 3] in camera coordinates; 0 if none."""
     camera = keyframe.camera
     u = camera.fx * points[:, 0] / points[:, 2] + camera.cx
     v = camera.fy * points[:, 1] / points[:, 2] + camera.cy
@@ -114,7 +116,7 @@ def _surface_depth(depth_m: Tensor, keyframe: Keyframe, points: Tensor) -> Tenso
     right, down = u - column, v - row
     inverse = torch.where(depth_m > 0, 1.0 / depth_m.clamp(min=1e-6), 0.0)
     corners = torch.stack([inverse[row + j, column + i] for j in (0, 1) for i in (0, 1)])
-    # Linear in inverse depth, as planes are.
+    # Interpolate inverse depth, which is linear on a plane.
     weights = torch.stack(
         [(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right]
     )

@@ -1,4 +1,4 @@
-"""The mapper from options."""
+"""Build the semantics of a map from options."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolkit.semantics.options import SemanticsOptions
 def build_semantic_mapping(
     options: SemanticsOptions, code: SemanticCode | None, seed: int
 ) -> SemanticMapping:
-    """Semantics of a map, or none where there is no code."""
+    """Build the semantics of a map; without a code, the map has no semantics."""
     if code is None:
         return SemanticMapping()
     network = None

@@ -19,13 +19,13 @@ from toolkit.mapping.sparse_adam import SparseAdam
 
 @dataclass(frozen=True)
 class MapContent:
-    """A map without the moments of its optimiser, on the CPU.
+    """Content of a map without the moments of its optimiser, on the CPU.
 
     Attributes:
         gaussians: N Gaussians.
         keyframes: in order.
-        seeded_by: [N] int32, frame index of the keyframe that seeded each Gaussian, or that has
-            since measured its centre from much nearer.
+        seeded_by: [N] int32 frame index of the keyframe that seeded each Gaussian, or of the one
+            that has measured its centre since from much nearer.
         steps: [N] int32, optimisation steps of each Gaussian.
     """
 
@@ -36,12 +36,12 @@ class MapContent:
 
 
 class GaussianMap:
-    """Keeps Gaussians, their origin and the state of their optimiser in step.
+    """Gaussians, their keyframes of origin and the state of their optimiser, kept consistent.
 
     Args:
         rates: learning rates of the optimiser.
-        feature_channels: S of the Gaussians.
-        device: where the Gaussians are.
+        feature_channels: number of feature channels S of the Gaussians.
+        device: device that stores the Gaussians.
         centred_colours: of new Gaussians, as in `GaussianCloud`.
 
     Attributes:
@@ -72,7 +72,7 @@ class GaussianMap:
         return MapContent(self.gaussians.to("cpu"), self.keyframes, seeded_by, steps)
 
     def replace_content(self, content: MapContent) -> None:
-        """Replace everything; of the optimiser's state only the step counts are known."""
+        """Replace the content; the moments of the optimiser are reset."""
         self.gaussians, self.keyframes = content.gaussians.to(self.device), content.keyframes
         self.seeded_by = content.seeded_by.to(self.device)
         channels = self.gaussians.features.shape[1]
@@ -86,8 +86,8 @@ class GaussianMap:
         seeds = replace(seeds.to(self.device), centred_colours=centred)
         self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
         self.optimiser.extend(len(seeds))
-        origin = self.seeded_by.new_full((len(seeds),), keyframe.index)
-        self.seeded_by = torch.cat([self.seeded_by, origin])
+        seeded_by = self.seeded_by.new_full((len(seeds),), keyframe.index)
+        self.seeded_by = torch.cat([self.seeded_by, seeded_by])
 
     def keep(self, mask: Tensor) -> None:
         """Remove the Gaussians outside a mask [N]."""

@@ -1,4 +1,4 @@
-"""Which frames become keyframes, and which keyframes a mapping call optimises."""
+"""Selection of the keyframes that a mapping call optimises."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ def choose_window(
     min_overlap: float,
     generator: np.random.Generator,
 ) -> list[Keyframe]:
-    """Choose the newest keyframe and up to `size - 1` random ones that see the same place.
+    """Choose the newest keyframe and up to `size - 1` random keyframes that overlap with it.
 
     Args:
         keyframes: at least one, in order.
         size: maximum number of keyframes in the window.
-        min_overlap: share of the newest keyframe's points that another one must see.
-        generator: draws the random ones.
+        min_overlap: minimum fraction of the newest keyframe's points visible in the others.
+        generator: chooses among the overlapping keyframes.
     """
     newest = keyframes[-1]
     others = keyframes[:-1]

@@ -35,7 +35,7 @@ class MappingResult:
 
     Attributes:
         seeded, pruned: number of Gaussians added and removed.
-        loss: of the last optimisation step, nan if there was none.
+        loss: loss of the last optimisation step, nan if there was none.
     """
 
     seeded: int
@@ -47,9 +47,9 @@ class Mapper:
     """Extends, optimises and refines one map.
 
     Args:
-        generator: draws keyframes, and pixels if the options seed a random share of them.
-        semantics: of the map; none by default.
-        device: where the map is kept and optimised, "cpu" or "cuda".
+        generator: chooses keyframes, and pixels if only a random fraction of them is seeded.
+        semantics: semantics of the map; none by default.
+        device: device that stores and optimises the map, "cpu" or "cuda".
     """
 
     def __init__(
@@ -100,8 +100,8 @@ class Mapper:
         """Extend and optimise the map with a keyframe.
 
         Args:
-            keyframe: at its pose in the map's frame. Its class ids are those of the map's
-                taxonomy; a map without semantics drops them.
+            keyframe: at its pose in the map's frame. Its class ids refer to the map's taxonomy;
+                a map without semantics removes them.
         """
         if self.semantics.channels == 0:
             keyframe.class_ids = None
@@ -118,11 +118,11 @@ class Mapper:
         return MappingResult(seeded, self._densification.prune(self.map), loss)
 
     def optimise_window(self, steps: int, poses: bool = False) -> None:
-        """Optimise further around the newest keyframe (G: at a boundary between submaps).
+        """Optimise the window of the newest keyframe (G: at a boundary between submaps).
 
         Args:
-            steps: optimisation steps.
-            poses: optimise the keyframes' poses too, except the first one's.
+            steps: number of optimisation steps.
+            poses: optimise the poses of keyframes too, except the first keyframe's.
         """
         self._optimise(steps, poses)
         self._densification.prune(self.map)
@@ -132,7 +132,7 @@ class Mapper:
 
         Args:
             indices: frame indices of the keyframes; others are ignored.
-            iterations: of each keyframe.
+            iterations: number of optimisation steps on each keyframe.
         """
         wanted = set(indices)
         chosen = [keyframe for keyframe in self.keyframes if keyframe.index in wanted]
@@ -140,9 +140,9 @@ class Mapper:
             return
         objective = Objective()
         for done in range(iterations):
-            for number, place in enumerate(self._generator.permutation(len(chosen))):
+            for number, index in enumerate(self._generator.permutation(len(chosen))):
                 progress = (done * len(chosen) + number, iterations * len(chosen))
-                self.step(chosen[place], progress, objective)
+                self.step(chosen[index], progress, objective)
         self._densification.prune(self.map)
 
     def step(self, keyframe: Keyframe, progress: tuple[int, int], objective: Objective) -> float:
@@ -160,12 +160,12 @@ class Mapper:
                     self._render_features,
                     self.options.consensus,
                 )
-            self.map.optimiser.forget("features")
+            self.map.optimiser.reset("features")
         refine(self.map, self._optimisation, self.options, self._generator)
         self._densification.prune(self.map)
 
     def replace_content(self, content: MapContent) -> None:
-        """Work on other content from now on."""
+        """Replace the Gaussians, keyframes and step counts of the map."""
         self.map.replace_content(content)
 
     @property

@@ -1,4 +1,4 @@
-"""Keyframes' images on the device of the map, so that a step copies nothing."""
+"""Cache of keyframe images on the device of the map, so that they are not copied in each step."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from torch import Tensor
 
 from toolkit.keyframe import Keyframe, Observed
 
-# Keyframes whose images stay on a GPU: more than one call's window, of some megabytes each.
-_MOST = 32
+# Maximum number of keyframes in the cache: more than a mapping window, a few megabytes each.
+_MAX_KEYFRAMES = 32
 
 
 class Observations:
-    """The images of the keyframes used last; on a CPU the keyframes' own."""
+    """LRU cache of keyframe images; on a CPU it returns the keyframes' own images."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
-        self._held: OrderedDict[int, tuple[tuple[Tensor | None, ...], Observed]] = OrderedDict()
+        self._cache: OrderedDict[int, tuple[tuple[Tensor | None, ...], Observed]] = OrderedDict()
 
     def of(self, keyframe: Keyframe) -> Observed:
-        """A keyframe's images."""
+        """The images of a keyframe on the map's device."""
         if self._device.type == "cpu":
             return keyframe.images
         source = (keyframe.rgb, keyframe.depth_m, keyframe.class_ids)
-        held = self._held.pop(keyframe.index, None)
-        # Labels may have been overruled since, and another submap counts from 0 again.
-        if held is None or any(a is not b for a, b in zip(held[0], source, strict=True)):
-            held = source, keyframe.images.to(self._device)
-        self._held[keyframe.index] = held
-        if len(self._held) > _MOST:
-            self._held.popitem(last=False)
-        return held[1]
+        cached = self._cache.pop(keyframe.index, None)
+        # Labels may have been corrected, and keyframes of other submaps may have the same index.
+        if cached is None or any(a is not b for a, b in zip(cached[0], source, strict=True)):
+            cached = source, keyframe.images.to(self._device)
+        self._cache[keyframe.index] = cached
+        if len(self._cache) > _MAX_KEYFRAMES:
+            self._cache.popitem(last=False)
+        return cached[1]

@@ -32,7 +32,7 @@ class Objective:
 
     Attributes:
         adjust_poses: optimise the poses of keyframes too, except the first keyframe's.
-        feature: an additional term on the whole image.
+        feature: additional loss of image features, or None.
     """
 
     adjust_poses: bool = False
@@ -43,7 +43,7 @@ class MapOptimisation:
     """Optimises a map, one keyframe at a time.
 
     Args:
-        observations: the images of keyframes on the map's device.
+        observations: cache of keyframe images on the map's device.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class MapOptimisation:
         """
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         rgb, depth_m, labels = keyframe.observed(self._observations.of(keyframe))
-        if not self._semantics.takes_part(progress[0]):
+        if not self._semantics.is_due(progress[0]):
             labels = None
         with self._recorder.timed("map forward"):
             options = RenderOptions(features=labels is not None)
@@ -82,20 +82,20 @@ class MapOptimisation:
             if view.centred_colours:
                 rgb = resample_at_centres(rgb, view)
             images = view.forward_pass.images
-            by_images = images.new_empty(len(images) - 3, *images.shape[1:])
-            loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, by_images[:BASE_CHANNELS])
+            gradient = images.new_empty(len(images) - 3, *images.shape[1:])
+            loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, gradient[:BASE_CHANNELS])
             if objective.feature is not None:
-                feature_loss, by_colour = objective.feature.gradient(images[COLOUR], rgb)
-                by_images[COLOUR] += by_colour
+                feature_loss, colour_gradient = objective.feature.gradient(images[COLOUR], rgb)
+                gradient[COLOUR] += colour_gradient
                 loss += feature_loss
         with self._recorder.timed("map semantic loss"):
-            semantic, by_images, detached = self._semantics.gradient(
-                view, labels, progress, by_images
+            semantic, gradient, detached = self._semantics.add_gradient(
+                view, labels, progress, gradient
             )
         with self._recorder.timed("map backward"):
-            gradients = view.forward_pass.backward(by_images, detached=detached)
+            gradients = view.forward_pass.backward(gradient, detached=detached)
         with self._recorder.timed("map update"):
-            with_features = len(by_images) > BASE_CHANNELS
+            with_features = len(gradient) > BASE_CHANNELS
             names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
             named = {name: getattr(gradients, name) for name in names}
             gaussian_map.optimiser.step(gaussian_map.gaussians, named, gradients.ids)
@@ -103,11 +103,11 @@ class MapOptimisation:
                 self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
         return loss + semantic
 
-    def _adjust_pose(self, keyframe: Keyframe, by_matrix: NDArray[np.float64]) -> None:
+    def _adjust_pose(self, keyframe: Keyframe, matrix_gradient: NDArray[np.float64]) -> None:
         """Take one step on a keyframe's pose.
 
         Args:
-            by_matrix: [3, 4] derivative of the loss by the entries of T_camera_map.
+            matrix_gradient: [3, 4] derivative of the loss with respect to T_camera_map.
         """
         adam = PoseAdam(
             self._options.pose_translation_m,
@@ -116,5 +116,5 @@ class MapOptimisation:
         )
         keyframe.pose_moments = adam.moments
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        step = adam.step(pose_gradient(by_matrix, T_camera_map))
+        step = adam.step(pose_gradient(matrix_gradient, T_camera_map))
         keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))

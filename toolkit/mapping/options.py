@@ -52,10 +52,11 @@ class LearningRates:
     features: NonNegativeFloat = 1.0
     """Learning rate of the semantic code, in logits."""
     epsilon: PositiveFloat = 0.05
-    """Adam's epsilon: gradients well below it have little effect, so that a Gaussian that fits
-    stays in place."""
+    """Adam's epsilon. Gradients well below it have little effect, so that Gaussians that fit the
+    images do not move."""
     settle_steps: NonNegativeFloat = 60.0
-    """Number of iterations of a Gaussian after which its learning rates are halved."""
+    """Number of iterations of a Gaussian after which its learning rates are halved. 0 keeps them
+    constant."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,7 @@ class MapperOptions:
     """Fraction of the iterations spent on the newest keyframe."""
     min_overlap: Fraction = 0.15
     """Minimum overlap of a keyframe with the newest one to be optimised together with it."""
-    # At 0.5, pinholes remain that no keyframe closes: -0.5 dB and 10 % fewer Gaussians (in a room
-    # and a ring).
+    # At 0.5, small holes remain: -0.5 dB and 10 % fewer Gaussians (in a room and a ring of rooms).
     min_silhouette: Annotated[float, Range(gt=0, lt=1)] = 0.85
     """Silhouette below which new Gaussians are seeded (Hier-SLAM++: tau_sil)."""
     depth_floor: NonNegativeFloat = 0.03

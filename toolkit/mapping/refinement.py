@@ -26,7 +26,7 @@ def refine(
 ) -> None:
     """Optimise a map over all keyframes, each equally often, in random order.
 
-    Colours are fitted at the pixels from now on, no longer at the centres of the Gaussians.
+    Afterwards colours are fitted at the pixels, no longer at the centres of the Gaussians.
 
     Args:
         generator: chooses the order.
@@ -49,9 +49,9 @@ def refine(
     if options.final_on_surfaces and rounds:
         surfaces = Surfaces.of(gaussian_map.gaussians.means)
     for done in range(rounds):
-        for number, place in enumerate(generator.permutation(count)):
+        for number, index in enumerate(generator.permutation(count)):
             progress = (done * count + number, rounds * count)
-            optimisation.step(gaussian_map, gaussian_map.keyframes[place], progress, objective)
+            optimisation.step(gaussian_map, gaussian_map.keyframes[index], progress, objective)
         if surfaces is not None:
-            gaussian_map.move(surfaces.nearest(gaussian_map.gaussians.means))
+            gaussian_map.move(surfaces.project(gaussian_map.gaussians.means))
     optimiser.steps = optimiser.steps + removed_steps

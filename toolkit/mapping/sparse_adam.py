@@ -1,4 +1,4 @@
-"""Adam that touches only the Gaussians a view shows, and follows the map as it changes."""
+"""Adam that updates only the visible Gaussians, and supports adding and removing Gaussians."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BETA1, BETA2 = 0.9, 0.99
 
 
 class SparseAdam:
-    """Moments and step counts of every Gaussian of one map."""
+    """Adam optimiser with moments and a step count for each Gaussian of a map."""
 
     def __init__(
         self,
@@ -30,36 +30,36 @@ class SparseAdam:
         self.steps = torch.zeros(0, dtype=torch.int32, device=device)
 
     def extend(self, count: int) -> None:
-        """Make room for new Gaussians at the end."""
+        """Append zero moments for new Gaussians."""
         self.steps = torch.cat([self.steps, self.steps.new_zeros(count)])
         for moments in (self._first, self._second):
             for name, moment in moments.items():
                 moments[name] = torch.cat([moment, moment.new_zeros(count, *moment.shape[1:])])
 
     def keep(self, mask: Tensor) -> None:
-        """Forget the Gaussians that a mask [N] drops."""
+        """Remove the Gaussians outside a mask [N]."""
         index = mask.nonzero().squeeze(1)
         self.steps = self.steps.index_select(0, index)
         for moments in (self._first, self._second):
             for name, moment in moments.items():
                 moments[name] = moment.index_select(0, index)
 
-    def forget(self, name: str) -> None:
-        """Drop the moments of a parameter that was set anew."""
+    def reset(self, name: str) -> None:
+        """Set the moments of a parameter to zero, for instance after its values were replaced."""
         self._first[name].zero_()
         self._second[name].zero_()
 
     def step(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
-        """Move the Gaussians `ids` [V] of a cloud in place against compact gradients [V, ...].
+        """Update the Gaussians `ids` [V] of a cloud in place from compact gradients [V, ...].
 
-        Parameters without a gradient in the dictionary stay as they are.
+        Parameters without a gradient in the dictionary do not change.
         """
         module = kernels_for(cloud.means)
         if module is None:
             self._step_torch(cloud, gradients, ids)
             return
         groups = []
-        # Centres first: their unit is the radius before this step, as below.
+        # Centres first: their unit is the radius before this step, as in `_step_torch`.
         for name, gradient in sorted(gradients.items(), key=lambda item: item[0] != "means"):
             parameter = getattr(cloud, name)
             width = parameter[0].numel() if len(parameter) else 1
@@ -93,14 +93,14 @@ class SparseAdam:
             getattr(cloud, name)[ids] -= rate[wide] * m / scale
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes."""
+        """Arrays for `restore`."""
         arrays: dict[str, NDArray] = {"steps": self.steps.cpu().numpy()}
         for kind, moments in (("first", self._first), ("second", self._second)):
             arrays.update({f"{kind}_{name}": m.cpu().numpy() for name, m in moments.items()})
         return arrays
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over the moments of an earlier `state`."""
+        """Restore the moments of an earlier `state`."""
         device = self.steps.device
         self.steps = torch.from_numpy(np.array(arrays["steps"])).to(device)
         for kind, moments in (("first", self._first), ("second", self._second)):

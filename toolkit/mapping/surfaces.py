@@ -1,4 +1,4 @@
-"""The surfaces that centres lie on, so that a refinement of colours leaves them there."""
+"""Local planes through the centres of Gaussians, which constrain the centres in refinement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from toolkit.geometry.open3d_bridge import open3d
 
-# Centres that a surface is told from. With 32 instead, walls and views are the same.
+# Number of neighbours that a plane is fitted to. With 32, walls and renderings are equally good.
 _NEIGHBOURS = 16
 
 
@@ -19,8 +19,8 @@ class Surfaces:
     """A plane through each of N centres.
 
     Attributes:
-        centres: [N, 3], m.
-        normals: [N, 3], units, of either sign.
+        centres: [N, 3] in metres.
+        normals: [N, 3] unit normals of arbitrary sign; zero for unconstrained centres.
     """
 
     centres: Tensor
@@ -28,7 +28,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, centres: Tensor) -> Surfaces:
-        """Planes through centres [N, 3] along their neighbours; free where these are too few."""
+        """Fit planes to the neighbours of centres [N, 3]; too few centres are unconstrained."""
         normals = torch.zeros_like(centres)
         if len(centres) >= _NEIGHBOURS:
             o3d = open3d()
@@ -38,7 +38,7 @@ class Surfaces:
             normals = torch.from_numpy(np.asarray(cloud.normals)).to(centres)
         return cls(centres.clone(), normals)
 
-    def nearest(self, centres: Tensor) -> Tensor:
-        """Where moved centres [N, 3] come to lie when each is put back on its plane."""
-        off = ((centres - self.centres) * self.normals).sum(dim=1, keepdim=True)
-        return centres - off * self.normals
+    def project(self, centres: Tensor) -> Tensor:
+        """Project moved centres [N, 3] onto their planes."""
+        distance = ((centres - self.centres) * self.normals).sum(dim=1, keepdim=True)
+        return centres - distance * self.normals
