@@ -63,7 +63,7 @@ def test_a_frame_without_labels_is_void_and_warns_once(caplog):
         assert not segmenter.segment(frame(7)).any()
         assert not segmenter.segment(frame(8)).any()
     assert [r.message for r in caplog.records] == [
-        "frame 7 has no label image; it, and others like it, count as void"
+        "Frame 7 has no label image; frames without one are treated as void."
     ]
 
 
@@ -71,7 +71,9 @@ def test_a_frame_without_labels_is_void_and_warns_once(caplog):
 def test_an_id_without_a_name_is_an_error_with_frame_and_id(wrong):
     labels = some_labels()
     labels[3, 4] = wrong
-    with pytest.raises(DatasetError, match=rf"frame 5 holds class id\(s\) {wrong} without a name"):
+    with pytest.raises(
+        DatasetError, match=rf"frame 5 contains class id\(s\) {wrong} without a name"
+    ):
         RecordedLabels(NAMES).segment(frame(5, labels))
 
 
@@ -98,11 +100,11 @@ def test_files_pair_by_the_stems_of_the_frames(make_folder):
 @pytest.mark.parametrize(
     ("files", "stems", "named"),
     [
-        ({"1.png": 1, "2.png": 1}, None, "numbers begin at 1, but frames count from 0"),
+        ({"1.png": 1, "2.png": 1}, None, "numbers start at 1, but frame indices start at 0"),
         ({"wall.png": 1}, None, "wall.png has no number"),
         ({"a0.png": 1, "b0.png": 1}, None, "b0.png and a0.png both have number 0"),
-        ({"x0.png": 1}, ["frame0"], r"frame0 was looked for, x0 is there"),
-        ({}, None, "holds no PNG file"),
+        ({"x0.png": 1}, ["frame0"], r"expected for instance frame0, found x0"),
+        ({}, None, "contains no PNG file"),
     ],
 )
 def test_files_that_cannot_be_paired_are_named(make_folder, files, stems, named):
@@ -113,7 +115,7 @@ def test_files_that_cannot_be_paired_are_named(make_folder, files, stems, named)
 
 def test_a_missing_file_is_an_error_unless_gaps_are_allowed(make_folder, caplog):
     folder = make_folder({"0.png": some_labels()})
-    with pytest.raises(DatasetError, match="no label image for frame 1; add it, or allow gaps"):
+    with pytest.raises(DatasetError, match=r"no label image for frame 1; add it, or set .*gaps"):
         LabelImageFolder(folder).segment(frame(1))
     allowed = LabelImageFolder(folder, gaps=True)
     assert not allowed.segment(frame(1)).any()
@@ -147,7 +149,7 @@ def test_another_aspect_ratio_is_an_error_with_the_file(make_folder, shape):
 def test_a_truncated_file_and_a_wrong_id_are_named(make_folder):
     folder = make_folder({"0.png": some_labels(), "1.png": np.full((HEIGHT, WIDTH), 9)})
     segmenter = LabelImageFolder(folder)
-    with pytest.raises(DatasetError, match=r"1\.png holds class id\(s\) 9 without a name"):
+    with pytest.raises(DatasetError, match=r"1\.png contains class id\(s\) 9 without a name"):
         segmenter.segment(frame(1))
     (folder / "0.png").write_bytes((folder / "0.png").read_bytes()[:-20])
     with pytest.raises(DatasetError, match=r"0\.png is truncated"):
@@ -192,7 +194,7 @@ def test_coloured_files_without_a_table_are_no_label_images(make_folder):
         ('{"classes": {"0": "wall", "1": "a"}}', "0 is void, so it cannot be 'wall'"),
         ('{"classes": ["a"]}', "'classes' must be a mapping"),
         ('{"void": 255, "classes": {"1": "a"}}', "void is 255, but must be 0"),
-        ('{"classes": {}}', "names no class"),
+        ('{"classes": {}}', "contains no class"),
         ('{"classes": {"1": "a"}, "colours": {"1": [1, 2]}}', r"the colour of class 1 is \[1, 2\]"),
         ('{"classes": {"1": "a"}, "colours": {"1": [0, 0, 0]}}', "class 1 is black"),
         ('{"classes": {"1": "a"}, "colours": {"2": [9, 0, 0]}}', r"id\(s\) 2 without a name"),
@@ -215,5 +217,5 @@ def test_a_folder_without_a_table_or_that_is_none_is_named(make_folder, tmp_path
     (folder / "classes.json").unlink()
     with pytest.raises(DatasetError, match=r"cannot read .*classes\.json"):
         LabelImageFolder(folder)
-    with pytest.raises(DatasetError, match="is no folder"):
+    with pytest.raises(DatasetError, match="is not a folder"):
         LabelImageFolder(tmp_path / "nothing")

@@ -287,17 +287,17 @@ def test_a_head_of_another_encoder_is_refused(trained, tiny_dinov2, broken):
 def test_a_head_keeps_the_size_it_was_trained_at(trained, tiny_dinov2):
     _, head = trained
     assert head.longest_side == 64
-    with pytest.raises(ValueError, match="must see 64 pixels, got 128"):
+    with pytest.raises(ValueError, match="must be 64 pixels, got 128"):
         HeadSegmenter(PatchEncoder(tiny_dinov2, 128, "cpu"), head)
 
 
 def test_files_that_are_no_heads_are_named(tmp_path, segformer):
-    with pytest.raises(FormatError, match="is not there; train a head"):
+    with pytest.raises(FormatError, match="does not exist; train a head"):
         LinearHead.load(tmp_path / "none.safetensors")
-    with pytest.raises(FormatError, match="its format is 'pt', not"):
+    with pytest.raises(FormatError, match="the format is 'pt', not"):
         LinearHead.load(segformer / "model.safetensors")
     (tmp_path / "text.safetensors").write_text("no head")
-    with pytest.raises(FormatError, match=r"text\.safetensors is no head of semsplat"):
+    with pytest.raises(FormatError, match=r"text\.safetensors is not a semsplat head"):
         LinearHead.load(tmp_path / "text.safetensors")
 
 
@@ -306,8 +306,8 @@ def test_nothing_can_be_learned_without_labels(tiny_dinov2):
     generator = np.random.default_rng(0)
     with pytest.raises(DatasetError, match="no frame has a labelled pixel"):
         train_head(encoder, [], NAMES, generator)
-    with pytest.raises(DatasetError, match="gives the name 'red' to several"):
+    with pytest.raises(DatasetError, match="several classes of the dataset have the name 'red'"):
         train_head(encoder, [coloured_frame(0)], {3: "red", 5: "red"}, generator)
     few = HeadTrainingOptions(patches_per_frame=5)
-    with pytest.raises(DatasetError, match=r"frame 0 holds class id\(s\) 9 without a name"):
+    with pytest.raises(DatasetError, match=r"frame 0 contains class id\(s\) 9 without a name"):
         train_head(encoder, [coloured_frame(0)], {3: "red", 5: "green"}, generator, few)

@@ -47,7 +47,7 @@ def test_images_pair_as_the_settings_say(tmp_path):
     images["pairing"] = "stem"
     with pytest.raises(SettingsError, match="pairing number"):
         build_segmenter(settings(kind="images", images=images), None)
-    with pytest.raises(DatasetError, match="frame7 was looked for"):
+    with pytest.raises(DatasetError, match="expected for instance frame7"):
         build_segmenter(settings(kind="images", images=images), None, ["frame7"])
 
 

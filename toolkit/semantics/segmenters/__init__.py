@@ -1,1 +1,1 @@
-"""Where labels come from."""
+"""Segmenters: sources of labels."""

@@ -19,12 +19,12 @@ from toolkit.semantics.segmenters.vocabulary import Vocabulary
 
 @dataclass(frozen=True)
 class HeadTrainingOptions:
-    """How a head is trained.
+    """Options of the training of a head.
 
     Attributes:
-        patches_per_frame: most patches of a frame that take part, chosen at random.
-        steps: most steps of L-BFGS.
-        decay: weight of the squared weights in the loss, against overfitting.
+        patches_per_frame: maximum number of random patches per frame.
+        steps: maximum number of L-BFGS iterations.
+        decay: weight of the L2 regularisation.
     """
 
     patches_per_frame: int = 400
@@ -34,12 +34,12 @@ class HeadTrainingOptions:
 
 @dataclass(frozen=True)
 class HeadScore:
-    """How a head does on frames that it was not trained on, void left out.
+    """Scores of a head on held-out frames, without void pixels.
 
     Attributes:
-        frames: how many.
-        accuracy: share of pixels with the right class.
-        mean_iou: mean over the classes that appear in these frames' labels.
+        frames: number of frames.
+        accuracy: fraction of correctly classified pixels.
+        mean_iou: mean IoU of the classes in the labels of these frames.
     """
 
     frames: int
@@ -54,21 +54,23 @@ def train_head(
     generator: np.random.Generator,
     options: HeadTrainingOptions | None = None,
 ) -> LinearHead:
-    """Fit a head by multinomial regression, a patch's target being the mix of its labels.
+    """Fit a head by multinomial regression to the fractions of the classes in each patch.
 
     Args:
-        frames: labelled frames; those without labels are passed over.
-        names: class names by label id; the head knows those that appear.
-        generator: chooses patches.
+        encoder: computes the patch features.
+        frames: labelled frames; frames without labels are skipped.
+        names: class names by label id; the head predicts the classes that appear in the labels.
+        generator: selects the patches.
+        options: training options.
 
     Raises:
-        DatasetError: no pixel has a class, an id has no name, or a name several ids.
+        DatasetError: no pixel has a class, an id has no name, or several ids have the same name.
     """
     options = options or HeadTrainingOptions()
-    vocabulary = Vocabulary(names, "the data set's classes.json")
+    vocabulary = Vocabulary(names, "the dataset's classes.json")
     repeated = sorted({n for n in names.values() if list(names.values()).count(n) > 1})
     if repeated:
-        raise DatasetError(f"the data set gives the name '{repeated[0]}' to several classes")
+        raise DatasetError(f"several classes of the dataset have the name '{repeated[0]}'")
     ids = np.array(sorted(names))
     features, targets = [], []
     for frame in frames:
@@ -76,14 +78,14 @@ def train_head(
             continue
         vocabulary.check(frame.labels, f"the label image of frame {frame.index}")
         found = encoder.features(frame.rgb).cpu()
-        mix = _patch_labels(frame.labels, ids, found.shape[:2])
-        found, mix = found.reshape(-1, encoder.channels), mix.reshape(-1, len(ids))
-        labelled = np.flatnonzero(mix.sum(axis=1) > 0)
+        fractions = _patch_labels(frame.labels, ids, found.shape[:2])
+        found, fractions = found.reshape(-1, encoder.channels), fractions.reshape(-1, len(ids))
+        labelled = np.flatnonzero(fractions.sum(axis=1) > 0)
         chosen = generator.permutation(labelled)[: options.patches_per_frame]
         features.append(found[torch.from_numpy(chosen)])
-        targets.append(torch.from_numpy(mix[chosen]))
+        targets.append(torch.from_numpy(fractions[chosen]))
     if not features or not sum(len(t) for t in targets):
-        raise DatasetError("no frame has a labelled pixel; a head cannot be trained without")
+        raise DatasetError("no frame has a labelled pixel; training a head needs labels")
     all_targets = torch.cat(targets)
     present = all_targets.sum(dim=0) > 0
     weights, bias = _fit(torch.cat(features), all_targets[:, present], options)
@@ -94,7 +96,7 @@ def train_head(
 def score_head(
     encoder: PatchEncoder, head: LinearHead, frames: Iterable[Frame], names: Mapping[int, str]
 ) -> HeadScore:
-    """Compare a head's labels with those of frames it was not trained on.
+    """Compare a head's labels with those of held-out frames.
 
     Raises:
         DatasetError: no frame has a labelled pixel.
@@ -113,7 +115,7 @@ def score_head(
         confusion += np.bincount(pairs, minlength=count * count).reshape(count, count)
         scored += 1
     if not confusion.any():
-        raise DatasetError("no held-out frame has a labelled pixel; nothing can be measured")
+        raise DatasetError("no held-out frame has a labelled pixel; scoring a head needs labels")
     right = np.diag(confusion)
     union = confusion.sum(axis=0) + confusion.sum(axis=1) - right
     present = confusion.sum(axis=1) > 0
@@ -124,19 +126,19 @@ def score_head(
 def _patch_labels(
     labels: NDArray[np.int32], ids: NDArray[np.int64], grid: tuple[int, ...]
 ) -> NDArray[np.float32]:
-    """Share [rows, columns, C] that each class has of each patch; void leaves a rest."""
+    """Return the fraction [rows, columns, C] of each class in each patch; void is left out."""
     rows, columns = grid
-    shares = [
+    fractions = [
         cv2.resize((labels == i).astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
         for i in ids
     ]
-    return np.stack(shares, axis=-1)
+    return np.stack(fractions, axis=-1)
 
 
 def _fit(
     features: torch.Tensor, targets: torch.Tensor, options: HeadTrainingOptions
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weights [C, D] and bias [C] of the least weighted cross-entropy."""
+    """Return the weights [C, D] and bias [C] that minimise the regularised cross-entropy."""
     mean, deviation = features.mean(dim=0), features.std(dim=0, correction=0).clamp_min(1e-6)
     scaled = (features - mean) / deviation
     weights = torch.zeros(targets.shape[1], features.shape[1], requires_grad=True)
@@ -155,6 +157,6 @@ def _fit(
 
     optimiser.step(loss)
     with torch.no_grad():
-        # The scaling of features becomes part of the head.
-        plain = weights / deviation
-        return plain.contiguous(), bias - plain @ mean
+        # Include the normalisation of the features in the weights and bias.
+        unscaled = weights / deviation
+        return unscaled.contiguous(), bias - unscaled @ mean

@@ -1,4 +1,4 @@
-"""Labels from a folder of PNG files that any tool wrote."""
+"""Labels from a folder of PNG files."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _log = logging.getLogger(__name__)
 
 
 class LabelImageFolder:
-    """Labels from `STEM.png` files of class ids with `classes.json` beside them.
+    """Labels from `STEM.png` files of class ids and a `classes.json` file in the same folder.
 
-    Files hold 8- or 16-bit ids, or colours where `classes.json` has `colours`. They belong to
-    the images as the run sees them, undistorted and uncropped, and may be of another size
-    with the same aspect ratio: then each pixel takes the one that holds its centre.
+    Files contain 8- or 16-bit ids, or colours if `classes.json` has `colours`. They correspond to
+    the frames of the run: undistorted and uncropped. Files of another size with the same aspect
+    ratio are resampled to the nearest neighbour.
 
     Args:
-        folder: where they lie.
-        stems: the names, without suffix, of the frames' own images by index: files pair by
-            stem. Without them, the last number in a file's name is the frame's index.
-        gaps: whether frames may lack a file; they are void, with one warning.
+        folder: folder of the files.
+        stems: file names of the frames' images without suffix, by frame index; files are assigned
+            by stem. Without them, the last number in a file's name is the frame's index.
+        gaps: whether files may be missing; their frames are void, with one warning.
 
     Raises:
-        DatasetError: the folder holds no PNG file or no valid `classes.json`, or its files
-            do not pair with frames.
+        DatasetError: the folder contains no PNG file or no valid `classes.json`, or its files
+            cannot be assigned to frames.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class LabelImageFolder:
         self._warned = False
         names_file = folder / "classes.json"
         if not folder.is_dir():
-            raise DatasetError(f"{folder} is no folder; give the folder of the label images")
+            raise DatasetError(f"{folder} is not a folder; set the folder of the label images")
         self._vocabulary = Vocabulary(read_class_names(names_file), str(names_file))
         self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = self._vocabulary.names
@@ -58,11 +58,11 @@ class LabelImageFolder:
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """The labels [H, W] of the frame's file.
+        """Return the labels [H, W] of the frame's file.
 
         Raises:
-            DatasetError: there is none, it cannot be read, its size does not fit, or it holds
-                an id or a colour without a name.
+            DatasetError: the file is missing, cannot be read, has the wrong size, or contains an
+                id or a colour without a name.
         """
         file = self._files.get(frame.index)
         if file is None:
@@ -73,12 +73,12 @@ class LabelImageFolder:
     def _missing(self, frame: Frame) -> NDArray[np.int32]:
         if not self._gaps:
             raise DatasetError(
-                f"{self._folder} has no label image for frame {frame.index}; add it, or allow "
-                "gaps (frames without labels are void)"
+                f"{self._folder} has no label image for frame {frame.index}; add it, or set "
+                "--semantics.segmenter.images.gaps to treat such frames as void"
             )
         if not self._warned:
             _log.warning(
-                "%s has no label image for frame %d; it, and others like it, count as void",
+                "%s has no label image for frame %d; frames without one are treated as void.",
                 self._folder,
                 frame.index,
             )
@@ -102,65 +102,67 @@ class LabelImageFolder:
         return ids
 
     def state(self) -> dict[str, NDArray]:
-        """Nothing: every frame stands for itself."""
+        """Return an empty state: frames are labelled independently."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`, which is empty."""
+        """Accept an earlier `state`, which is empty."""
 
 
 class _Palette:
     """Class ids by colour; black is void.
 
     Raises:
-        DatasetError: a class is black.
+        DatasetError: the colour of a class is black.
     """
 
-    _PLACES = np.array([65536, 256, 1])
+    _CHANNEL_WEIGHTS = np.array([65536, 256, 1])
 
     def __init__(self, colours: Mapping[int, tuple[int, int, int]], names_file: Path) -> None:
         black = [number for number, colour in colours.items() if number and not any(colour)]
         if black:
             raise DatasetError(
-                f"{names_file}: class {black[0]} is black, which is void; recolour it"
+                f"{names_file}: class {black[0]} is black, which is reserved for void; change its "
+                "colour"
             )
         known = {(0, 0, 0): 0} | {colour: number for number, colour in colours.items()}
-        codes = np.array(list(known)) @ self._PLACES
+        codes = np.array(list(known)) @ self._CHANNEL_WEIGHTS
         order = np.argsort(codes)
         self._codes, self._ids = codes[order], np.array(list(known.values()))[order]
 
     def ids(self, rgb: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Class ids [H, W] of colours [H, W, 3] from 0 to 255; -1 where there is none."""
-        codes = rgb @ self._PLACES
-        place = np.minimum(np.searchsorted(self._codes, codes), len(self._codes) - 1)
-        return np.where(self._codes[place] == codes, self._ids[place], -1).astype(np.int32)
+        """Return class ids [H, W] of colours [H, W, 3] in 0..255; -1 for unknown colours."""
+        codes = rgb @ self._CHANNEL_WEIGHTS
+        index = np.minimum(np.searchsorted(self._codes, codes), len(self._codes) - 1)
+        return np.where(self._codes[index] == codes, self._ids[index], -1).astype(np.int32)
 
 
 def _images(folder: Path) -> list[Path]:
     found = sorted(f for f in folder.iterdir() if f.suffix.lower() == ".png")
     if not found:
-        raise DatasetError(f"{folder} holds no PNG file; give the folder of the label images")
+        raise DatasetError(f"{folder} contains no PNG file; set the folder of the label images")
     return found
 
 
 def _by_stem(folder: Path, stems: Sequence[str]) -> dict[int, Path]:
-    """Files by the index of the frame whose image has their stem."""
+    """Assign files to frame indices by the stem of the frame's image."""
     files = {file.stem: file for file in _images(folder)}
     paired = {index: files[stem] for index, stem in enumerate(stems) if stem in files}
     if not paired:
         raise DatasetError(
-            f"{folder}: no file is called like a frame's image ({stems[0] if stems else 'none'} "
-            f"was looked for, {next(iter(files))} is there); rename them, or pair by number"
+            f"{folder}: no file has the name of a frame's image (expected for instance "
+            f"{stems[0] if stems else 'none'}, found {next(iter(files))}); rename them, or "
+            "pair by number"
         )
     return paired
 
 
 def _by_number(folder: Path) -> dict[int, Path]:
-    """Files by the last number in their names.
+    """Assign files to frame indices by the last number in their names.
 
     Raises:
-        DatasetError: a name has no number, two have the same, or counting begins after 0,
-            which would shift every label by a frame.
+        DatasetError: a name has no number, two have the same number, or there is no number 0.
+            Files numbered from 1 would shift the labels by one frame.
     """
     paired: dict[int, Path] = {}
     for file in _images(folder):
@@ -175,28 +177,28 @@ def _by_number(folder: Path) -> dict[int, Path]:
         paired[index] = file
     if 0 not in paired:
         raise DatasetError(
-            f"{folder}: numbers begin at {min(paired)}, but frames count from 0; renumber the "
-            "files, or pair by stem"
+            f"{folder}: the numbers start at {min(paired)}, but frame indices start at 0; renumber "
+            "the files, or pair by stem"
         )
     return paired
 
 
 def _resized(labels: NDArray[np.int32], size: tuple[int, int], file: Path) -> NDArray[np.int32]:
-    """Labels [H, W] at (width, height): each pixel takes the one that holds its centre.
+    """Resize labels [H, W] to (width, height) by nearest neighbour.
 
     Raises:
-        DatasetError: the aspect ratio is another one.
+        DatasetError: the aspect ratios differ.
     """
     width, height = size
     old_height, old_width = labels.shape
     if (old_width, old_height) == size:
         return labels
-    # As a data set scales its own images, to the nearest whole pixel; it would crop the rest.
+    # Datasets scale their images to the nearest whole pixel and crop the remainder.
     scale = max(width / old_width, height / old_height)
     if (round(old_width * scale), round(old_height * scale)) != size:
         raise DatasetError(
             f"{file} is {old_width}x{old_height}, which does not scale to the frame's "
-            f"{width}x{height}; make label images of the frames as the run sees them"
+            f"{width}x{height}; create label images with the size or aspect ratio of the frames"
         )
     columns = ((np.arange(width) + 0.5) * (old_width / width)).astype(np.int64)
     rows = ((np.arange(height) + 0.5) * (old_height / height)).astype(np.int64)

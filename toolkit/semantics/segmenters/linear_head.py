@@ -1,4 +1,4 @@
-"""A linear classifier on patch features: its file, and the segmenter that it makes."""
+"""A linear classifier on patch features, its file format, and the segmenter that applies it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class LinearHead:
     Attributes:
         weights: [C, D] float32.
         bias: [C] float32.
-        class_names: C names; class i + 1 is the i-th.
-        encoder_digest: which encoder's features it takes (`PatchEncoder.digest`).
-        longest_side: at which size (`PatchEncoder.longest_side`).
+        class_names: C names; the i-th (from 0) is that of class id i + 1.
+        encoder_digest: digest of the encoder (`PatchEncoder.digest`).
+        longest_side: image size of the encoder in pixels (`PatchEncoder.longest_side`).
     """
 
     weights: torch.Tensor
@@ -49,11 +49,11 @@ class LinearHead:
             raise ValueError(f"bias must have shape [{count}], got {list(self.bias.shape)}")
 
     def scores(self, features: torch.Tensor) -> torch.Tensor:
-        """Logits [..., C] of features [..., D]."""
+        """Return the logits [..., C] of features [..., D]."""
         return features @ self.weights.to(features).T + self.bias.to(features)
 
     def save(self, path: Path) -> None:
-        """Write a safetensors file; names and encoder are in its header.
+        """Write a safetensors file with the names and the encoder in its header.
 
         Raises:
             DependencyError: safetensors is missing.
@@ -71,29 +71,29 @@ class LinearHead:
 
     @classmethod
     def load(cls, path: Path) -> LinearHead:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
             DependencyError: safetensors is missing.
-            FormatError: the file is missing, damaged, or no such head.
+            FormatError: the file is missing, damaged, or not a head.
         """
         torch_files = _safetensors()
         from safetensors import SafetensorError
 
         if not path.is_file():
-            raise FormatError(f"{path} is not there; train a head with: semsplat train-head")
+            raise FormatError(f"{path} does not exist; train a head with: semsplat train-head")
         try:
             with torch_files.safe_open(path, framework="pt") as file:
                 header = file.metadata() or {}
                 if header.get("format") != _FORMAT:
-                    raise ValueError(f"its format is {header.get('format')!r}, not {_FORMAT!r}")
+                    raise ValueError(f"the format is {header.get('format')!r}, not {_FORMAT!r}")
                 weights, bias = file.get_tensor("weights"), file.get_tensor("bias")
             names = tuple(str(name) for name in json.loads(header["classes"]))
             side = int(header["longest_side"])
             return cls(weights.float(), bias.float(), names, header["encoder"], side)
         except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
             raise FormatError(
-                f"{path} is no head of semsplat: {error}; train one with: semsplat train-head"
+                f"{path} is not a semsplat head: {error}; train one with: semsplat train-head"
             ) from error
 
 
@@ -101,14 +101,14 @@ class HeadSegmenter:
     """Labels frames by a linear head on an encoder's patch features.
 
     Args:
-        encoder: of the features, at the head's `longest_side`.
-        head: trained on this very encoder.
-        min_confidence: probability of the likeliest class, 0 to 1, below which a pixel is
+        encoder: computes the features, at the head's `longest_side`.
+        head: head trained on this encoder.
+        min_confidence: minimum probability of the most likely class, 0 to 1; pixels below it are
             void.
 
     Raises:
         FormatError: the head was trained on another encoder.
-        ValueError: or at another size.
+        ValueError: the head was trained at another image size.
     """
 
     def __init__(
@@ -116,12 +116,13 @@ class HeadSegmenter:
     ) -> None:
         if head.encoder_digest != encoder.digest:
             raise FormatError(
-                "the head was trained on another encoder (model folder); give that one, or "
-                "train a head for this one with: semsplat train-head"
+                "the head was trained on another encoder (model folder); set the folder of that "
+                "encoder, or train a head for this one with: semsplat train-head"
             )
         if head.longest_side != encoder.longest_side:
             raise ValueError(
-                f"the encoder must see {head.longest_side} pixels, got {encoder.longest_side}"
+                f"longest_side of the encoder must be {head.longest_side} pixels, got "
+                f"{encoder.longest_side}"
             )
         self._encoder, self._head = encoder, head
         self._min_confidence = min_confidence
@@ -131,17 +132,17 @@ class HeadSegmenter:
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """Class ids [H, W], 0 where the head is not sure enough."""
+        """Return class ids [H, W], 0 where the confidence is too low."""
         logits = self._head.scores(self._encoder.features(frame.rgb)).permute(2, 0, 1)[None]
         labels = confident_labels(logits, frame.depth_m.shape, self._min_confidence)
         return labels.to(torch.int32).cpu().numpy()
 
     def state(self) -> dict[str, NDArray]:
-        """Nothing: every frame stands for itself."""
+        """Return an empty state: frames are labelled independently."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`, which is empty."""
+        """Accept an earlier `state`, which is empty."""
 
 
 def _safetensors() -> ModuleType:

@@ -1,4 +1,4 @@
-"""Features of an image's patches from a vision transformer, DINOv2 above all."""
+"""Patch features from a vision transformer, for instance DINOv2."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from toolkit.pretrained.vision_transformer import VisionTransformer
 
 
 class PatchEncoder:
-    """One feature vector for each patch of an image; arguments and errors as its model's.
+    """Computes one feature vector per image patch; arguments and errors of `VisionTransformer`.
 
     Attributes:
         channels: length D of a feature vector.
-        longest_side: as given.
+        longest_side: longest side of the model's input image in pixels.
     """
 
     def __init__(self, folder: Path, longest_side: int = 518, device: str = "auto") -> None:
@@ -26,14 +26,14 @@ class PatchEncoder:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the weights: a head fits the encoder it was trained on, and no other."""
+        """SHA-256 of the weights; identifies the encoder that a head was trained on."""
         return self._model.digest
 
     def features(self, rgb: NDArray[np.float32]) -> torch.Tensor:
-        """Features [rows, columns, D] float32 of the patches of an image.
+        """Return the features [rows, columns, D] float32 of the patches of an image.
 
         Args:
-            rgb: [H, W, 3] in [0, 1]; it is scaled as a whole, so that patches cover all of it.
+            rgb: [H, W, 3] colours in [0, 1]; the image is scaled, not cropped.
         """
         image = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1)[None]
         with torch.no_grad():

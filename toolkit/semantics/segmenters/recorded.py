@@ -1,4 +1,4 @@
-"""Labels that the data set recorded."""
+"""Labels of the dataset."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ _log = logging.getLogger(__name__)
 
 
 class RecordedLabels:
-    """Hands on the labels that frames bring along, after a check.
+    """Returns the labels of the frames after a check.
 
-    A frame without a label image is void; the first one causes a warning.
+    Frames without a label image are void; the first one causes a warning.
 
     Args:
-        names: the data set's class names by id, without void.
+        names: the dataset's class names by id, without void.
 
     Raises:
         DatasetError: there are no names.
     """
 
     def __init__(self, names: Mapping[int, str]) -> None:
-        self._vocabulary = Vocabulary(names, "the data set's classes.json")
+        self._vocabulary = Vocabulary(names, "the dataset's classes.json")
         self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = self._vocabulary.names
         self._warned = False
@@ -35,15 +35,15 @@ class RecordedLabels:
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """The frame's labels [H, W].
+        """Return the frame's labels [H, W].
 
         Raises:
-            DatasetError: they hold an id that has no name.
+            DatasetError: an id has no name.
         """
         if frame.labels is None:
             if not self._warned:
                 _log.warning(
-                    "frame %d has no label image; it, and others like it, count as void",
+                    "Frame %d has no label image; frames without one are treated as void.",
                     frame.index,
                 )
                 self._warned = True
@@ -52,8 +52,8 @@ class RecordedLabels:
         return frame.labels
 
     def state(self) -> dict[str, NDArray]:
-        """Nothing: every frame stands for itself."""
+        """Return an empty state: frames are labelled independently."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`, which is empty."""
+        """Accept an earlier `state`, which is empty."""

@@ -1,4 +1,4 @@
-"""What gives a frame its labels."""
+"""Interface of segmenters."""
 
 from __future__ import annotations
 
@@ -12,37 +12,38 @@ from toolkit.frame import Frame
 
 
 class Segmenter(Protocol):
-    """Labels every pixel of a frame, in a vocabulary of its own.
+    """Labels every pixel of a frame with its own vocabulary.
 
     Attributes:
         place_divergence: KL divergence between the class histograms of two views, in nats,
-            above which they are of different places. G has 0.4, for a rich set of classes.
+            above which they are of different places. GauSem-SLAM uses 0.4 for many classes.
     """
 
     place_divergence: float
 
     @property
     def class_names(self) -> Mapping[int, str]:
-        """Its classes by id; ids count from 1, and 0 is void."""
+        """Class names by id; ids start at 1, and 0 is void."""
         ...
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """Class ids [H, W], 0 where it cannot tell.
+        """Return class ids [H, W], 0 where the class is unknown.
 
         Args:
-            T_map_camera: the frame's pose [4, 4], measured or predicted, where there is one.
+            frame: the frame to label.
+            T_map_camera: [4, 4] estimated or predicted pose of the frame, if known.
 
         Raises:
-            DatasetError: the frame has no labels where it should, or they are wrong.
+            DatasetError: required labels of the frame are missing or invalid.
         """
         ...
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes; empty where nothing is remembered."""
+        """Return the arrays that `restore` accepts; empty for segmenters without state."""
         ...
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         ...

@@ -1,4 +1,4 @@
-"""No labels at all."""
+"""A segmenter without labels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from toolkit.frame import Frame
 
 
 class Unlabelled:
-    """Every pixel is void: for runs without semantics, so that no caller needs an `if`."""
+    """Labels every pixel as void, for runs without semantics."""
 
     def __init__(self) -> None:
         self.place_divergence = 0.0
@@ -20,12 +20,12 @@ class Unlabelled:
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """Zeros [H, W]."""
+        """Return zeros [H, W]."""
         return np.zeros(frame.depth_m.shape, np.int32)
 
     def state(self) -> dict[str, NDArray]:
-        """Nothing."""
+        """Return an empty state."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`, which is empty."""
+        """Accept an earlier `state`, which is empty."""
