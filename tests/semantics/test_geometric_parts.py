@@ -21,7 +21,7 @@ from toolkit.semantics.segmenters.geometric.levels import Level
 from toolkit.semantics.segmenters.geometric.patches import planar_patches
 from toolkit.semantics.segmenters.geometric.room import Room
 from toolkit.semantics.segmenters.geometric.surface_grid import moved, surface_grid
-from toolkit.semantics.segmenters.geometric.wall_evidence import PlaneSighting, sight
+from toolkit.semantics.segmenters.geometric.wall_evidence import PlaneObservation, observe
 from toolkit.semantics.segmenters.geometric.walls import WallMemory
 
 CAMERA = Camera(128.0, 128.0, 79.5, 59.5, 160, 120)
@@ -198,7 +198,7 @@ def test_without_planes_up_is_where_the_camera_is_held_up():
     assert estimator.direction @ [0.0, -1.0, 0.0] > 0.5
 
 
-def sighting(**values) -> PlaneSighting:
+def observation(**values) -> PlaneObservation:
     """A plane of 2 x 2 m with its top out of view."""
     known = {
         "normal": np.array([1.0, 0.0, 0.0]),
@@ -210,9 +210,9 @@ def sighting(**values) -> PlaneSighting:
         "ended_top": 0.0,
         "cut_top": 0.5,
         "cells": 1000.0,
-        "backed": 0.0,
+        "cells_behind": 0.0,
     }
-    return PlaneSighting(**(known | values))
+    return PlaneObservation(**(known | values))
 
 
 @pytest.mark.parametrize(
@@ -221,31 +221,31 @@ def sighting(**values) -> PlaneSighting:
         ({}, True),
         ({"free_top": 0.1, "ended_top": 0.1, "cut_top": 0.0}, False),
         ({"free_top": 0.05, "ended_top": 0.05, "cut_top": 0.5}, True),
-        ({"backed": 500.0}, False),
+        ({"cells_behind": 500.0}, False),
         ({"span_m": (-0.25, 0.25), "heights_m": (1.4, 1.9)}, False),
         ({"span_m": (-0.25, 0.25), "heights_m": (1.4, 1.9), "ceiling_top": 0.1}, True),
-        ({"heights_m": (0.0, 2.4), "ceiling_top": 0.1, "backed": 100.0}, True),
+        ({"heights_m": (0.0, 2.4), "ceiling_top": 0.1, "cells_behind": 100.0}, True),
         ({"span_m": (-0.2, 0.2), "heights_m": (0.5, 0.9)}, False),
         ({"span_m": (-0.6, 0.6), "heights_m": (0.0, 0.8), "ended_top": 0.1, "cut_top": 0.0}, False),
     ],
 )
 def test_what_makes_a_wall(values, wall):
     memory = WallMemory()
-    memory.update([sighting(**values)], floor_m=0.0, ceiling_m=2.5)
+    memory.update([observation(**values)], floor_m=0.0, ceiling_m=2.5)
     assert bool(memory.walls()) == wall
 
 
 def test_a_front_once_seen_to_end_stays_furniture_when_its_top_is_out_of_view():
     memory = WallMemory()
-    memory.update([sighting(free_top=0.1, ended_top=0.1, cut_top=0.0)], 0.0, None)
+    memory.update([observation(free_top=0.1, ended_top=0.1, cut_top=0.0)], 0.0, None)
     for _ in range(5):
-        memory.update([sighting(heights_m=(0.0, 1.2))], 0.0, None)
+        memory.update([observation(heights_m=(0.0, 1.2))], 0.0, None)
     assert not memory.walls()
 
 
 def test_a_window_sill_is_not_the_top_of_its_wall():
     sill = {"heights_m": (0.0, 1.0), "free_top": 0.5, "ended_top": 0.5, "cut_top": 0.0}
-    for order in ([sighting(), sighting(**sill)], [sighting(**sill), sighting()]):
+    for order in ([observation(), observation(**sill)], [observation(**sill), observation()]):
         memory = WallMemory()
         for plane in order:
             memory.update([plane], 0.0, None)
@@ -254,10 +254,10 @@ def test_a_window_sill_is_not_the_top_of_its_wall():
 
 def test_the_same_plane_is_one_wall_and_another_is_not():
     memory = WallMemory()
-    memory.update([sighting(), sighting(offset_m=1.0)], 0.0, None)
-    memory.update([sighting(offset_m=0.03, span_m=(0.5, 3.0))], 0.0, None)
-    memory.update([sighting(span_m=(8.0, 9.0))], 0.0, None)
-    memory.update([sighting(normal=np.array([-1.0, 0.0, 0.0]))], 0.0, None)
+    memory.update([observation(), observation(offset_m=1.0)], 0.0, None)
+    memory.update([observation(offset_m=0.03, span_m=(0.5, 3.0))], 0.0, None)
+    memory.update([observation(span_m=(8.0, 9.0))], 0.0, None)
+    memory.update([observation(normal=np.array([-1.0, 0.0, 0.0]))], 0.0, None)
     walls = memory.walls()
     assert [w.span_m for w in walls] == [(-1.0, 3.0), (-1.0, 1.0), (8.0, 9.0), (-1.0, 1.0)]
     assert walls[0].offset_m == pytest.approx(0.015)
@@ -266,7 +266,7 @@ def test_the_same_plane_is_one_wall_and_another_is_not():
 def test_the_memory_of_planes_is_bounded():
     memory = WallMemory()
     for number in range(300):
-        memory.update([sighting(offset_m=float(number))], 0.0, None)
+        memory.update([observation(offset_m=float(number))], 0.0, None)
     assert len(memory.walls()) == 100
     assert memory.walls()[-1].offset_m == 299.0
 
@@ -277,9 +277,9 @@ def levelled(depth_m: np.ndarray) -> LevelledGrid:
     return LevelledGrid(surface_grid(depth_m.astype(np.float32), CAMERA), np.eye(4), up)
 
 
-def nearest_sighting(view: LevelledGrid) -> PlaneSighting:
+def nearest_observation(view: LevelledGrid) -> PlaneObservation:
     patch = max(planar_patches(view.grid), key=lambda p: p.distance_m)
-    found = sight(view, patch)
+    found = observe(view, patch)
     assert found is not None
     return found
 
@@ -287,8 +287,8 @@ def nearest_sighting(view: LevelledGrid) -> PlaneSighting:
 def test_a_window_in_a_wall_does_not_speak_against_it():
     depth = np.full((120, 160), 3.0)
     depth[30:80, 50:110] = 3.3
-    found = nearest_sighting(levelled(depth))
-    assert found.backed == 0
+    found = nearest_observation(levelled(depth))
+    assert found.cells_behind == 0
     assert found.cut_top == pytest.approx(1.0, abs=0.05)
     np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0], atol=1e-3)
     assert found.offset_m == pytest.approx(-3.0, abs=1e-2)
@@ -297,8 +297,8 @@ def test_a_window_in_a_wall_does_not_speak_against_it():
 def test_a_cupboard_before_a_wall_is_backed_and_has_a_free_top():
     depth = np.full((120, 160), 3.0)
     depth[40:, 50:110] = 2.4
-    found = nearest_sighting(levelled(depth))
-    assert found.backed > 500
+    found = nearest_observation(levelled(depth))
+    assert found.cells_behind > 500
     assert found.free_top == pytest.approx(60 / 160, abs=0.05)
     assert found.ceiling_top == 0
     # Heights and spans by hand: pixel offsets from the middle, over focal length, times depth.
@@ -310,7 +310,7 @@ def test_a_cupboard_before_a_wall_is_backed_and_has_a_free_top():
 def test_a_slanted_plane_is_not_upright():
     normal = np.array([0.0, -0.5, -np.sqrt(0.75)])
     view = levelled(plane_depth(normal, -2.0))
-    assert all(sight(view, patch) is None for patch in planar_patches(view.grid))
+    assert all(observe(view, patch) is None for patch in planar_patches(view.grid))
 
 
 def room_with(floors: int, ceilings: int) -> Room:
@@ -333,7 +333,7 @@ def test_between_a_floor_and_a_ceiling_too_close_the_better_known_is_right():
 
 def test_a_wall_ends_a_little_beyond_what_was_seen_of_it():
     view, room = levelled(np.full((120, 160), 4.0)), Room((0.5, 2.5))
-    room.walls.update([sighting(normal=np.array([0.0, 0, -1]), offset_m=-4.0)], None, None)
+    room.walls.update([observation(normal=np.array([0.0, 0, -1]), offset_m=-4.0)], None, None)
     labels = label_cells(view, room)
     along = np.abs(view.along(np.array([1.0, 0.0, 0.0])))
     assert (labels[along < 1.7] == WALL).all()

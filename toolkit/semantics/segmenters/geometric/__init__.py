@@ -1,4 +1,4 @@
-"""A segmenter that needs neither labels nor weights: what a room is made of, from its depth."""
+"""Segmentation of room structure from depth alone, without labels or learned weights."""
 
 from toolkit.semantics.segmenters.geometric.segmenter import CLASS_NAMES, GeometricSegmenter
 

@@ -1,4 +1,4 @@
-"""Which way is up: from the planes that a room is made of, and from how cameras are held."""
+"""Estimation of the up direction from the planes of a room and a prior on the camera's attitude."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Directions in which up is looked for; neighbours are about 3 degrees apart.
+# Number of candidate directions; neighbours are about 3 degrees apart.
 _DIRECTIONS = 4000
 _KERNEL_RAD = np.radians(8.0)
-# A hand-held camera looks a little down and is roughly upright: its likely pitch, and how far
-# pitch and roll stray. Against what planes say, habit has this weight.
+# Prior of a hand-held camera: mean pitch (down), standard deviations of pitch and roll, and weight
+# relative to the votes of the planes.
 _PITCH_DOWN_RAD, _PITCH_RAD, _ROLL_RAD = np.radians([30.0, 30.0, 30.0])
-_HABIT = 0.15
-# A plane that could be either is more often level.
-_UPRIGHT = 0.9
-# Planes within this angle of level or upright take part in the fine estimate.
+_PRIOR_WEIGHT = 0.15
+# Weight of the votes of vertical planes relative to horizontal ones.
+_VERTICAL_WEIGHT = 0.9
+# Planes within this angle of horizontal or vertical are used for the refinement.
 _NEAR_RAD = np.radians(15.0)
-# A better direction farther away than this is a change of mind.
+# The estimate is reset if the coarse direction differs by more than this.
 _CHANGE_RAD = np.radians(12.0)
-_FORGET = 0.995
+_DECAY = 0.995
 
 
 class UpEstimator:
-    """Up in the map's frame, from the planes of frame after frame.
+    """Estimates the up direction in the map frame from the planes of all frames.
 
-    Votes are collected for directions all over the sphere: a plane speaks for its own normal
-    (it is level) and for all directions at right angles to it (it is upright), and the
-    camera for its own upper side. The direction with the most votes is then refined by least
-    squares over the planes that agree with it, remembered with slow forgetting.
+    Votes are accumulated for directions on the sphere. A plane votes for its normal (it is
+    horizontal) and for all directions perpendicular to it (it is vertical). The attitude of the
+    camera is a prior. The direction with the most votes is refined by least squares over the planes
+    consistent with it, with exponential decay of earlier frames.
 
     Attributes:
-        direction: up [3], a unit vector; zero before the first frame.
+        direction: [3] unit vector; zero before the first frame.
     """
 
     def __init__(self) -> None:
@@ -42,23 +42,24 @@ class UpEstimator:
         self._votes = np.zeros(_DIRECTIONS)
         self._scatter = np.zeros((3, 3))
 
-    def update(self, normals: Array, shares: Array, R_map_camera: Array) -> bool:
-        """Take in the planes of one frame.
+    def update(self, normals: Array, fractions: Array, R_map_camera: Array) -> bool:
+        """Integrate the planes of one frame.
 
         Args:
-            normals: [N, 3] of planes, in the map's frame, unit length, towards the camera.
-            shares: [N] of the image that each covers.
-            R_map_camera: [3, 3] the camera's orientation.
+            normals: [N, 3] unit normals of the planes in the map frame, towards the camera.
+            fractions: [N] fraction of the image that each plane covers.
+            R_map_camera: [3, 3] orientation of the camera.
 
         Returns:
-            whether up has changed so much that what was built on it is void.
+            whether the direction has changed so much that dependent estimates must be reset.
         """
-        # Roots, since a strip of floor below a large wall decides which way that wall stands.
-        weights = np.sqrt(shares)
+        # Square roots give small planes more weight: a small part of the floor below a large wall
+        # resolves the rotation about the wall's normal.
+        weights = np.sqrt(fractions)
         weights /= max(1.0, float(weights.sum()))
         directions = _directions()
-        self._votes = _FORGET * self._votes + _agreement(directions @ normals.T) @ weights
-        self._votes += _HABIT * _habit(directions @ R_map_camera)
+        self._votes = _DECAY * self._votes + _agreement(directions @ normals.T) @ weights
+        self._votes += _PRIOR_WEIGHT * _log_prior(directions @ R_map_camera)
         coarse = directions[int(np.argmax(self._votes))]
         changed = float(self.direction @ coarse) < np.cos(_CHANGE_RAD)
         if changed:
@@ -67,20 +68,23 @@ class UpEstimator:
         return changed
 
     def _refine(self, normals: Array, weights: Array, coarse: Array) -> None:
-        """Up is where level planes point and upright ones do not (Gupta et al. 2013)."""
+        """Refine up: parallel to normals of horizontal, normal to those of vertical planes.
+
+        See Gupta et al. 2013.
+        """
         cosine = np.abs(normals @ self.direction)
-        level, upright = cosine > np.cos(_NEAR_RAD), cosine < np.sin(_NEAR_RAD)
-        sign = upright.astype(float) - level
-        self._scatter = _FORGET * self._scatter + (normals.T * (weights * sign)) @ normals
-        # One wall alone leaves up free to turn in it: then the coarse answer holds it.
-        held = self._scatter - 0.02 * np.outer(coarse, coarse)
-        up = np.linalg.eigh(held)[1][:, 0]
+        horizontal, vertical = cosine > np.cos(_NEAR_RAD), cosine < np.sin(_NEAR_RAD)
+        sign = vertical.astype(float) - horizontal
+        self._scatter = _DECAY * self._scatter + (normals.T * (weights * sign)) @ normals
+        # A single wall does not determine up; regularise with the coarse direction.
+        regularised = self._scatter - 0.02 * np.outer(coarse, coarse)
+        up = np.linalg.eigh(regularised)[1][:, 0]
         up = up if up @ coarse > 0 else -up
         if up @ coarse > np.cos(_CHANGE_RAD):
             self.direction = up
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes."""
+        """Return the arrays that `restore` accepts."""
         return {
             "direction": self.direction.copy(),
             "votes": self._votes.copy(),
@@ -88,14 +92,14 @@ class UpEstimator:
         }
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self.direction = np.array(arrays["direction"])
         self._votes, self._scatter = np.array(arrays["votes"]), np.array(arrays["scatter"])
 
 
 @functools.cache
 def _directions() -> Array:
-    """Unit vectors [K, 3], evenly spread over the sphere (a Fibonacci spiral)."""
+    """Return unit vectors [K, 3] distributed uniformly over the sphere (Fibonacci spiral)."""
     number = np.arange(_DIRECTIONS) + 0.5
     polar = np.arccos(1 - 2 * number / _DIRECTIONS)
     azimuth = np.pi * (1 + 5**0.5) * number
@@ -105,18 +109,18 @@ def _directions() -> Array:
 
 
 def _agreement(cosine: Array) -> Array:
-    """How well planes [K, N] fit directions, by the cosine between: level or upright, 0 to 1."""
+    """Score how well planes [K, N] are horizontal or vertical for each direction, 0 to 1."""
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    level = np.exp(-((angle / _KERNEL_RAD) ** 2))
-    upright = np.exp(-(((np.pi / 2 - angle) / _KERNEL_RAD) ** 2))
-    return np.asarray(level + _UPRIGHT * upright)
+    horizontal = np.exp(-((angle / _KERNEL_RAD) ** 2))
+    vertical = np.exp(-(((np.pi / 2 - angle) / _KERNEL_RAD) ** 2))
+    return np.asarray(horizontal + _VERTICAL_WEIGHT * vertical)
 
 
-def _habit(up_camera: Array) -> Array:
-    """How likely each direction [K, 3] in camera coordinates is up, as a log, 0 at best."""
+def _log_prior(up_camera: Array) -> Array:
+    """Return the log prior of each direction [K, 3] in camera coordinates; its maximum is 0."""
     pitch_down = np.arcsin(np.clip(-up_camera[:, 2], -1.0, 1.0))
     roll = np.arctan2(up_camera[:, 0], -up_camera[:, 1])
-    # Near the poles of pitch, roll means nothing; past the horizon, the camera hangs.
+    # Roll is undefined for a camera that looks straight up or down.
     roll = np.where(np.cos(pitch_down) > 0.05, roll, 0.0)
     return np.asarray(
         -0.5 * ((pitch_down - _PITCH_DOWN_RAD) / _PITCH_RAD) ** 2 - 0.5 * (roll / _ROLL_RAD) ** 2

@@ -1,4 +1,4 @@
-"""Classes of a levelled grid's cells, and of the pixels under them."""
+"""Classification of the cells of a levelled grid and of their pixels."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ VOID, FLOOR, WALL, CEILING, SURFACE, OBJECT = range(6)
 
 Labels = NDArray[np.uint8]
 
-# Cosines: what counts as facing up or down, and as lying on a wall; the middle of a surface
-# is more level than its edges.
-_LEVEL, _QUITE_LEVEL = math.cos(math.radians(32.0)), math.cos(math.radians(15.0))
+# Minimum cosine between normal and up (or down) of horizontal cells, with a stricter threshold for
+# the interior of surfaces; and between the normals of a cell and a wall.
+_LEVEL, _STRICTLY_LEVEL = math.cos(math.radians(32.0)), math.cos(math.radians(15.0))
 _ON_WALL, _IN_RECESS = math.cos(math.radians(40.0)), math.cos(math.radians(18.0))
-# Doors and window panes lie so far behind a wall; walls go on a little beyond what was seen.
+# Maximum depth of doors and windows behind a wall; maximum extrapolation of a wall.
 _RECESS_M, _BEYOND_M = 0.25, 0.8
-# A surface is so high above the floor, so large, and to this share quite level.
-_SURFACE_HEIGHT_M, _SURFACE_AREA_M2, _SURFACE_SHARE = 0.12, 0.03, 0.3
+# Minimum height above the floor, area, and fraction of strictly level cells of a surface.
+_SURFACE_HEIGHT_M, _SURFACE_AREA_M2, _SURFACE_FRACTION = 0.12, 0.03, 0.3
 
-# Error in 1/m that a cell without a plane is charged with.
+# Penalty in 1/m for a cell without a plane.
 _NO_PLANE = 1e-3
 
 
 def label_cells(view: LevelledGrid, room: Room) -> Labels:
-    """Class ids [h, w] of the cells."""
+    """Return the class ids [h, w] of the cells."""
     labels = np.where(view.grid.valid, OBJECT, VOID).astype(np.uint8)
     for wall in room.walls.walls():
         labels[_on_wall(view, wall.normal, wall.offset_m, wall.span_m)] = WALL
@@ -45,7 +45,7 @@ def label_cells(view: LevelledGrid, room: Room) -> Labels:
 def _on_wall(
     view: LevelledGrid, normal: NDArray[np.float64], offset_m: float, span_m: tuple[float, float]
 ) -> Mask:
-    """The cells on a wall or in a recess of it; walls seen from behind have none."""
+    """Return the cells on a wall or in a recess of it; none if the wall is seen from behind."""
     grid = view.grid
     if float(normal @ view.T_map_camera[:3, 3]) < offset_m:
         return np.zeros_like(grid.valid)
@@ -60,40 +60,43 @@ def _on_wall(
 
 
 def _label_levels(labels: Labels, view: LevelledGrid, room: Room) -> None:
-    """Enter floor and ceiling, in place."""
+    """Label the floor and the ceiling in place."""
     floor, ceiling = room.floor_height_m, room.ceiling_height_m
-    unsure = ~view.grid.oriented & view.grid.valid
+    no_normal = ~view.grid.oriented & view.grid.valid
     facing_up, facing_down = view.faces(_LEVEL), view.faces(-1.0, -_LEVEL)
     if floor is not None:
         above = view.heights_m - np.float32(floor)
-        on = (np.abs(above) < view.tolerance_m) & (facing_up | unsure)
-        # What is lower than the floor is seen wrongly, or is a step down.
+        on = (np.abs(above) < view.tolerance_m) & (facing_up | no_normal)
+        # Horizontal cells below the floor are outliers or belong to a step down.
         on |= (above < 0) & facing_up
         on |= (np.abs(above) < 0.5 * view.tolerance_m) & (labels == OBJECT)
         labels[on] = FLOOR
     if ceiling is not None:
         below = np.float32(ceiling) - view.heights_m
-        labels[(np.abs(below) < view.tolerance_m) & (facing_down | unsure)] = CEILING
+        labels[(np.abs(below) < view.tolerance_m) & (facing_down | no_normal)] = CEILING
 
 
 def _surfaces(view: LevelledGrid, candidates: Mask) -> Mask:
-    """Those candidates that hang together in large enough level pieces."""
-    # Without the thin bridges that join a table to what stands on it.
+    """Return the candidates in sufficiently large connected horizontal components."""
+    # Remove thin connections between a table and the objects on it.
     opened = cv2.morphologyEx(candidates.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2)))
     count, pieces = cv2.connectedComponents(opened, connectivity=4)
-    quite = candidates & (view.slope > _QUITE_LEVEL)
+    strictly_level = candidates & (view.slope > _STRICTLY_LEVEL)
     cell_area = view.grid.areas_m2
     area = np.bincount(pieces.ravel(), cell_area.ravel(), count)
-    level_area = np.bincount(pieces.ravel(), np.where(quite, cell_area, 0).ravel(), count)
-    large = (level_area > _SURFACE_AREA_M2) & (level_area > _SURFACE_SHARE * area)
-    large[0] = False  # all that is no candidate
+    level_area = np.bincount(pieces.ravel(), np.where(strictly_level, cell_area, 0).ravel(), count)
+    large = (level_area > _SURFACE_AREA_M2) & (level_area > _SURFACE_FRACTION * area)
+    large[0] = False  # background
     return np.asarray(large[pieces])
 
 
 def label_pixels(
     cells: Labels, grid: SurfaceGrid, depth_m: NDArray[np.float32], camera: Camera
 ) -> NDArray[np.int32]:
-    """Class ids [H, W] of the pixels: of the cell around whose plane fits the depth best."""
+    """Return the class ids [H, W] of the pixels.
+
+    Each pixel takes the class of the neighbouring cell whose plane fits its depth best.
+    """
     rows = np.minimum(np.arange(camera.height) // grid.block, cells.shape[0] - 1)
     columns = np.minimum(np.arange(camera.width) // grid.block, cells.shape[1] - 1)
     labels = cells[np.ix_(rows, columns)].astype(np.int32)
@@ -108,30 +111,32 @@ def label_pixels(
 def _best_neighbour(
     cells: Labels,
     grid: SurfaceGrid,
-    home: tuple[NDArray[np.int64], NDArray[np.int64]],
+    cell: tuple[NDArray[np.int64], NDArray[np.int64]],
     rays: tuple[NDArray[np.floating], NDArray[np.floating]],
     inverse_depth: NDArray[np.floating],
 ) -> Labels:
-    """Labels [N] of pixels: of the cell around `home` on whose plane they lie best.
+    """Return the labels [N] of pixels, from the 3x3 cells around each pixel's cell.
 
     Args:
-        home: row and column [N] of the cell that a pixel is in.
-        rays: x and y [N] where a pixel's ray meets the plane z = 1.
+        cells: [h, w] labels of the cells.
+        grid: planes of the cells.
+        cell: row and column [N] of the cell that contains each pixel.
+        rays: x and y [N] of the intersection of each pixel's ray with the plane z = 1.
         inverse_depth: [N] in 1/m.
     """
     best = np.full(len(inverse_depth), np.inf)
     chosen = np.zeros(len(inverse_depth), np.uint8)
     for down in (0, -1, 1):
         for across in (0, -1, 1):
-            row = np.clip(home[0] + down, 0, cells.shape[0] - 1)
-            column = np.clip(home[1] + across, 0, cells.shape[1] - 1)
+            row = np.clip(cell[0] + down, 0, cells.shape[0] - 1)
+            column = np.clip(cell[1] + across, 0, cells.shape[1] - 1)
             plane = grid.planes[row, column]
             fitted = plane[:, 0] * rays[0] + plane[:, 1] * rays[1] + plane[:, 2]
             oriented = grid.oriented[row, column]
             error = np.abs(
                 np.where(oriented, fitted, grid.inverse_depth[row, column]) - inverse_depth
             )
-            # A cell without a plane only has its own depth to offer.
+            # A cell without a plane is compared by its inverse depth, with a penalty.
             error += np.where(oriented, 0.0, _NO_PLANE)
             error[cells[row, column] == VOID] = np.inf
             better = error < best

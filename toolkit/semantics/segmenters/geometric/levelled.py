@@ -1,4 +1,4 @@
-"""A surface grid in the map's frame, with up known."""
+"""A surface grid with a pose and a known up direction."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# How far a point may be off its plane: in metres, and of its depth.
-_OFF_M, _OFF_SHARE = 0.04, 0.01
+# Maximum distance of a point from its plane: constant part in metres, and fraction of its depth.
+_DISTANCE_M, _DISTANCE_FRACTION = 0.04, 0.01
 
 
 @dataclass(frozen=True)
 class LevelledGrid:
-    """What a grid's cells are relative to up.
+    """Heights and orientations of a grid's cells relative to the up direction.
 
     Attributes:
-        grid: the cells, in camera coordinates.
-        T_map_camera: [4, 4].
-        up: [3] unit vector in the map's frame.
+        grid: the cells in camera coordinates.
+        T_map_camera: [4, 4] pose of the camera.
+        up: [3] unit vector in the map frame.
     """
 
     grid: SurfaceGrid
@@ -34,40 +34,40 @@ class LevelledGrid:
 
     @cached_property
     def up_camera(self) -> Array:
-        """Up in camera coordinates."""
+        """The up direction in camera coordinates."""
         return np.asarray(self.T_map_camera[:3, :3].T @ self.up)
 
     @cached_property
     def camera_height_m(self) -> float:
-        """Height of the camera, along up from the map's origin."""
+        """Height of the camera along up from the map's origin."""
         return float(self.up @ self.T_map_camera[:3, 3])
 
     @cached_property
     def heights_m(self) -> Image:
-        """Heights [h, w] of the cells, along up from the map's origin."""
+        """Heights [h, w] of the cells along up from the map's origin."""
         return self.along(self.up)
 
     @cached_property
     def slope(self) -> Image:
-        """Cosine [h, w] between normal and up: 1 faces up, -1 down, 0 is upright."""
+        """Cosine [h, w] of the angle between normal and up: 1 faces up, -1 down, 0 is vertical."""
         return self.facing(self.up)
 
     @cached_property
     def tolerance_m(self) -> Image:
-        """How far [h, w] a point may be off its plane."""
-        return np.float32(_OFF_M) + np.float32(_OFF_SHARE) * self.grid.depth_m
+        """Maximum distance [h, w] of a point from its plane."""
+        return np.float32(_DISTANCE_M) + np.float32(_DISTANCE_FRACTION) * self.grid.depth_m
 
     def faces(self, lowest: float, highest: float = 1.0) -> Mask:
-        """Where [h, w] a cell's `slope` lies within two bounds."""
+        """Return the mask [h, w] of cells whose `slope` is between two bounds."""
         return self.grid.oriented & (self.slope >= lowest) & (self.slope <= highest)
 
     def along(self, direction: Array) -> Image:
-        """Coordinates [h, w] of the cells along a direction [3] of the map's frame (m)."""
+        """Return the coordinates [h, w] of the cells along a direction [3] of the map frame (m)."""
         direction_camera = (self.T_map_camera[:3, :3].T @ direction).astype(np.float32)
         start = np.float32(direction @ self.T_map_camera[:3, 3])
         return np.asarray(self.grid.points @ direction_camera + start, dtype=np.float32)
 
     def facing(self, direction: Array) -> Image:
-        """Cosine [h, w] between the normals and a direction [3] of the map's frame."""
+        """Return the cosine [h, w] between the normals and a direction [3] of the map frame."""
         direction_camera = (self.T_map_camera[:3, :3].T @ direction).astype(np.float32)
         return np.asarray(self.grid.normals @ direction_camera, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The heights of floor and ceiling, remembered."""
+"""Heights of floor and ceiling, estimated over frames."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 _BIN_M = 0.025
-# A level needs this share of the cells that have depth, and may have so many beyond it.
-_LEAST_SHARE, _MOST_BEYOND = 0.004, 0.02
-# Cells closer than this to a level belong to it.
+# Minimum fraction of the cells with depth on a level, and maximum fraction beyond it.
+_MIN_FRACTION, _MAX_BEYOND = 0.004, 0.02
+# Maximum distance of cells from their level.
 _SAME_M = 0.10
-# A level that moves by more was another one: it must be seen so often before it counts.
+# Number of observations after which a different level replaces the current one.
 _CONFIRM = 3
 _RATE = 0.05
 
 
 class Level:
-    """The lowest level surface below the camera, or by `sign` -1 the highest above.
+    """The lowest horizontal surface below the camera, or with `sign` -1 the highest one above it.
 
-    Heights are multiplied by the sign, so that in here a floor is looked for.
+    Heights are multiplied by the sign internally, so that a ceiling is processed like a floor.
 
     Args:
         sign: 1 for a floor, -1 for a ceiling.
-        distance_m: least and most distance from the camera.
+        distance_m: minimum and maximum distance from the camera.
 
     Attributes:
-        height_m: along up in the map's frame, or None.
+        height_m: height along up in the map frame, or None.
     """
 
     def __init__(self, sign: int, distance_m: tuple[float, float]) -> None:
@@ -44,26 +44,26 @@ class Level:
 
     @property
     def seen(self) -> int:
-        """In how many frames it was seen at that height."""
+        """Number of frames with an observation at this height."""
         return self._seen
 
     @property
     def sure(self) -> bool:
-        """Whether it was seen several times."""
+        """Whether the level is confirmed by several observations."""
         return self._seen >= _CONFIRM
 
     def update(
         self, heights_m: NDArray[np.floating], level: NDArray[np.bool_], camera_height_m: float
     ) -> None:
-        """Take in one frame.
+        """Integrate one frame.
 
         Args:
-            heights_m: [N] of all cells with depth, along up in the map's frame.
+            heights_m: [N] heights of all cells with depth, along up in the map frame.
             level: [N], whether a cell faces up (for a ceiling, down).
-            camera_height_m: in the same frame.
+            camera_height_m: height of the camera in the same frame.
         """
         heights, camera = self._sign * heights_m, self._sign * camera_height_m
-        if self._too_far(camera):  # the stairs were climbed
+        if self._too_far(camera):  # the camera moved to another storey
             self._height, self._seen = math.nan, 0
         found = self._lowest(heights, level, camera)
         if found is None:
@@ -78,7 +78,7 @@ class Level:
             self._consider(found)
 
     def _consider(self, found: float) -> None:
-        """A lower level than the known one, which then was a table's: believed when confirmed."""
+        """Replace the level by a lower one once this is confirmed, for instance table by floor."""
         same = abs(found - self._rival) < _SAME_M
         self._rival_seen = self._rival_seen + 1 if same else 1
         self._rival = found
@@ -88,35 +88,35 @@ class Level:
     def _lowest(
         self, heights: NDArray[np.floating], level: NDArray[np.bool_], camera: float
     ) -> float | None:
-        """The lowest level that has enough cells and hardly any below it."""
+        """Return the lowest level with enough cells on it and hardly any below it."""
         nearest, farthest = self._distance_m
         below = camera - heights
-        wanted = level & (below > nearest) & (below < farthest)
-        least = _LEAST_SHARE * len(heights)
-        if wanted.sum() < max(least, 1):
+        candidates = level & (below > nearest) & (below < farthest)
+        min_count = _MIN_FRACTION * len(heights)
+        if candidates.sum() < max(min_count, 1):
             return None
         first = camera - farthest
-        bins = ((heights[wanted] - first) / _BIN_M).astype(np.int64)
+        bins = ((heights[candidates] - first) / _BIN_M).astype(np.int64)
         counts = np.bincount(bins, minlength=4)
-        # Three bins together: a level on the border of two is no less a level.
+        # Sum three bins, because a level can be at the border between two.
         smooth = np.convolve(counts, np.ones(3, np.int64), mode="same")
-        peaks = np.flatnonzero(smooth >= max(least, 0.05 * smooth.max()))
+        peaks = np.flatnonzero(smooth >= max(min_count, 0.05 * smooth.max()))
         if not len(peaks):
             return None
         start = first + _BIN_M * (peaks[0] + 0.5)
-        near = wanted & (np.abs(heights - start) < _SAME_M)
+        near = candidates & (np.abs(heights - start) < _SAME_M)
         found = float(np.median(heights[near]))
         beyond = np.mean(heights < found - _SAME_M)
-        return found if beyond < _MOST_BEYOND else None
+        return found if beyond < _MAX_BEYOND else None
 
     def _too_far(self, camera: float) -> bool:
         return not math.isnan(self._height) and camera - self._height > self._distance_m[1]
 
     def state(self) -> NDArray[np.float64]:
-        """Numbers that `restore` takes."""
+        """Return the values that `restore` accepts."""
         return np.array([self._height, self._seen, self._rival, self._rival_seen])
 
     def restore(self, numbers: NDArray[np.float64]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self._height, self._rival = float(numbers[0]), float(numbers[2])
         self._seen, self._rival_seen = int(numbers[1]), int(numbers[3])

@@ -1,4 +1,4 @@
-"""What is known of the room: up, floor, ceiling, walls."""
+"""Estimated structure of the room: up direction, floor, ceiling and walls."""
 
 from __future__ import annotations
 
@@ -12,76 +12,79 @@ from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid
 from toolkit.semantics.segmenters.geometric.levels import Level
 from toolkit.semantics.segmenters.geometric.patches import planar_patches
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid
-from toolkit.semantics.segmenters.geometric.wall_evidence import sight
+from toolkit.semantics.segmenters.geometric.wall_evidence import observe
 from toolkit.semantics.segmenters.geometric.walls import WallMemory
 
 Array = NDArray[np.float64]
 
-# The cosine of how far from level a floor or ceiling may be.
+# Cosine of the maximum tilt of a floor or ceiling.
 _LEVEL = math.cos(math.radians(20.0))
-# A ceiling is so far above the camera, and above the floor.
+# Range of the height of the ceiling above the camera; minimum height above the floor.
 _CEILING_DISTANCE_M = (0.3, 6.0)
-_ROOM_HEIGHT_M = 1.9
+_MIN_ROOM_HEIGHT_M = 1.9
 
 
 class Room:
-    """The room so far, in the map's frame.
+    """The structure of the room in the map frame, estimated over frames.
 
     Args:
-        camera_height_m: least and most height of the camera above the floor.
+        camera_height_m: minimum and maximum height of the camera above the floor.
 
     Attributes:
-        up: the direction up.
-        walls: the upright planes.
+        up: estimator of the up direction.
+        walls: vertical planes.
     """
 
     def __init__(self, camera_height_m: tuple[float, float]) -> None:
         self._camera_height_m = camera_height_m
         self.up = UpEstimator()
-        self._furnish()
+        self._reset()
 
-    def _furnish(self) -> None:
+    def _reset(self) -> None:
         self._floor = Level(1, self._camera_height_m)
         self._ceiling = Level(-1, _CEILING_DISTANCE_M)
         self.walls = WallMemory()
 
     @property
     def floor_height_m(self) -> float | None:
-        """Height of the floor, if it is one: under a low ceiling, the less often seen is none."""
+        """Height of the floor, or None.
+
+        If floor and ceiling are too close, the less often observed one of them is rejected.
+        """
         wrong = self._too_close() and self._floor.seen < self._ceiling.seen
         return None if wrong else self._floor.height_m
 
     @property
     def ceiling_height_m(self) -> float | None:
-        """Height of the ceiling, if it is one: the underside of a shelf is too low."""
+        """Height of the ceiling, or None; rejects for instance the underside of a shelf."""
         wrong = self._too_close() and self._floor.seen >= self._ceiling.seen
         return None if wrong else self._ceiling.height_m
 
     def _too_close(self) -> bool:
         floor, ceiling = self._floor.height_m, self._ceiling.height_m
-        return floor is not None and ceiling is not None and ceiling - floor < _ROOM_HEIGHT_M
+        return floor is not None and ceiling is not None and ceiling - floor < _MIN_ROOM_HEIGHT_M
 
     def update(self, grid: SurfaceGrid, T_map_camera: Array) -> LevelledGrid:
-        """Take in the surfaces of one frame, and return them levelled."""
+        """Integrate the surfaces of one frame; return them relative to the up direction."""
         patches = planar_patches(grid)
         R_map_camera = T_map_camera[:3, :3]
         normals = np.array([p.normal for p in patches]).reshape(-1, 3) @ R_map_camera.T
-        shares = np.array([p.cells.sum() for p in patches]) / max(int(grid.valid.sum()), 1)
-        if self.up.update(normals, shares, R_map_camera):
-            self._furnish()
+        fractions = np.array([p.cells.sum() for p in patches]) / max(int(grid.valid.sum()), 1)
+        if self.up.update(normals, fractions, R_map_camera):
+            self._reset()
 
         view = LevelledGrid(grid, T_map_camera, self.up.direction)
         heights = view.heights_m[grid.valid]
         self._floor.update(heights, view.faces(_LEVEL)[grid.valid], view.camera_height_m)
         facing_down = view.faces(-1.0, -_LEVEL)[grid.valid]
         self._ceiling.update(heights, facing_down, view.camera_height_m)
-        sightings = [s for s in (sight(view, patch) for patch in patches) if s is not None]
+        observations = [s for s in (observe(view, patch) for patch in patches) if s is not None]
         ceiling_m = self.ceiling_height_m if self._ceiling.sure else None
-        self.walls.update(sightings, self.floor_height_m, ceiling_m)
+        self.walls.update(observations, self.floor_height_m, ceiling_m)
         return view
 
     def state(self) -> dict[str, NDArray]:
-        """Arrays that `restore` takes."""
+        """Return the arrays that `restore` accepts."""
         return {
             **{f"up/{name}": array for name, array in self.up.state().items()},
             "floor": self._floor.state(),
@@ -90,7 +93,7 @@ class Room:
         }
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self.up.restore({n[3:]: a for n, a in arrays.items() if n.startswith("up/")})
         self._floor.restore(arrays["floor"])
         self._ceiling.restore(arrays["ceiling"])

@@ -1,7 +1,8 @@
-"""A depth image on a coarse grid: points, normals, and the plane that each cell lies on.
+"""A depth image reduced to a coarse grid of cells with points, normals and planes.
 
-A plane's inverse depth is linear in the image, and the noise of structured light is even in
-it, so planes are fitted there: by sums over windows, a few milliseconds an image.
+The inverse depth of a plane is linear in image coordinates, and the noise of structured light is
+uniform in inverse depth. Planes are therefore fitted to inverse depth, by box filters, which takes
+a few milliseconds per image.
 """
 
 from __future__ import annotations
@@ -15,29 +16,29 @@ from numpy.typing import NDArray
 
 from toolkit.geometry.camera import Camera
 
-# Half a window of the plane fits, in cells: less is noisy, more loses small surfaces.
-_REACH = 3
-# A block of pixels across a depth step of more than this share holds two surfaces.
+# Radius of the windows of the plane fits in cells; larger windows lose small surfaces.
+_RADIUS = 3
+# Relative depth step above which a block of pixels contains two surfaces.
 _STEP = 0.06
-# Least share of a window, and of a block, that must have depth.
-_LEAST_WINDOW, _LEAST_BLOCK = 0.3, 0.4
+# Minimum fraction of pixels with depth in a window and in a block.
+_MIN_WINDOW, _MIN_BLOCK = 0.3, 0.4
 _NO_FIT = np.float32(1e8)
 
 
 @dataclass(frozen=True)
 class SurfaceGrid:
-    """Surfaces in camera coordinates, one cell for each block of pixels.
+    """Surfaces in camera coordinates, with one cell for each block of pixels.
 
     Attributes:
-        block: pixels a side of a cell.
+        block: side length of a cell in pixels.
         inverse_depth: [h, w] float32 in 1/m, 0 where missing.
         valid: [h, w], whether a cell has depth.
-        x, y: [h, w] float32, where the ray of a cell meets the plane z = 1.
-        planes: [h, w, 3] float32 (a, b, c): inverse depth = a x + b y + c around the cell.
-        normals: [h, w, 3] float32 of unit length, towards the camera.
+        x, y: [h, w] float32, intersection of a cell's ray with the plane z = 1.
+        planes: [h, w, 3] float32 (a, b, c) with inverse depth = a x + b y + c around the cell.
+        normals: [h, w, 3] float32 unit normals, towards the camera.
         oriented: [h, w], whether a cell has a plane and a normal.
         points: [h, w, 3] float32 in metres.
-        cell_area: of one cell on the plane z = 1.
+        cell_area: area of one cell on the plane z = 1.
     """
 
     block: int
@@ -58,7 +59,7 @@ class SurfaceGrid:
 
     @property
     def areas_m2(self) -> NDArray[np.float32]:
-        """Area [h, w] of surface that each cell shows; 0 where it has no normal."""
+        """Surface area [h, w] of each cell in square metres; 0 for cells without a normal."""
         x, y, z = np.moveaxis(self.normals, -1, 0)
         cosine = -(x * self.x + y * self.y + z)
         area = self.cell_area * self.depth_m**2 / np.maximum(cosine, 0.05)
@@ -66,11 +67,12 @@ class SurfaceGrid:
 
 
 def surface_grid(depth_m: NDArray[np.float32], camera: Camera, columns: int = 160) -> SurfaceGrid:
-    """The grid of a depth image.
+    """Compute the grid of a depth image.
 
     Args:
         depth_m: [H, W] z-depth in metres, 0 where missing.
-        columns: most cells across the image.
+        camera: intrinsics of the image.
+        columns: maximum number of cells across the image.
     """
     block = max(1, -(-camera.width // columns))
     block = min(block, camera.height)
@@ -91,7 +93,7 @@ def surface_grid(depth_m: NDArray[np.float32], camera: Camera, columns: int = 16
         x=x,
         y=y,
         planes=planes,
-        # With n . X = d on a plane, (a, b, c) = n / d, and d < 0 where n looks at the camera.
+        # With n . X = d on a plane, (a, b, c) = n / d, and d < 0 if n points to the camera.
         normals=np.asarray(-planes / np.where(length > 0, length, 1), dtype=np.float32),
         oriented=oriented,
         points=np.stack([x, y, np.ones_like(x)], axis=-1) * depth[..., None],
@@ -102,14 +104,14 @@ def surface_grid(depth_m: NDArray[np.float32], camera: Camera, columns: int = 16
 def _reduced(
     depth_m: NDArray[np.float32], block: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Inverse depth [h, w] of blocks: the mean, or the nearest where two surfaces meet."""
+    """Return the inverse depth [h, w] of blocks: the mean, or the nearest at depth steps."""
     height, width = depth_m.shape[0] // block, depth_m.shape[1] // block
     depth = depth_m[: height * block, : width * block]
     measured = depth > 0
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=measured)
-    share = _block_mean(measured.astype(np.float32), block)
-    valid = share >= _LEAST_BLOCK
-    mean = _block_mean(inverse, block) / np.maximum(share, 1e-6)
+    fraction = _block_mean(measured.astype(np.float32), block)
+    valid = fraction >= _MIN_BLOCK
+    mean = _block_mean(inverse, block) / np.maximum(fraction, 1e-6)
     nearest = inverse.reshape(height, block, width, block).max(axis=(1, 3))
     step = nearest - mean > 0.5 * _STEP * mean
     return np.where(valid, np.where(step, nearest, mean), 0).astype(np.float32), valid
@@ -126,16 +128,16 @@ def _fitted_planes(
     x: NDArray[np.float32],
     y: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Planes [h, w, 3] around cells, and where there is one.
+    """Return the planes [h, w, 3] of cells and the mask [h, w] of cells with a plane.
 
-    A window across an edge mixes two surfaces. So each cell takes, of the nine windows of
-    which it is the middle, a corner or in the middle of a side, the one that fits best.
+    A window across an edge mixes two surfaces. Each cell therefore selects the best fit of nine
+    windows, in which it is at the centre, at a corner or at the middle of a side.
     """
     planes, residual = _window_fits(inverse_depth, valid, x, y)
     best = np.full(valid.shape, _NO_FIT, np.float32)
     chosen = planes
-    for down in (0, -_REACH, _REACH):
-        for across in (0, -_REACH, _REACH):
+    for down in (0, -_RADIUS, _RADIUS):
+        for across in (0, -_RADIUS, _RADIUS):
             plane = moved(planes, down, across, 0.0)
             error = plane[..., 0] * x + plane[..., 1] * y + plane[..., 2] - inverse_depth
             fit = moved(residual, down, across, _NO_FIT) + 0.5 * error * error
@@ -151,9 +153,9 @@ def _window_fits(
     x: NDArray[np.float32],
     y: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Least-squares planes [h, w, 3] of windows, and their mean squared residuals [h, w]."""
+    """Return least-squares planes [h, w, 3] of windows and mean squared residuals [h, w]."""
     weight = valid.astype(np.float32)
-    side = 2 * _REACH + 1
+    side = 2 * _RADIUS + 1
 
     def total(values: NDArray[np.float32]) -> NDArray[np.float32]:
         return cv2.boxFilter(
@@ -172,9 +174,9 @@ def _window_fits(
     xy = mean(x * y) - mean_x * mean_y
     xq, yq = mean(x * q) - mean_x * mean_q, mean(y * q) - mean_y * mean_q
     qq = mean(q * q) - mean_q * mean_q
-    # Windows that are nearly lines have no plane.
+    # Windows with nearly collinear cells have no plane.
     determinant = xx * yy - xy * xy
-    fits = (count >= _LEAST_WINDOW * side * side) & (determinant > 1e-3 * xx * yy)
+    fits = (count >= _MIN_WINDOW * side * side) & (determinant > 1e-3 * xx * yy)
     determinant = np.where(fits, determinant, 1)
     a = (yy * xq - xy * yq) / determinant
     b = (xx * yq - xy * xq) / determinant
@@ -185,7 +187,7 @@ def _window_fits(
 
 
 def moved(image: NDArray, down: int, across: int, fill: Any) -> NDArray:
-    """The image moved by whole cells, `fill` where nothing comes in."""
+    """Translate an image by whole cells; uncovered cells are set to `fill`."""
     out = np.full_like(image, fill)
     height, width = image.shape[:2]
     if abs(down) >= height or abs(across) >= width:
