@@ -131,5 +131,5 @@ def test_model_images_must_have_the_size_of_their_camera(field):
 
 def test_odometry_refuses_two_cameras():
     models, frames = levels_of((WIDE, LONG))
-    with pytest.raises(ToolkitError, match="one camera for both images"):
+    with pytest.raises(ToolkitError, match="same camera for both images"):
         frame_to_model(models[0], frames[0], np.eye(4))

@@ -234,7 +234,7 @@ class TestStore:
             arrays.write_bytes(arrays.read_bytes()[:100])
         again = SubmapStore(tmp_path, budget_mb=0)
         assert again.restore(store.state()) == [1]
-        assert "submap 1 is lost" in caplog.text and "0001_0" in caplog.text
+        assert "Submap 1 cannot be read" in caplog.text and "0001_0" in caplog.text
         assert same(again.get(2), some_submap(2))
         with pytest.raises((FormatError, RunFolderError)):
             again.get(1)

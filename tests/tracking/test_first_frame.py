@@ -34,7 +34,7 @@ FAULTS = [
     (blind_frame, "only 0 pixels have depth"),
     (without_numbers, "only 0 pixels have depth"),
     (at_infinity, "only 0 pixels have depth"),
-    (dead_sensor_frame, "its colour holds values that are not finite"),
+    (dead_sensor_frame, "its colour image contains values that are not finite"),
 ]
 
 
@@ -53,7 +53,7 @@ def test_such_a_frame_is_refused_in_one_line(room, tracker, caplog, make, fault)
     before = {name: array.copy() for name, array in tracker.state().items()}
     with caplog.at_level(logging.WARNING, "toolkit"):
         assert tracker.first_pose(make(room.frames[0])) is None
-    assert [r.getMessage() for r in caplog.records] == [f"frame 0 cannot start the map: {fault}"]
+    assert [r.getMessage() for r in caplog.records] == [f"Frame 0 cannot start the map: {fault}."]
     after = tracker.state()
     assert all(np.array_equal(before[name], after[name]) for name in before)
 

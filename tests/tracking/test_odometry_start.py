@@ -196,7 +196,10 @@ class TestWithoutOpen3d:
                 for mode in ("velocity", "auto")
             )
         assert np.array_equal(plain.T_map_camera, auto.T_map_camera)
-        assert "frame 1 fits badly" in caplog.text and "Open3D cannot be loaded" in caplog.text
+        assert (
+            "Odometry of frame 1 is not available" in caplog.text
+            and "Open3D cannot be loaded" in caplog.text
+        )
 
     def test_who_asks_for_both_is_told(self, room, gaussians):
         tracker = DenseTracker(DenseOptions(start="both"))

@@ -14,13 +14,13 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking import prepared as module
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.prepared import FramesAhead, prepared
+from toolkit.tracking.prepared import PreparedFrames, prepared
 
 CPU = torch.device("cpu")
 
 
 def test_a_frame_is_made_ready_once(room, monkeypatch):
-    ahead = FramesAhead(levels=3)
+    ahead = PreparedFrames(levels=3)
     ahead.prepare(room.frames[1], CPU)
     monkeypatch.setattr(module, "prepared", lambda *_: pytest.fail("made ready again"))
     first, second = ahead.of(room.frames[1], CPU), ahead.of(room.frames[1], CPU)
@@ -28,7 +28,7 @@ def test_a_frame_is_made_ready_once(room, monkeypatch):
 
 
 def test_labels_added_since_change_nothing(room):
-    ahead = FramesAhead(levels=2)
+    ahead = PreparedFrames(levels=2)
     ahead.prepare(room.frames[1], CPU)
     labels = np.ones_like(room.frames[1].depth_m, dtype=np.int32)
     held = ahead.of(replace(room.frames[1], labels=labels), CPU)
@@ -36,7 +36,7 @@ def test_labels_added_since_change_nothing(room):
 
 
 def test_other_images_of_the_same_number_are_not_mistaken(room):
-    ahead = FramesAhead(levels=2)
+    ahead = PreparedFrames(levels=2)
     ahead.prepare(room.frames[1], CPU)
     darker = replace(room.frames[1], rgb=room.frames[1].rgb * np.float32(0.5))
     found = ahead.of(darker, CPU)
@@ -45,34 +45,36 @@ def test_other_images_of_the_same_number_are_not_mistaken(room):
 
 
 def test_frames_before_the_one_asked_for_are_let_go(room):
-    ahead = FramesAhead(levels=1)
+    ahead = PreparedFrames(levels=1)
     for frame in room.frames[:3]:
         ahead.prepare(frame, CPU)
     ahead.of(room.frames[2], CPU)
-    assert [p.frame.index for p in ahead._held] == [2]
+    assert [p.frame.index for p in ahead._cache] == [2]
 
 
 def test_frames_nobody_asks_for_do_not_pile_up(room):
-    ahead = FramesAhead(levels=1)
+    ahead = PreparedFrames(levels=1)
     for index in range(50):
         ahead.prepare(replace(room.frames[0], index=index), CPU)
-    assert [p.frame.index for p in ahead._held] == list(range(50 - module._MOST, 50))
+    assert [p.frame.index for p in ahead._cache] == list(range(50 - module._MAX_FRAMES, 50))
 
 
 def test_depth_is_summed_up(room):
     frame = room.frames[0]
     ready = prepared(frame, 1, CPU)
     assert ready.measured == int((frame.depth_m > 0).sum())
-    assert ready.reach_m == pytest.approx(float(np.median(frame.depth_m[frame.depth_m > 0])), 0.05)
+    assert ready.median_depth_m == pytest.approx(
+        float(np.median(frame.depth_m[frame.depth_m > 0])), 0.05
+    )
     blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
-    assert (prepared(blind, 1, CPU).reach_m, prepared(blind, 1, CPU).measured) == (1.0, 0)
+    assert (prepared(blind, 1, CPU).median_depth_m, prepared(blind, 1, CPU).measured) == (1.0, 0)
 
 
 def tracked(room: Room, gaussians: GaussianCloud, frames: list[Frame], ahead: bool) -> list[bytes]:
     """Poses of frames, made ready by another thread meanwhile or not."""
     tracker = DenseTracker()
     tracker.first_pose(room.frames[0])
-    reader = threading.Thread(target=lambda: [tracker._ahead.prepare(f, CPU) for f in frames])
+    reader = threading.Thread(target=lambda: [tracker._prepared.prepare(f, CPU) for f in frames])
     if ahead:
         reader.start()
     poses = [tracker.track(frame, gaussians).T_map_camera.tobytes() for frame in frames]
@@ -89,4 +91,4 @@ def test_results_are_the_same_to_the_bit(room, gaussians):
 def test_on_a_cpu_nothing_is_done_ahead(room):
     tracker = DenseTracker()
     tracker.prepare(room.frames[1], CPU)
-    assert tracker._ahead._held == []
+    assert tracker._prepared._cache == []

@@ -1,8 +1,8 @@
-"""The default tracker: dense Gauss-Newton against the rendered map (mission section 7).
+"""The default tracker: dense Gauss-Newton alignment to the rendered map.
 
-Render once where the camera is expected, align the frame to that view coarse to fine, and
-render again only where the result lies far from the view that it was measured against.
-Where the frame then fits badly, Open3D's odometry proposes another start.
+The map is rendered at the predicted pose, and the frame is aligned to that view from coarse to
+fine. The map is rendered again only if the estimated pose is far from the rendered view. If the
+frame then fits badly, alignment is repeated from the pose found by Open3D's odometry.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from toolkit.tracking.health import (
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.options import DenseOptions
-from toolkit.tracking.prepared import FramesAhead, PreparedFrame
+from toolkit.tracking.prepared import PreparedFrame, PreparedFrames
 from toolkit.tracking.result import Health, TrackingResult
 
 _log = logging.getLogger(__name__)
@@ -51,22 +51,22 @@ _log = logging.getLogger(__name__)
 # Minimum number of residuals.
 _MIN_PIXELS = 50
 
-# A frame fits badly when its residual scales, multiplied, exceed so many times those of the
-# last frame. Ordinary frames of the real sequences stay below 1.8; of the wrong poses that
-# jumps led to, nearly all lie above, up to 3000.
+# A frame fits badly if the product of its residual scales exceeds that of the last frame by this
+# factor. Correctly tracked frames of the real sequences stay below 1.8. Nearly all wrong poses
+# after large motions lie above, up to 3000.
 _BAD_FIT = 2.0
 
-# Odometry works on this pyramid level: a start need not be precise.
+# Pyramid level for odometry; an initial pose need not be precise.
 _ODOMETRY_LEVEL = 1
 
-# Steps below these end a level: a thousandth of a pixel at usual focal lengths.
+# Smaller steps end a pyramid level: a thousandth of a pixel at usual focal lengths.
 _SMALL_TRANSLATION_M = 2e-5
 _SMALL_ROTATION_RAD = 1e-5
 
 
 @dataclass(frozen=True)
 class _View:
-    """The map as drawn at a pose, fine to coarse."""
+    """The map rendered at a pose: image pyramid from fine to coarse."""
 
     T_map_view: NDArray[np.float64]
     levels: list[ModelLevel]
@@ -74,20 +74,20 @@ class _View:
 
 @dataclass(frozen=True)
 class _Task:
-    """One frame to be placed in a map."""
+    """A frame to be located in a map."""
 
-    ready: PreparedFrame
+    prepared: PreparedFrame
     gaussians: GaussianCloud
 
     @property
     def frame(self) -> Frame:
-        """As it came."""
-        return self.ready.frame
+        """The frame without preprocessing."""
+        return self.prepared.frame
 
     @property
     def levels(self) -> list[FrameLevel]:
-        """The frame's own, from fine to coarse."""
-        return self.ready.levels
+        """Image pyramid of the frame, from fine to coarse."""
+        return self.prepared.levels
 
 
 class DenseTracker(MovingTracker):
@@ -102,7 +102,7 @@ class DenseTracker(MovingTracker):
     ) -> None:
         super().__init__(limits)
         self.options = options or DenseOptions()
-        self._ahead = FramesAhead(self.options.levels)
+        self._prepared = PreparedFrames(self.options.levels)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = INITIAL_SCALES
@@ -110,12 +110,12 @@ class DenseTracker(MovingTracker):
         self._exposure = IDENTITY
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
-        """Bring a frame's pyramid to a GPU while earlier frames are tracked there.
+        """Compute a frame's pyramid on a GPU while earlier frames are tracked.
 
-        On a CPU tracking wants all cores for itself: a whole run took 3 % longer.
+        Does nothing on a CPU, where tracking needs all cores: runs took 3 % longer.
         """
         if device.type != "cpu":
-            self._ahead.prepare(frame, device)
+            self._prepared.prepare(frame, device)
 
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
@@ -125,15 +125,15 @@ class DenseTracker(MovingTracker):
         return super().state() | {name: np.array(values) for name, values in own.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         super().restore(state)
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
-        # Earlier checkpoints have no "fit".
+        # Checkpoints of earlier versions have no "fit".
         self._fit = ResidualScales(*(float(s) for s in state.get("fit", state["scales"])))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
-        """Pose of a frame against the map; the motion model follows unless it is lost."""
+        """Track a frame and update the motion model, unless the frame is lost."""
         starts = [self.motion.predict(frame.timestamp_s)]
         last = self.motion.last()
         if last is not None:
@@ -157,38 +157,38 @@ class DenseTracker(MovingTracker):
     def locate(
         self, frame: Frame, gaussians: GaussianCloud, *starts: NDArray[np.float64]
     ) -> TrackingResult:
-        """Pose of a frame near one of the starts; the tracker's own state stays as it is.
+        """Locate a frame near one of several initial poses; the tracker's state does not change.
 
         Args:
-            starts: T_map_camera [4, 4] each; the map is drawn at the first, and the one that
-                fits best on the coarsest level is where alignment begins.
+            starts: initial poses T_map_camera [4, 4]. The map is rendered at the first one.
+                Alignment starts at the one with the lowest cost on the coarsest level.
 
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
         """
-        task = _Task(self._ahead.of(frame, gaussians.means.device), gaussians)
-        view = self._draw(task, starts[0])
+        task = _Task(self._prepared.of(frame, gaussians.means.device), gaussians)
+        view = self._render(task, starts[0])
         start = self._best_start(task, view, starts)
-        result = self._aligned(task, view, start)
+        result = self._align(task, view, start)
         if self.options.start == "both" or (
             self.options.start == "auto" and (result.lost or self._misfit(result) > _BAD_FIT)
         ):
             return self._better_by_odometry(task, view, start, result)
         return result
 
-    def _draw(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
-        camera, thin = task.frame.camera, self.options.min_silhouette
+    def _render(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
+        camera, min_silhouette = task.frame.camera, self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
         with self._recorder.timed("tracking render"):
-            options = RenderOptions(thin)
+            options = RenderOptions(min_silhouette)
             surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
-            levels = pyramid(view_level(surface, thin), self.options.levels)
+            levels = pyramid(view_level(surface, min_silhouette), self.options.levels)
             return _View(T_map_view.copy(), [model_level(level) for level in levels])
 
     def _best_start(
         self, task: _Task, view: _View, starts: tuple[NDArray[np.float64], ...]
     ) -> NDArray[np.float64]:
-        """The start with the least cost against a view."""
+        """The initial pose with the lowest cost against a view."""
         if len(starts) == 1:
             return starts[0]
         T_view_map = se3.inverse(view.T_map_view)
@@ -201,14 +201,14 @@ class DenseTracker(MovingTracker):
         return starts[int(np.argmin(costs))]
 
     def _misfit(self, result: TrackingResult) -> float:
-        """Residual scales of both kinds, multiplied, in units of the last frame's."""
+        """Product of both residual scales, relative to that of the last frame."""
         scales = self._scales.intensity * self._scales.depth_m
         return result.intensity_residual * result.depth_residual_m / scales
 
     def _better_by_odometry(
         self, task: _Task, view: _View, start: NDArray[np.float64], first: TrackingResult
     ) -> TrackingResult:
-        """The better of a result and of what alignment makes of odometry's answer."""
+        """Repeat the alignment from the pose found by odometry; return the better result."""
         level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
         T_view_start = se3.inverse(view.T_map_view) @ start
         try:
@@ -217,12 +217,12 @@ class DenseTracker(MovingTracker):
         except DependencyError as error:
             if self.options.start == "both":
                 raise
-            _log.info("frame %d fits badly, and odometry cannot help: %s", task.frame.index, error)
+            _log.info("Odometry of frame %d is not available: %s", task.frame.index, error)
             return first
         if T_view_camera is None:
             return first
-        found = view.T_map_view @ T_view_camera
-        second = self._aligned(task, self._draw(task, found), found)
+        T_map_camera = view.T_map_view @ T_view_camera
+        second = self._align(task, self._render(task, T_map_camera), T_map_camera)
         fits_better = (second.lost, self._misfit(second)) < (first.lost, self._misfit(first))
         return replace(
             second if fits_better else first,
@@ -230,24 +230,29 @@ class DenseTracker(MovingTracker):
             iterations=first.iterations + second.iterations,
         )
 
-    def _aligned(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
-        """Alignment from a start, first against a view of the map near it."""
+    def _align(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
+        """Align a frame from an initial pose.
+
+        Args:
+            view: a view of the map near the initial pose. The map is rendered again if the
+                estimate moves too far from it.
+        """
         T_view_camera = se3.inverse(view.T_map_view) @ start
-        found = Alignment(T_view_camera, self._scales, self._exposure)
-        renders, levels, rules = 1, len(view.levels), self._rules
+        alignment = Alignment(T_view_camera, self._scales, self._exposure)
+        renders, levels, options = 1, len(view.levels), self._alignment_options
         while True:
             with self._recorder.timed("tracking align"):
-                found = align(view.levels[:levels], task.levels[:levels], found, rules)
-            near = not self._far(found.T_view_camera, task.ready.reach_m)
-            if (near and found.converged) or renders == self.options.renders:
-                return self._result(task, view, found, renders)
-            view = self._draw(task, view.T_map_view @ found.T_view_camera)
-            found = replace(found, T_view_camera=np.eye(4))
-            # A second view of the same frame needs the finest level only.
+                alignment = align(view.levels[:levels], task.levels[:levels], alignment, options)
+            near = not self._is_far(alignment.T_view_camera, task.prepared.median_depth_m)
+            if (near and alignment.converged) or renders == self.options.renders:
+                return self._result(task, view, alignment, renders)
+            view = self._render(task, view.T_map_view @ alignment.T_view_camera)
+            alignment = replace(alignment, T_view_camera=np.eye(4))
+            # Further views of the same frame are aligned at the finest level only.
             renders, levels = renders + 1, 1
 
     @property
-    def _rules(self) -> GaussNewtonOptions:
+    def _alignment_options(self) -> GaussNewtonOptions:
         options = self.options
         return GaussNewtonOptions(
             iterations=options.iterations,
@@ -259,38 +264,41 @@ class DenseTracker(MovingTracker):
             min_rotation_rad=_SMALL_ROTATION_RAD,
         )
 
-    def _far(self, T_view_camera: NDArray[np.float64], reach_m: float) -> bool:
-        """Whether a camera lies too far from where the map was drawn."""
-        moved = np.linalg.norm(T_view_camera[:3, 3]) / reach_m
-        turned = se3.rotation_angle_rad(T_view_camera[:3, :3])
-        return bool(moved + turned > self.options.rerender_distance)
+    def _is_far(self, T_view_camera: NDArray[np.float64], median_depth_m: float) -> bool:
+        """Whether a camera is too far from the pose at which the map was rendered."""
+        translation = np.linalg.norm(T_view_camera[:3, 3]) / median_depth_m
+        rotation = se3.rotation_angle_rad(T_view_camera[:3, :3])
+        return bool(translation + rotation > self.options.rerender_distance)
 
-    def _estimated_exposure(self, task: _Task, view: _View, found: Alignment) -> Exposure:
+    def _estimated_exposure(self, task: _Task, view: _View, alignment: Alignment) -> Exposure:
         """Exposure of the frame that is stored with a keyframe."""
-        if not self.options.exposure or found.last is None:
-            return found.exposure
+        if not self.options.exposure or alignment.last is None:
+            return alignment.exposure
         levels = list(zip(view.levels, task.levels, strict=True))
         gate = self.options.max_distance
-        return estimate_exposure(levels, found.T_view_camera, found.scales, found.exposure, gate)
+        pose, scales = alignment.T_view_camera, alignment.scales
+        return estimate_exposure(levels, pose, scales, alignment.exposure, gate)
 
-    def _result(self, task: _Task, view: _View, found: Alignment, renders: int) -> TrackingResult:
-        measured, linear = float(task.ready.measured), found.last
+    def _result(
+        self, task: _Task, view: _View, alignment: Alignment, renders: int
+    ) -> TrackingResult:
+        measured, linear = float(task.prepared.measured), alignment.last
         visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
-        # Perturbations were on the view's side; the view stands at the pose itself now.
+        # The perturbation is in the view's frame; the view is close to the estimated pose.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
-        reason = failure_reason(self.limits, found.scales, visible, information, measured)
-        # Alignment that gives up at once hands back a product of this tracker's own poses, and
-        # their rounding errors threefold: a few hundred such frames and no pose is rigid.
+        reason = failure_reason(self.limits, alignment.scales, visible, information, measured)
+        # Alignment that fails immediately returns a product of this tracker's own poses. Without
+        # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
         return TrackingResult(
-            T_map_camera=se3.orthonormalise(view.T_map_view @ found.T_view_camera),
-            converged=found.converged,
-            iterations=found.iterations,
+            T_map_camera=se3.orthonormalise(view.T_map_view @ alignment.T_view_camera),
+            converged=alignment.converged,
+            iterations=alignment.iterations,
             renders=renders,
-            intensity_residual=found.scales.intensity,
-            depth_residual_m=found.scales.depth_m,
+            intensity_residual=alignment.scales.intensity,
+            depth_residual_m=alignment.scales.depth_m,
             visible_fraction=visible,
             information=information,
             health=Health.LOST if reason else Health.GOOD,
             reason=reason,
-            exposure=self._estimated_exposure(task, view, found),
+            exposure=self._estimated_exposure(task, view, alignment),
         )

@@ -1,4 +1,4 @@
-"""Poses from a table: the tracker of `--poses given`, for mapping alone."""
+"""Tracker of `--poses given`, which takes the poses from a trajectory: mapping only."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from toolkit.tracking.result import Health, TrackingResult
 
 
 class GivenPoses:
-    """Looks each frame's pose up by its time; frames without one count as lost.
+    """Looks up the pose of each frame by its timestamp; frames without a pose are lost.
 
-    The first map's frame is then the trajectory's world.
+    The frame of the first submap is the world frame of the trajectory.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -27,16 +27,16 @@ class GivenPoses:
     wants_labels = False
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
-        """T_map_camera [4, 4] of the first frame; None without pose or anything to map."""
+        """T_map_camera [4, 4] of the first frame; None if it has no pose or cannot be mapped."""
         if not may_start_map(HealthLimits(), frame):
             return None
         return self._trajectory.at(frame.timestamp_s)
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
-        """Nothing is done ahead of a frame's turn."""
+        """Do nothing."""
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
-        """The table's pose."""
+        """Return the pose of the trajectory."""
         T_world_camera = self._trajectory.at(frame.timestamp_s)
         known = T_world_camera is not None
         return TrackingResult(
@@ -55,13 +55,13 @@ class GivenPoses:
         )
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
-        """Go on in another frame of the map."""
+        """Change the coordinate frame of the map."""
         self._T_map_world = T_new_old @ self._T_map_world
 
     def state(self) -> dict[str, NDArray]:
-        """Where the map lies; the table is read again on resume."""
+        """Pose of the world in the map; the trajectory is read again when a run is resumed."""
         return {"T_map_world": self._T_map_world}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self._T_map_world = np.array(state["T_map_world"])

@@ -12,8 +12,8 @@ from toolkit.frame import Frame
 
 _log = logging.getLogger(__name__)
 
-# Smaller scales do not predict those of the next frame: on ideal images the fit can become
-# several times worse where the map is new.
+# Smaller scales do not predict those of the next frame: on ideal images the residuals can grow
+# several times where the map is new.
 _USUAL_SCALES = ResidualScales(intensity=0.01, depth_m=0.0015)
 # Growth of the scales with every lost frame, up to the initial ones: the alignment of the next
 # frame starts with larger errors.
@@ -25,46 +25,50 @@ _MAX_RELAXATION = 1.6
 
 
 def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
-    """Whether a map can begin with a frame; a warning says what is wrong with it."""
+    """Whether a map can start at a frame; otherwise a warning with the reason is logged."""
     measured = int((np.isfinite(frame.depth_m) & (frame.depth_m > 0)).sum())
     if not np.isfinite(frame.rgb).all():
-        fault = "its colour holds values that are not finite"
+        reason = "its colour image contains values that are not finite"
     elif measured < limits.min_measured:
-        fault = f"only {measured} pixels have depth"
+        reason = f"only {measured} pixels have depth"
     else:
         return True
-    _log.warning("frame %d cannot start the map: %s", frame.index, fault)
+    _log.warning("Frame %d cannot start the map: %s.", frame.index, reason)
     return False
 
 
-def misfit_reason(limits: HealthLimits, found: ResidualScales, before: ResidualScales) -> str:
-    """Why a converged alignment is wrong, judged by the previous frame's fit; empty if it is not.
+def misfit_reason(limits: HealthLimits, found: ResidualScales, reference: ResidualScales) -> str:
+    """Why a converged alignment is wrong, compared with previous residuals; empty if it is right.
 
-    Alignment that converges to another place of similar shape ends with a small step and a fair
-    fit, but a far worse one than the previous frame's: 5.2 times at a jump of 55 cm (every eighth
-    frame of RedKitchen), below 3.1 in all tracked frames of the real recordings.
+    Alignment to a wrong place of similar shape converges with moderate residuals, but they are
+    much larger than those of the previous frame: 5.2 times after a motion of 55 cm (every eighth
+    frame of RedKitchen), but below 3.1 times in all tracked frames of the real recordings.
 
     Args:
-        found: scales of the frame. before: scales to compare with, see `reference_scales`.
+        found: residual scales of the frame.
+        reference: scales to compare with, see `reference_scales`.
     """
     usual = _USUAL_SCALES
-    before_product = max(before.intensity, usual.intensity) * max(before.depth_m, usual.depth_m)
-    misfit = found.intensity * found.depth_m / before_product
+    reference_product = max(reference.intensity, usual.intensity) * max(
+        reference.depth_m, usual.depth_m
+    )
+    misfit = found.intensity * found.depth_m / reference_product
     if misfit <= limits.max_residual_ratio:
         return ""
     return f"it fits {misfit:.1f} times worse than the frame before"
 
 
 def has_depth(frame: Frame) -> bool:
-    """Whether any pixel has depth; a frame of a covered lens does not locate the camera."""
+    """Whether any pixel has depth. Frames of a covered lens have none and cannot be located."""
     return bool((frame.depth_m > 0).any())
 
 
 def reference_scales(scales: ResidualScales, fit: ResidualScales) -> ResidualScales:
-    """Scales to compare a frame's with: those of the last tracked frame, larger after lost frames.
+    """Reference for a frame's scales: those of the last tracked frame, larger after lost frames.
 
     Args:
-        scales: after `relaxed_scales`. fit: of the last tracked frame.
+        scales: current scales, after `relaxed_scales`.
+        fit: scales of the last tracked frame.
     """
     usual = _USUAL_SCALES
     return ResidualScales(

@@ -1,4 +1,4 @@
-"""What trackers have in common that expect the camera to move on as it did."""
+"""Base class of the trackers with a motion model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toolkit.tracking.motion import ConstantVelocity
 
 
 class MovingTracker:
-    """The part of a tracker that is about the camera's motion, and about the first frame."""
+    """Motion model and first pose of a tracker."""
 
     wants_labels = False
 
@@ -22,22 +22,22 @@ class MovingTracker:
         self.motion = ConstantVelocity()
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
-        """The map's frame is the first camera's; None where there is nothing to map."""
+        """The identity, because the map's frame is that of the first camera; None if unusable."""
         if not may_start_map(self.limits, frame):
             return None
         self.motion.update(frame.timestamp_s, np.eye(4))
         return np.eye(4)
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
-        """Nothing is done ahead of a frame's turn."""
+        """Do nothing."""
 
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Continue at a pose [4, 4], without a velocity."""
+        """Continue from a pose [4, 4], without a velocity."""
         self.motion = ConstantVelocity()
         self.motion.update(timestamp_s, T_map_camera)
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
-        """Go on in another frame of the map."""
+        """Change the coordinate frame of the map."""
         self.motion.change_frame(T_new_old)
 
     def state(self) -> dict[str, NDArray]:
@@ -45,5 +45,5 @@ class MovingTracker:
         return dict(self.motion.state())
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         self.motion = ConstantVelocity.from_state(state)

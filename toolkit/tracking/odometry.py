@@ -1,8 +1,9 @@
-"""Where the camera may be, from Open3D's odometry of the frame against the drawn map.
+"""Initial pose of a frame from Open3D's RGB-D odometry against the rendered map.
 
-Point to plane: of its three methods it reached the place from the farthest (steps of 5 to 20
-degrees on real recordings), and it knows neither texture nor exposure, so it fails on other
-frames than the tracker's own photometric levels do. It is a start, and no more precise.
+It uses the point-to-plane method, which had the largest basin of convergence of the three (steps
+of 5 to 20 degrees on real recordings). It depends neither on texture nor on exposure, and
+therefore fails on other frames than the tracker's photometric alignment. The result is only
+accurate enough for an initial pose.
 """
 
 from __future__ import annotations
@@ -19,34 +20,34 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
 
-# Its three levels from coarse to fine. Open3D's defaults stop far from the optimum.
+# Iterations per pyramid level from coarse to fine. Open3D's defaults stop far from the optimum.
 _ITERATIONS = (30, 20, 10)
-# Depth beyond it is ignored; no sensor that we read reaches it.
-_FARTHEST_M = 100.0
+# Larger depth is ignored; it is beyond the range of all supported sensors.
+_MAX_DEPTH_M = 100.0
 
 
 def frame_to_model(
     view: ModelLevel, frame: FrameLevel, T_view_frame: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Pose of a frame against a drawn view, by depth alone.
+    """Estimate the pose of a frame relative to a rendered view, from depth only.
 
-    Reproducible: the bridge holds Open3D to one thread.
+    Reproducible, because `open3d_bridge` limits Open3D to one thread.
 
     Args:
-        view, frame: one pyramid level of each, of the same camera.
-        T_view_frame: [4, 4] where to begin.
+        view, frame: one pyramid level of each, with the same camera.
+        T_view_frame: [4, 4] initial pose.
 
     Returns:
-        T_view_frame [4, 4], or None where the equations cannot be solved.
+        T_view_frame [4, 4], or None if the equations cannot be solved.
 
     Raises:
         DependencyError: Open3D cannot be loaded.
-        ToolkitError: the cameras differ; Open3D's odometry takes one.
+        ToolkitError: the cameras differ; Open3D's odometry supports a single camera.
     """
     if view.camera != frame.camera:
         raise ToolkitError(
-            "Open3D's odometry needs one camera for both images: draw the view with the frame's "
-            f"camera ({_described(frame.camera)}), not with {_described(view.camera)}"
+            "Open3D's odometry needs the same camera for both images: render the view with the "
+            f"frame's camera ({_described(frame.camera)}), not with {_described(view.camera)}"
         )
     o3d = open3d()
     odometry = o3d.t.pipelines.odometry
@@ -57,18 +58,18 @@ def frame_to_model(
             _matrix(o3d, frame.camera),
             o3d.core.Tensor.from_numpy(np.ascontiguousarray(T_view_frame, dtype=np.float64)),
             1.0,
-            _FARTHEST_M,
+            _MAX_DEPTH_M,
             [odometry.OdometryConvergenceCriteria(count) for count in _ITERATIONS],
             odometry.Method.PointToPlane,
         )
-    except RuntimeError:  # singular equations: too little in common, or one bare wall
+    except RuntimeError:  # singular equations: too little overlap, or a single plane
         return None
-    T_found = np.asarray(result.transformation.numpy(), dtype=np.float64)
-    return se3.orthonormalise(T_found) if np.isfinite(T_found).all() else None
+    T = np.asarray(result.transformation.numpy(), dtype=np.float64)
+    return se3.orthonormalise(T) if np.isfinite(T).all() else None
 
 
 def _depth_image(o3d: ModuleType, depth_m: NDArray[np.float32]) -> Any:
-    """An RGB-D image of Open3D's; point to plane never reads its colour."""
+    """Open3D RGB-D image; the point-to-plane method does not read its colour."""
     image = o3d.t.geometry.Image(o3d.core.Tensor.from_numpy(np.ascontiguousarray(depth_m)))
     return o3d.t.geometry.RGBDImage(image, image)
 

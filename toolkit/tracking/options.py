@@ -71,7 +71,7 @@ class PlacementOptions:
     """Number of newest keyframes that a new keyframe is aligned to."""
     older: NonNegativeInt = 4
     """Maximum number of older keyframes that a new keyframe is aligned to."""
-    # The older keyframes stay the same for a while, which holds the trajectory together.
+    # The set of eligible keyframes changes slowly, which reduces drift.
     every: PositiveInt = 4
     """Keyframe interval of the older keyframes: every n-th one is eligible."""
     min_recent: Fraction = 0.2

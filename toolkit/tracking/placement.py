@@ -47,11 +47,14 @@ class KeyframePlacement:
         self._cache: OrderedDict[tuple[int, Exposure], _Levels] = OrderedDict()
 
     def place(self, keyframes: Sequence[Keyframe], new: Keyframe) -> Array:
-        """Refined T_map_camera [4, 4] of a new keyframe; unchanged if earlier ones do not fix it.
+        """Refine the pose of a new keyframe.
 
         Args:
-            keyframes: of the same map, in order; their poses do not change.
-            new: at the tracker's pose.
+            keyframes: keyframes of the same map, in order; their poses do not change.
+            new: the new keyframe, at the tracker's pose.
+
+        Returns:
+            T_map_camera [4, 4]; the tracker's pose if the alignment fails or moves it too far.
         """
         chosen = self._chosen(keyframes, new)
         if not chosen:
@@ -81,7 +84,7 @@ class KeyframePlacement:
         ]
         if len(older) > options.older:
             spread = np.linspace(0, len(older) - 1, options.older).round().astype(int)
-            older = [older[place] for place in spread]
+            older = [older[index] for index in spread]
         return [*older, *recent]
 
     def _levels(self, keyframe: Keyframe) -> _Levels:

@@ -1,4 +1,4 @@
-"""Frames made ready for alignment, by another thread while those before them are tracked."""
+"""Preprocessing of frames for alignment, in another thread while earlier frames are tracked."""
 
 from __future__ import annotations
 
@@ -12,31 +12,36 @@ from toolkit.alignment.data import FrameLevel
 from toolkit.alignment.levels import finest_level, pyramid
 from toolkit.frame import Frame
 
-# Frames held at most; each that is asked for lets go of all before it.
-_MOST = 8
-# The median depth is told by every n-th pixel in each direction: over all of them it takes as
-# long as drawing the map does.
+# Maximum number of cached frames.
+_MAX_FRAMES = 8
+# The median depth is computed from every n-th pixel in each direction. With all pixels it would
+# take as long as rendering the map.
 _STRIDE = 4
 
 
 @dataclass(frozen=True)
 class PreparedFrame:
-    """What alignment asks of a frame, whatever the map.
+    """A frame with the data that alignment needs and that does not depend on the map.
 
     Attributes:
-        levels: fine to coarse, on the map's device.
-        reach_m: median depth, 1 where none was measured.
-        measured: pixels with depth.
+        frame: the original frame.
+        levels: image pyramid from fine to coarse, on the map's device.
+        median_depth_m: median depth in metres; 1 without depth.
+        measured: number of pixels with depth.
     """
 
     frame: Frame
     levels: list[FrameLevel]
-    reach_m: float
+    median_depth_m: float
     measured: int
 
 
 def prepared(frame: Frame, levels: int, device: torch.device) -> PreparedFrame:
-    """A frame made ready."""
+    """Preprocess a frame.
+
+    Args:
+        levels: number of pyramid levels.
+    """
     sparse = frame.depth_m[_STRIDE // 2 :: _STRIDE, _STRIDE // 2 :: _STRIDE]
     valid = sparse[sparse > 0]
     return PreparedFrame(
@@ -47,26 +52,33 @@ def prepared(frame: Frame, levels: int, device: torch.device) -> PreparedFrame:
     )
 
 
-class FramesAhead:
-    """Holds what was prepared until it is asked for; two threads may use it."""
+class PreparedFrames:
+    """Thread-safe cache of preprocessed frames.
+
+    Args:
+        levels: number of pyramid levels.
+    """
 
     def __init__(self, levels: int) -> None:
         self._levels = levels
-        self._held: list[PreparedFrame] = []
+        self._cache: list[PreparedFrame] = []
         self._lock = threading.Lock()
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
-        """Make a frame ready that will be asked for soon."""
-        made = prepared(frame, self._levels, device)
+        """Preprocess a frame that will be tracked soon, and cache the result."""
+        new = prepared(frame, self._levels, device)
         with self._lock:
-            self._held = [*self._held, made][-_MOST:]
+            self._cache = [*self._cache, new][-_MAX_FRAMES:]
 
     def of(self, frame: Frame, device: torch.device) -> PreparedFrame:
-        """A frame made ready, before or now; labels may have been added to it since."""
+        """The preprocessed frame, from the cache or computed now; earlier frames are removed.
+
+        Labels may have been added to the frame since `prepare`.
+        """
         with self._lock:
-            self._held = [p for p in self._held if p.frame.index >= frame.index]
-            held = list(self._held)
-        for p in held:
+            self._cache = [p for p in self._cache if p.frame.index >= frame.index]
+            cached = list(self._cache)
+        for p in cached:
             same = p.frame.rgb is frame.rgb and p.frame.depth_m is frame.depth_m
             if same and p.levels[0].depth_m.device == device:
                 return p

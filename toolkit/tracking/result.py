@@ -1,4 +1,4 @@
-"""What tracking one frame says."""
+"""Result of tracking a frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from toolkit.exposure import IDENTITY, Exposure
 
 
 class Health(Enum):
-    """The tracker's verdict on its own pose."""
+    """Whether the pose of a frame is reliable."""
 
     GOOD = "good"
     LOST = "lost"
@@ -20,21 +20,21 @@ class Health(Enum):
 
 @dataclass(frozen=True)
 class TrackingResult:
-    """The pose of one frame and how far it can be trusted.
+    """The pose of a frame and its reliability.
 
     Attributes:
         T_map_camera: [4, 4] float64.
-        converged: the last step was below the threshold.
-        iterations: Gauss-Newton or Adam steps taken.
-        renders: how often the map was drawn.
+        converged: whether the last step was below the threshold.
+        iterations: number of Gauss-Newton or Adam steps.
+        renders: number of renderings of the map.
         intensity_residual: robust scale of the photometric residual, intensities in [0, 1].
         depth_residual_m: robust scale of the geometric residual at 1 m distance, metres.
-        visible_fraction: share of the frame's measured pixels that the map explains.
+        visible_fraction: fraction of the frame's measured pixels that the map explains.
         information: [6, 6] inverse covariance of a perturbation in the camera's frame,
             T_map_camera exp(x) with x = (translation, rotation).
         health: GOOD or LOST.
-        reason: why the frame is lost, empty when it is not.
-        exposure: of the frame against the map.
+        reason: why the frame is lost; empty if it is not.
+        exposure: exposure of the frame against the map.
     """
 
     T_map_camera: NDArray[np.float64]
@@ -56,7 +56,7 @@ class TrackingResult:
 
 
 def not_tracked(reason: str) -> TrackingResult:
-    """The answer for a frame that nothing can be tracked against."""
+    """Result for a frame that cannot be tracked, with the reason."""
     return TrackingResult(
         T_map_camera=np.eye(4),
         converged=False,

@@ -1,4 +1,4 @@
-"""What every tracker offers."""
+"""Interface of the trackers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolkit.tracking.result import TrackingResult
 
 
 class Tracker(Protocol):
-    """Finds the pose of each frame against the map."""
+    """Estimates the pose of each frame against the map."""
 
     @property
     def wants_labels(self) -> bool:
@@ -22,19 +22,19 @@ class Tracker(Protocol):
         ...
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
-        """T_map_camera [4, 4] of the frame that starts the map; None refuses the frame."""
+        """T_map_camera [4, 4] of the frame that starts the map; None if it cannot start one."""
         ...
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
-        """Do ahead of a frame's turn what needs no map; from any thread, in any order."""
+        """Do work for a later frame that does not depend on the map; from any thread."""
         ...
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
-        """The pose of a frame against the Gaussians, with a verdict on it."""
+        """Estimate the pose of the next frame against the Gaussians."""
         ...
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
-        """Go on in another frame of the map: all poses become T_new_old @ T_old_camera."""
+        """Change the coordinate frame of the map: all poses become T_new_old @ T_old_camera."""
         ...
 
     def state(self) -> dict[str, NDArray]:
@@ -42,7 +42,7 @@ class Tracker(Protocol):
         ...
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over an earlier `state`."""
+        """Restore an earlier `state`."""
         ...
 
 
@@ -53,9 +53,9 @@ class LocatingTracker(Tracker, Protocol):
     def locate(
         self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64], /
     ) -> TrackingResult:
-        """The pose of a frame near a start; the tracker's own state stays as it is."""
+        """Locate a frame near an initial pose [4, 4]; the tracker's state does not change."""
         ...
 
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Continue at a pose [4, 4], without a velocity."""
+        """Continue from a pose [4, 4], without a velocity."""
         ...
