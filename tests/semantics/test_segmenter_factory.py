@@ -61,7 +61,7 @@ def test_images_pair_as_the_settings_say(tmp_path):
         (
             {"kind": "model", "model": {"folder": "nowhere", "head": "h.safetensors"}},
             FormatError,
-            "h.safetensors is not there",
+            "h.safetensors does not exist",
         ),
         (
             {"kind": "geometric", "geometric": {"min_camera_height_m": 3.0}},
