@@ -12,7 +12,7 @@ from registered_room import Scene, error, motion
 from toolkit.alignment.joint import align
 from toolkit.geometry import se3
 from toolkit.registration import fine
-from toolkit.registration.fine import FineRegistration, classes_clash
+from toolkit.registration.fine import FineRegistration, mismatched_classes
 from toolkit.registration.options import FineOptions
 from toolkit.registration.views import ViewRenderer
 
@@ -87,18 +87,18 @@ def test_classes_clash_beyond_the_window_only():
     source, target = np.zeros((9, 9), np.int32), np.zeros((9, 9), np.int32)
     source[:, :4], source[:, 4:] = 1, 2
     target[:, :6], target[:, 6:] = 1, 2
-    clash = classes_clash(source, target, 1)
+    clash = mismatched_classes(source, target, 1)
     assert clash is not None
     assert clash[:, 4].all()  # two pixels from the nearest 2
     assert not clash[:, 5:].any()
     assert not clash[:, :4].any()
-    assert not classes_clash(source, target, 2).any()
+    assert not mismatched_classes(source, target, 2).any()
 
 
 def test_void_and_missing_classes_clash_with_nothing():
     seen, void = np.ones((5, 5), np.int32), np.zeros((5, 5), np.int32)
-    assert not classes_clash(seen, void, 0).any()
-    assert classes_clash(seen, None, 0) is None
+    assert not mismatched_classes(seen, void, 0).any()
+    assert mismatched_classes(seen, None, 0) is None
 
 
 def test_pixels_of_other_classes_have_no_say(labelled_room: Scene, semantics):

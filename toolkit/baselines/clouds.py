@@ -24,13 +24,14 @@ from toolkit.submaps.submap import Submap
 Array = NDArray[np.float64]
 
 
-# Fewer points than this are no shape.
-_FEWEST_POINTS = 100
-# Radii in voxels, as Open3D's own examples have them.
+# Minimum number of points of a cloud.
+_MIN_POINTS = 100
+# Radii in voxels, as in Open3D's examples.
 _NORMAL_RADIUS, _FEATURE_RADIUS, _MATCH_DISTANCE = 2.0, 5.0, 1.5
-_ICP_STEPS = 50
-# Reach of the ICP's rounds. Colour needs a wide one, for Open3D takes a cloud's colour gradients
-# from within twice of it: with few neighbours they are noise, and it runs away by decimetres.
+_ICP_ITERATIONS = 50
+# Maximum correspondence distances of the ICP stages, in voxels. Coloured ICP needs a large one:
+# Open3D computes colour gradients from the neighbours within twice this distance. With few
+# neighbours they are noisy, and the result can be wrong by decimetres.
 _ICP_VOXELS, _COLOURED_VOXELS = (2.0, 1.0, 0.5), 2.0
 
 
@@ -38,9 +39,9 @@ class CloudRegistration:
     """Registers the point clouds of two submaps; see Registrar.
 
     Args:
-        options: default if None.
-        renderer: renders the views in which the result is checked; default if None.
-        seed: of RANSAC and fast global registration.
+        options: default options if None.
+        renderer: renders the views in which the result is checked; default renderer if None.
+        seed: random seed of RANSAC and fast global registration.
 
     Raises (from `register`):
         DependencyError: Open3D cannot be loaded.
@@ -59,19 +60,19 @@ class CloudRegistration:
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> RegistrationResult:
-        """See Registrar; a start spares the search."""
+        """See Registrar; with an initial pose, global registration is skipped."""
         o3d = open3d()
         method = f"{self.options.icp} ICP"
         if T_target_source is None:
             method = f"FPFH {self.options.search} + {method}"
-        points, other = self._cloud(o3d, target), self._cloud(o3d, source)
-        if min(len(points.points), len(other.points)) < _FEWEST_POINTS:
+        target_cloud, source_cloud = self._cloud(o3d, target), self._cloud(o3d, source)
+        if min(len(target_cloud.points), len(source_cloud.points)) < _MIN_POINTS:
             return failed(method, "a submap has too few solid Gaussians", T_target_source)
         start = T_target_source
         if start is None:
-            start = self._searched(o3d, points, other)
+            start = self._global_registration(o3d, target_cloud, source_cloud)
         before = self.renderer.renders
-        found, information = self._icp(o3d, points, other, start)
+        found, information = self._icp(o3d, target_cloud, source_cloud, start)
         T = se3.orthonormalise(np.asarray(found.transformation))
         if len(found.correspondence_set) == 0:
             return failed(method, "the clouds have no point in common", T_target_source)
@@ -92,31 +93,30 @@ class CloudRegistration:
         )
 
     def _cloud(self, o3d: ModuleType, submap: Submap) -> Any:
-        """Solid Gaussians' centres with colours, and normals towards the cameras."""
-        solid = submap.gaussians.opacities >= self.options.min_opacity
-        kept = submap.gaussians.select(solid)
+        """Centres of the opaque Gaussians with colours and normals, oriented to the cameras."""
+        opaque = submap.gaussians.select(submap.gaussians.opacities >= self.options.min_opacity)
         cloud = o3d.geometry.PointCloud(
-            o3d.utility.Vector3dVector(kept.means.detach().numpy().astype(np.float64))
+            o3d.utility.Vector3dVector(opaque.means.detach().numpy().astype(np.float64))
         )
-        colours = kept.colours.detach().clamp(0.0, 1.0).numpy().astype(np.float64)
+        colours = opaque.colours.detach().clamp(0.0, 1.0).numpy().astype(np.float64)
         cloud.colors = o3d.utility.Vector3dVector(colours)
         cloud = cloud.voxel_down_sample(self.options.voxel_m / 2.0)
-        centres = [keyframe.T_map_camera[:3, 3] for keyframe in submap.keyframes]
-        return self._with_normals(o3d, cloud, np.mean(centres, axis=0))
+        positions = [keyframe.T_map_camera[:3, 3] for keyframe in submap.keyframes]
+        return self._with_normals(o3d, cloud, np.mean(positions, axis=0))
 
-    def _with_normals(self, o3d: ModuleType, cloud: Any, seen_from: Array) -> Any:
+    def _with_normals(self, o3d: ModuleType, cloud: Any, camera_position: Array) -> Any:
         radius = _NORMAL_RADIUS * self.options.voxel_m
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius, 30))
         if len(cloud.points):
-            cloud.orient_normals_towards_camera_location(seen_from)
+            cloud.orient_normals_towards_camera_location(camera_position)
         return cloud
 
-    def _searched(self, o3d: ModuleType, target: Any, source: Any) -> Array:
-        """T_target_source [4, 4] from features alone."""
+    def _global_registration(self, o3d: ModuleType, target: Any, source: Any) -> Array:
+        """Estimate T_target_source [4, 4] from FPFH features, without an initial pose."""
         registration, voxel_m = o3d.pipelines.registration, self.options.voxel_m
-        thin = [cloud.voxel_down_sample(voxel_m) for cloud in (source, target)]
-        near = o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_RADIUS * voxel_m, 100)
-        features = [registration.compute_fpfh_feature(cloud, near) for cloud in thin]
+        sampled = [cloud.voxel_down_sample(voxel_m) for cloud in (source, target)]
+        search = o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_RADIUS * voxel_m, 100)
+        features = [registration.compute_fpfh_feature(cloud, search) for cloud in sampled]
         distance = _MATCH_DISTANCE * voxel_m
         o3d.utility.random.seed(self.seed)
         if self.options.search == "fast":
@@ -124,11 +124,11 @@ class CloudRegistration:
                 use_absolute_scale=True, maximum_correspondence_distance=distance
             )
             found = registration.registration_fgr_based_on_feature_matching(
-                *thin, *features, option
+                *sampled, *features, option
             )
         else:
             found = registration.registration_ransac_based_on_feature_matching(
-                *thin,
+                *sampled,
                 *features,
                 True,
                 distance,
@@ -143,9 +143,9 @@ class CloudRegistration:
         return np.asarray(found.transformation, dtype=np.float64)
 
     def _icp(self, o3d: ModuleType, target: Any, source: Any, start: Array) -> tuple[Any, Array]:
-        """Open3D's result from wide to narrow, and the information matrix [6, 6]."""
+        """Run ICP at decreasing distances; return Open3D's result and the information [6, 6]."""
         registration = o3d.pipelines.registration
-        criteria = registration.ICPConvergenceCriteria(max_iteration=_ICP_STEPS)
+        criteria = registration.ICPConvergenceCriteria(max_iteration=_ICP_ITERATIONS)
         planes = (
             registration.registration_icp,
             registration.TransformationEstimationPointToPlane(),
@@ -161,7 +161,7 @@ class CloudRegistration:
         for align, method, voxels in stages:
             try:
                 found = align(source, target, voxels * voxel_m, T, method, criteria)
-            except RuntimeError:  # no point of one cloud is near the other
+            except RuntimeError:  # no correspondences
                 break
             T = np.asarray(found.transformation, dtype=np.float64)
         found = registration.evaluate_registration(source, target, voxel_m, T)
@@ -174,8 +174,12 @@ def scaled_information(
 ) -> NDArray[np.float64]:
     """Inverse covariance of x in T exp(x), translation first, from Open3D's matrix.
 
-    Open3D sums J^T J over matched points: rotation first, the perturbation on the left, and
-    every point good to one metre. `rmse_m` is of distances, three coordinates together.
+    Open3D sums J^T J over matched points, with rotation first, a left perturbation, and a standard
+    deviation of one metre per point.
+
+    Args:
+        count: [6, 6] Open3D's information matrix.
+        rmse_m: root mean square distance of the matched points.
     """
     if not rmse_m > 0:
         return np.zeros((6, 6))

@@ -1,4 +1,4 @@
-"""Trackers and registrars from options: our method, or the baseline that they name."""
+"""Build trackers and registrars from options: our methods or the baselines."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def build_tracker(
     recorder: Recorder | None = None,
     code: SemanticCode | None = None,
 ) -> Tracker:
-    """Build the tracker that the options name.
+    """Build the tracker selected by the options.
 
     Args:
         code: semantic code of the map's features.
@@ -45,13 +45,13 @@ def build_registrar(
     renderer: ViewRenderer,
     describer: ViewDescriber | None = None,
 ) -> Registrar:
-    """Build the registrar of submaps that the options name.
+    """Build the registrar of submaps selected by the options.
 
     Args:
-        seed: of its random generators.
+        seed: random seed.
         renderer: renders the submaps, see `build_view_renderer`.
-        describer: describes views for the feature term of the first-order optimiser; None
-            leaves the term out.
+        describer: computes the view descriptors of the feature term of the first-order optimiser;
+            None disables the term.
     """
     clouds = CloudRegistration(options.clouds, renderer, seed)
     if options.kind == "clouds":
@@ -63,7 +63,7 @@ def build_registrar(
 def build_fine(
     options: FineOptions, renderer: ViewRenderer, describer: ViewDescriber | None = None
 ) -> FineRegistration:
-    """Build fine registration with the optimiser that the options name.
+    """Build fine registration with the optimiser selected by the options.
 
     Args:
         describer: see `build_registrar`.
@@ -74,7 +74,7 @@ def build_fine(
 
 
 def needs_describer(options: RegistrationOptions) -> bool:
-    """Whether registration has the feature term of G-6, which needs a describer of views."""
+    """Whether registration uses the feature term of G-6, which needs view descriptors."""
     fine = options.fine
     return fine.optimiser == "first-order" and fine.first_order.feature > 0
 
@@ -82,7 +82,7 @@ def needs_describer(options: RegistrationOptions) -> bool:
 def _view_registrar(
     options: RegistrationOptions, seed: int, renderer: ViewRenderer, describer: ViewDescriber | None
 ) -> Registrar:
-    """The registrar that compares rendered views."""
+    """Build a registrar that compares rendered views."""
     fine = build_fine(options.fine, renderer, describer)
     if options.kind == "fine":
         return fine

@@ -1,4 +1,4 @@
-"""Baseline: the paper's fine registration, Adam on the motion of the source submap (G-6).
+"""Baseline: the paper's fine registration, Adam on the pose of the source submap (G-6).
 
 Its loss compares colour, semantic features and image descriptors of rendered views.
 """
@@ -34,10 +34,10 @@ _SCALE_ITERATIONS = 8
 
 
 class FirstOrderFineRegistration(FineRegistration):
-    """Registers two submaps by the paper's loss and optimiser; see Registrar.
+    """Registers two submaps with the paper's loss and optimiser; see Registrar.
 
     Args:
-        describer: describes views for the feature term; None leaves the term out.
+        describer: computes the view descriptors of the feature term; None disables the term.
     """
 
     method = "fine (first-order)"
@@ -53,7 +53,7 @@ class FirstOrderFineRegistration(FineRegistration):
         if describer is not None:
             self.view_features = ViewFeatures(describer, self.renderer.semantics)
 
-    def _estimated(
+    def _estimate(
         self, target: Submap, source: Submap, sources: list[SourceView], start: Array
     ) -> tuple[Estimate, list[TargetView]]:
         """Adam, then the residual scales and the information at its solution."""
@@ -68,23 +68,24 @@ class FirstOrderFineRegistration(FineRegistration):
             self.view_features,
         )
         self.renderer.renders += found.renders
-        targets = self._drawn(target, sources, found.T_target_source)
-        judged = self._judged(self._pairs(sources, targets, far=False), found.T_target_source)
-        return replace(judged, iterations=found.iterations, converged=found.converged), targets
+        targets = self._target_views(target, sources, found.T_target_source)
+        pairs = self._pairs(sources, targets, far=False)
+        estimate = self._evaluate(pairs, found.T_target_source)
+        return replace(estimate, iterations=found.iterations, converged=found.converged), targets
 
-    def _judged(self, pairs: list[Pair], T_target_source: Array) -> Estimate:
-        """Residual scales and information at a fixed motion."""
-        still = replace(self.options.dense, iterations=1, exposure=False)
+    def _evaluate(self, pairs: list[Pair], T_target_source: Array) -> Estimate:
+        """Compute the residual scales and the information at a fixed pose."""
+        options = replace(self.options.dense, iterations=1, exposure=False)
         estimate = Estimate(T_target_source)
         for _ in range(_SCALE_ITERATIONS):
-            moved = align(pairs, estimate, still, finest_only=True)
+            moved = align(pairs, estimate, options, finest_only=True)
             estimate = replace(moved, T_target_source=T_target_source)
         return estimate
 
 
 @dataclass(frozen=True)
 class Descent:
-    """Where the descent ended: the motion of least loss, judged after its step."""
+    """Result of gradient descent: the pose with the lowest loss."""
 
     T_target_source: Array
     loss: float
@@ -101,116 +102,118 @@ def descend(
     backend_name: str = "auto",
     view_features: ViewFeatures | None = None,
 ) -> Descent:
-    """Minimise G-6 over one motion, both maps frozen.
+    """Minimise G-6 over T_target_source; both maps are constant.
 
     Args:
         gaussians: of the target and of the source.
         views: cameras, and their poses T_source_camera [4, 4].
-        start: T_target_source [4, 4].
-        view_features: describes the views for the feature term; None leaves the term out.
+        start: initial T_target_source [4, 4].
+        view_features: computes the descriptors of the feature term; None disables the term.
     """
     target, source = gaussians[0].detached(), gaussians[1].detached()
     cameras, T_source_camera = views
     with torch.no_grad():
-        shown = [
+        source_views = [
             render(
                 source, camera, se3.inverse(T), features=source.features, backend_name=backend_name
             )
             for camera, T in zip(cameras, T_source_camera, strict=True)
         ]
     objective = _Objective(
-        target, cameras, T_source_camera, shown, options, backend_name, view_features
+        target, cameras, T_source_camera, source_views, options, backend_name, view_features
     )
-    best, best_T, steps, judged = float("inf"), start.copy(), 0, 0
+    best, best_T, steps, evaluations = float("inf"), start.copy(), 0, 0
     for round_ in range(options.rounds):
-        share = options.rate_decay**round_
-        adam = PoseAdam(options.translation_rate * share, options.rotation_rate * share)
-        T, since, threshold = best_T, 0, float("inf")
-        while since <= options.patience:
-            # A motion is judged after its step, so there is one drawing more than steps.
+        decay = options.rate_decay**round_
+        adam = PoseAdam(options.translation_rate * decay, options.rotation_rate * decay)
+        T, without_gain, threshold = best_T, 0, float("inf")
+        while without_gain <= options.patience:
+            # The loss is evaluated after each step and at the start.
             loss, gradient = objective(T)
-            judged += 1
-            since = 0 if loss < threshold * (1.0 - options.min_gain) else since + 1
-            threshold = loss if since == 0 else threshold
+            evaluations += 1
+            gained = loss < threshold * (1.0 - options.min_gain)
+            without_gain = 0 if gained else without_gain + 1
+            threshold = loss if gained else threshold
             if loss < best:
                 best, best_T = loss, T
             if steps == options.iterations or not np.isfinite(loss):
                 break
             T = se3.orthonormalise(T @ se3.exp(adam.step(gradient)))
             steps += 1
-    at_rest = bool(steps < options.iterations and np.isfinite(best))
-    return Descent(best_T, best, steps, len(cameras) * (judged + 1), at_rest)
+    converged = bool(steps < options.iterations and np.isfinite(best))
+    return Descent(best_T, best, steps, len(cameras) * (evaluations + 1), converged)
 
 
 class _Objective:
-    """G-6 and its derivative by x in T_target_source exp(x)."""
+    """G-6 and its derivative with respect to x in T_target_source exp(x)."""
 
-    def __init__(  # noqa: PLR0913 - one call, and all of it is the objective
+    def __init__(  # noqa: PLR0913 - called once, with everything that the loss depends on
         self,
         target: GaussianCloud,
         cameras: list[Camera],
         T_source_camera: list[Array],
-        shown: list[RenderOutput],
+        source_views: list[RenderOutput],
         options: FirstOrderFineOptions,
         backend_name: str,
         view_features: ViewFeatures | None,
     ) -> None:
         self._target, self._cameras, self._poses = target, cameras, T_source_camera
-        self._shown, self._options = shown, options
+        self._source_views, self._options = source_views, options
         self._backend_name = backend_name
         self._view_features = view_features if options.feature > 0 else None
-        self._pictures: list[Tensor] = []
+        self._images: list[Tensor] = []
         self._descriptors: list[Tensor] = []
         if self._view_features is not None:
             with torch.no_grad():
-                self._pictures = [self._view_features.pictures(output) for output in shown]
-                self._descriptors = [self._view_features.describe(p) for p in self._pictures]
+                self._images = [self._view_features.images(output) for output in source_views]
+                self._descriptors = [self._view_features.describe(i) for i in self._images]
 
     def __call__(self, T_target_source: Array) -> tuple[float, Array]:
-        """Mean loss of the views that overlap, infinite where none does; derivative [6]."""
-        total, gradient, counted = 0.0, np.zeros(6), 0
+        """Mean loss of the overlapping views, infinite if there are none; and derivative [6]."""
+        total, gradient, count = 0.0, np.zeros(6), 0
         for number, (camera, T_source_camera) in enumerate(
             zip(self._cameras, self._poses, strict=True)
         ):
             T_camera_target = se3.inverse(T_target_source @ T_source_camera)
             pose = torch.from_numpy(T_camera_target).requires_grad_()
-            drawn = render(
+            target_view = render(
                 self._target,
                 camera,
                 pose,
                 features=self._target.features,
                 backend_name=self._backend_name,
             )
-            loss = self._loss(number, drawn)
+            loss = self._loss(number, target_view)
             if loss is None:
                 continue
-            (by_matrix,) = torch.autograd.grad(loss, pose)
-            left = pose_gradient(by_matrix[:3].numpy(), T_camera_target)
+            (matrix_gradient,) = torch.autograd.grad(loss, pose)
+            left = pose_gradient(matrix_gradient[:3].numpy(), T_camera_target)
             # (T exp(x) T_source_camera)^-1 = exp(-Ad(T_source_camera^-1) x) T_camera_target.
             gradient -= se3.adjoint(se3.inverse(T_source_camera)).T @ left
             total += float(loss.detach())
-            counted += 1
-        if counted == 0:
+            count += 1
+        if count == 0:
             return float("inf"), gradient
-        return total / counted, gradient / counted
+        return total / count, gradient / count
 
-    def _loss(self, number: int, drawn: RenderOutput) -> Tensor | None:
-        """Of one view, a mean over the pixels where both maps are solid."""
-        shown, options = self._shown[number], self._options
-        mask = (drawn.silhouette.detach() > options.min_silhouette) & (
-            shown.silhouette > options.min_silhouette
+    def _loss(self, number: int, target: RenderOutput) -> Tensor | None:
+        """Loss of one view over the pixels with a surface in both maps; None if too few."""
+        source, options = self._source_views[number], self._options
+        mask = (target.silhouette.detach() > options.min_silhouette) & (
+            source.silhouette > options.min_silhouette
         )
         if int(mask.sum()) < _MIN_PIXELS:
             return None
-        loss = (drawn.colour - shown.colour)[mask].abs().mean()
-        if options.semantic > 0 and drawn.features.shape[-1] > 0:
-            loss = loss + options.semantic * (drawn.features - shown.features)[mask].abs().mean()
+        loss = (target.colour - source.colour)[mask].abs().mean()
+        if options.semantic > 0 and target.features.shape[-1] > 0:
+            error = (target.features - source.features)[mask].abs().mean()
+            loss = loss + options.semantic * error
         if self._view_features is not None:
-            # Where either map is missing, the pictures are equal: the encoder sees no difference.
-            pictures = self._view_features.pictures(drawn)
-            described = self._view_features.describe(
-                torch.where(mask, pictures, self._pictures[number])
+            # Outside the mask, use the source's image for both, so that they do not differ.
+            images = self._view_features.images(target)
+            descriptor = self._view_features.describe(
+                torch.where(mask, images, self._images[number])
             )
-            error = described - self._descriptors[number]
-            loss = loss + options.feature * (error**2).sum()
+            difference = descriptor - self._descriptors[number]
+            loss = loss + options.feature * (difference**2).sum()
         return loss

@@ -1,4 +1,4 @@
-"""Baseline: the papers' tracker, Adam on the camera's pose (H-21, H-22, G-2).
+"""Baseline: the papers' tracker, Adam on the camera pose (H-21, H-22, G-2).
 
 The dense tracker replaces it and needs a tenth of its renderings.
 """
@@ -41,18 +41,18 @@ from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.result import Health, TrackingResult
 
-# How the final pose is judged: rounds of the residual scales' fixed point, the gate on depth
-# differences (share of the depth) and the least silhouette. The latter is the dense tracker's,
-# not the loss's 0.99: that leaves 12 to 16 % of a default map's pixels, in specks too small for
-# a plane, and every frame would count as lost.
-_ROUNDS = 8
+# Evaluation of the final pose: fixed-point iterations of the residual scales, maximum depth
+# difference (fraction of depth) and minimum silhouette. The silhouette is that of the dense
+# tracker. That of the loss (0.99) would leave only 12 to 16 % of a default map's pixels, in regions
+# too small for a plane, and every frame would be lost.
+_SCALE_ITERATIONS = 8
 _MAX_DISTANCE = 0.05
 _MIN_SILHOUETTE = 0.9
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A pose, what the map looks like from it, and how well that fits."""
+    """A pose, the map rendered from it, and its loss."""
 
     T_camera_map: NDArray[np.float64]
     images: Tensor
@@ -64,7 +64,7 @@ class FirstOrderTracker(MovingTracker):
     """Tracks frames against a map of Gaussians by gradient descent.
 
     Args:
-        code: of the map's features, for the semantic term.
+        code: semantic code of the map's features, for the semantic term.
 
     Raises:
         SettingsError: the preset is unknown.
@@ -100,7 +100,7 @@ class FirstOrderTracker(MovingTracker):
             self.wants_labels = True
 
     def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
-        """Pose of a frame against the map; the motion model follows unless it is lost."""
+        """Track a frame and update the motion model, unless the frame is lost."""
         result = self.locate(frame, gaussians, self.motion.predict(frame.timestamp_s))
         if result.lost:
             self.motion.forget_velocity()
@@ -111,7 +111,7 @@ class FirstOrderTracker(MovingTracker):
     def locate(
         self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64]
     ) -> TrackingResult:
-        """Pose of a frame from a start near it; the tracker's own state stays as it is."""
+        """Locate a frame near an initial pose; the tracker's state does not change."""
         device = gaussians.means.device
         rgb = torch.from_numpy(np.ascontiguousarray(frame.rgb.transpose(2, 0, 1))).to(device)
         depth_m = torch.from_numpy(frame.depth_m).to(device)
@@ -124,54 +124,54 @@ class FirstOrderTracker(MovingTracker):
         adam = PoseAdam(self.options.translation_rate, self.options.rotation_rate)
         best: _Candidate | None = None
         renders = 0
-        # A pose is judged by the render after its step (SplaTAM credits the step before), so
-        # there is one render more than there are steps.
+        # The loss of a pose is computed from the rendering at that pose (SplaTAM assigns it to the
+        # following step), so there is one more rendering than steps.
         for step in range(self.options.iterations + 1):
             with self._recorder.timed("tracking render"):
-                drawn = self._backend.forward(gaussians, frame.camera, T_camera_map, features, None)
+                view = self._backend.forward(gaussians, frame.camera, T_camera_map, features, None)
             renders += 1
-            loss = tracking_loss(drawn.images, rgb, depth_m, weights)
+            loss = tracking_loss(view.images, rgb, depth_m, weights)
             if labels is not None:
-                loss = self._with_semantics(loss, drawn.images, labels)
+                loss = self._with_semantics(loss, view.images, labels)
             if best is None or loss.per_pixel < best.loss:
-                best = _Candidate(T_camera_map, drawn.images, loss.per_pixel, step)
+                best = _Candidate(T_camera_map, view.images, loss.per_pixel, step)
             if step == self.options.iterations or loss.pixels == 0:
                 break
             with self._recorder.timed("tracking backward"):
-                gradients = drawn.backward(loss.gradient, colours=False)
-            by_pose = pose_gradient(gradients.T_camera_map.cpu().numpy(), T_camera_map)
-            T_camera_map = se3.orthonormalise(se3.exp(adam.step(by_pose)) @ T_camera_map)
+                gradients = view.backward(loss.gradient, colours=False)
+            gradient = pose_gradient(gradients.T_camera_map.cpu().numpy(), T_camera_map)
+            T_camera_map = se3.orthonormalise(se3.exp(adam.step(gradient)) @ T_camera_map)
         assert best is not None
         return self._result(frame, best, renders)
 
     def _with_semantics(self, loss: TrackingLoss, images: Tensor, labels: Tensor) -> TrackingLoss:
-        """The loss with its semantic term (G-2), in the preset's own kind of mean."""
+        """Add the semantic term (G-2), as a sum or a mean over pixels depending on the preset."""
         assert self._semantic is not None
         if loss.pixels == 0:
             return loss
         silhouette = images[SILHOUETTE]
         term = self._semantic(images[FEATURES].contiguous(), silhouette, labels, (0, 1))
         assert term.silhouette is not None
-        share = 1.0 if PRESETS[self.options.preset].summed else 1.0 / loss.pixels
-        loss.gradient[FEATURES] = term.features * share
-        loss.gradient[SILHOUETTE] += term.silhouette * share
+        scale = 1.0 if PRESETS[self.options.preset].summed else 1.0 / loss.pixels
+        loss.gradient[FEATURES] = term.features * scale
+        loss.gradient[SILHOUETTE] += term.silhouette * scale
         per_pixel = term.value * labels.numel() / loss.pixels
         return TrackingLoss(
-            loss.value + per_pixel * loss.pixels * share,
+            loss.value + per_pixel * loss.pixels * scale,
             loss.per_pixel + per_pixel,
             loss.gradient,
             loss.pixels,
         )
 
     def _result(self, frame: Frame, best: _Candidate, renders: int) -> TrackingResult:
-        linear, scales = _judged(frame, _view_of(best.images, frame.camera))
+        linear, scales = _evaluate(frame, _view_level(best.images, frame.camera))
         measured = float((frame.depth_m > 0).sum())
         visible = linear.depth_pixels / max(measured, 1.0)
         information = linear.H[:6, :6]
         reason = failure_reason(self.limits, scales, visible, information, measured)
         return TrackingResult(
             T_map_camera=se3.inverse(best.T_camera_map),
-            # Some later pose was no better: the loss had stopped falling.
+            # A later pose had a higher loss: the loss no longer decreased.
             converged=best.step < renders - 1,
             iterations=renders - 1,
             renders=renders,
@@ -184,24 +184,24 @@ class FirstOrderTracker(MovingTracker):
         )
 
 
-def _judged(frame: Frame, view: FrameLevel) -> tuple[Linearisation, ResidualScales]:
-    """Normal equations at the pose that was drawn, and the scales of its residuals."""
+def _evaluate(frame: Frame, view: FrameLevel) -> tuple[Linearisation, ResidualScales]:
+    """Normal equations at the pose of a rendered view, and the residual scales."""
     model = model_level(view)
-    own = finest_level(frame, view.depth_m.device)
+    level = finest_level(frame, view.depth_m.device)
     scales = INITIAL_SCALES
-    for _ in range(_ROUNDS):
-        linear = linearise(model, own, np.eye(4), scales, IDENTITY, _MAX_DISTANCE)
+    for _ in range(_SCALE_ITERATIONS):
+        linear = linearise(model, level, np.eye(4), scales, IDENTITY, _MAX_DISTANCE)
         scales = rescaled(scales, linear)
     return linear, scales
 
 
-def _view_of(images: Tensor, camera: Camera) -> FrameLevel:
-    """Intensity as composited, which the loss compares, and depth; 0 where it is too thin."""
+def _view_level(images: Tensor, camera: Camera) -> FrameLevel:
+    """Composited intensity, as used by the loss, and depth; 0 where the silhouette is small."""
     output = RenderOutput(images)
     solid = output.silhouette >= _MIN_SILHOUETTE
-    nothing = torch.zeros_like(output.silhouette)
+    zeros = torch.zeros_like(output.silhouette)
     return FrameLevel(
         camera,
-        torch.where(solid, intensity_of(output.colour.cpu().numpy()).to(nothing), nothing),
-        torch.where(solid, output.depth_m, nothing),
+        torch.where(solid, intensity_of(output.colour.cpu().numpy()).to(zeros), zeros),
+        torch.where(solid, output.depth_m, zeros),
     )

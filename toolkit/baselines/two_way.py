@@ -1,8 +1,8 @@
 """Baseline: registration in both directions, view by view, as in LoopSplat.
 
-Each keyframe of the source is registered to the target on its own, and each keyframe of the
-target to the source. A robust mean combines the poses. Renderer, optimiser, stopping criterion
-and start are those of the fine stage, so that only the scheme differs.
+Each keyframe of the source is registered to the target separately, and each keyframe of the target
+to the source. A robust mean combines the poses. Renderer, optimiser, stopping criterion and initial
+pose are those of the fine stage, so that only the scheme differs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class TwoWayRegistration:
 
     Args:
         fine: registers single views.
-        average: of the robust mean.
+        average: options of the robust mean.
     """
 
     def __init__(
@@ -40,46 +40,50 @@ class TwoWayRegistration:
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> RegistrationResult:
-        """See Registrar; without a start it begins at the identity."""
+        """See Registrar; the default initial pose is the identity."""
         start = np.eye(4) if T_target_source is None else T_target_source
         return self.refine(target, source, start)
 
     def refine(
         self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
     ) -> RegistrationResult:
-        """See Refiner; the views are of the source, the target's own choose themselves."""
+        """See Refiner; `views` are keyframes of the source, those of the target are chosen."""
         before = self.renderer.renders
-        there, poses = self._placed(target, source, start, views)
-        back, other_poses = self._placed(source, target, se3.inverse(start))
-        # A target view's pose, seen from the source, is where the inverse motion takes it.
-        placed = [r.T_target_source @ T for r, T in zip(there, poses, strict=True)]
-        placed += list(other_poses)
-        unplaced = list(poses)
-        unplaced += [r.T_target_source @ T for r, T in zip(back, other_poses, strict=True)]
-        if not placed:
+        forward, source_poses = self._register_views(target, source, start, views)
+        backward, target_poses = self._register_views(source, target, se3.inverse(start))
+        # Poses of all views in the target and in the source.
+        in_target = [r.T_target_source @ T for r, T in zip(forward, source_poses, strict=True)]
+        in_target += list(target_poses)
+        in_source = list(source_poses)
+        in_source += [r.T_target_source @ T for r, T in zip(backward, target_poses, strict=True)]
+        if not in_target:
             return failed("two-way", "no view could be placed in the other submap", start)
-        average = average_motion(np.array(placed), np.array(unplaced), self._average)
+        average = average_motion(np.array(in_target), np.array(in_source), self._average)
         renders = self.renderer.renders - before
-        return self._result(average, [*there, *back], renders)
+        return self._result(average, [*forward, *backward], renders)
 
-    def _placed(
+    def _register_views(
         self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
     ) -> tuple[list[RegistrationResult], list[Array]]:
-        """Each view of the source registered on its own, and its pose in the source."""
+        """Register each view of the source separately.
+
+        Returns:
+            The results that converged, and the poses [4, 4] of their views in the source.
+        """
         results, poses = [], []
         if views is None:
             views = views_of_overlap(target, source, start, self.options.views)
-        for place in views:
-            result = self._fine.refine(target, source, start, [place])
+        for index in views:
+            result = self._fine.refine(target, source, start, [index])
             if result.converged:
                 results.append(result)
-                poses.append(source.keyframes[place].T_map_camera)
+                poses.append(source.keyframes[index].T_map_camera)
         return results, poses
 
     def _result(
         self, average: MotionAverage, parts: list[RegistrationResult], renders: int
     ) -> RegistrationResult:
-        """Judged by the views as each was placed: nothing is drawn again."""
+        """Combine the quality of the single views; no further views are rendered."""
         enough = bool(average.inliers.sum() * 2 >= len(parts))
         return RegistrationResult(
             T_target_source=average.T_target_source,

@@ -15,18 +15,18 @@ from toolkit.rendering.output import COLOUR
 
 @dataclass(frozen=True)
 class ViewFeatures:
-    """Describes rendered views by their colours, their classes painted in colours, or both.
+    """Computes descriptors of rendered views from their colours, class colours, or both.
 
     Attributes:
-        describer: encoder, and which pictures of a view it describes.
-        semantics: reads the features of the map; None where it has no classes.
+        describer: encoder, and the images of a view that it uses.
+        semantics: decodes the features of the map; None without classes.
     """
 
     describer: ViewDescriber
     semantics: SemanticMapping | None = None
 
-    def pictures(self, output: RenderOutput) -> Tensor:
-        """Return the pictures of a view, [3, H, W] or, with classes, [6, H, W]; differentiable.
+    def images(self, output: RenderOutput) -> Tensor:
+        """Return the images of a view, [3, H, W] or, with classes, [6, H, W]; differentiable.
 
         The first three channels are the rendered colour, the others the colours of the classes.
         """
@@ -38,7 +38,7 @@ class ViewFeatures:
             classes = self.semantics.class_colours(output)
         return torch.cat([colour, classes])
 
-    def describe(self, pictures: Tensor) -> Tensor:
-        """Return the descriptor [D] of a view's pictures."""
-        semantic = pictures[None, 3:] if self.describer.wants_semantics else None
-        return self.describer.describe(pictures[None, :3], semantic)[0]
+    def describe(self, images: Tensor) -> Tensor:
+        """Return the descriptor [D] of a view's images."""
+        semantic = images[None, 3:] if self.describer.wants_semantics else None
+        return self.describer.describe(images[None, :3], semantic)[0]

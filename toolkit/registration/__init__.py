@@ -1,1 +1,1 @@
-"""Registration of submaps: where a source submap lies in a target's frame (G-III.B)."""
+"""Registration of submaps: pose of a source submap in the frame of a target (G-III.B)."""

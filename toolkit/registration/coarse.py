@@ -52,19 +52,19 @@ def descriptor_pairs(target: Submap, source: Submap, count: int) -> list[Keyfram
     squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None] - 2.0 * a @ b.T
     distances = np.sqrt(np.maximum(squares, 0.0))
     order = np.argsort(distances, axis=None, kind="stable")
-    left = [(int(place) // len(b), int(place) % len(b)) for place in order]
+    remaining = [(int(index) // len(b), int(index) % len(b)) for index in order]
     pairs: list[KeyframePair] = []
-    while left and len(pairs) < count:
-        taken: tuple[set[int], set[int]] = set(), set()
-        later = []
-        for i, j in left:
-            if i in taken[0] or j in taken[1]:
-                later.append((i, j))
+    while remaining and len(pairs) < count:
+        used: tuple[set[int], set[int]] = set(), set()
+        skipped = []
+        for i, j in remaining:
+            if i in used[0] or j in used[1]:
+                skipped.append((i, j))
                 continue
             pairs.append(KeyframePair(i, j, float(distances[i, j])))
-            taken[0].add(i)
-            taken[1].add(j)
-        left = later
+            used[0].add(i)
+            used[1].add(j)
+        remaining = skipped
     return pairs[:count]
 
 
@@ -75,10 +75,10 @@ def register_coarse(
     generator: np.random.Generator,
     start: Array | None = None,
 ) -> CoarseRegistration:
-    """Estimate T_target_source from similar keyframes, without an initial value.
+    """Estimate T_target_source from similar keyframes; no initial value is needed.
 
     Args:
-        start: T_target_source [4, 4], a further initial value.
+        start: an additional initial value of T_target_source [4, 4].
     """
     pairs = descriptor_pairs(target, source, options.pairs)
     if not pairs:
@@ -135,16 +135,16 @@ def _pooled(
     """A motion estimated from the features of all pairs together; no pair suffices alone."""
     if options.offsets == "none":
         return None
-    seen = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
-    found = pooled_motion(seen, options.matching, generator)
+    keyframes = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
+    found = pooled_motion(keyframes, options.matching, generator)
     if found is None:
         return None
-    T_source_camera = np.array([seen[place][1].T_map_camera for place in found.pairs])
+    T_source_camera = np.array([keyframes[index][1].T_map_camera for index in found.pairs])
     T_target_camera = found.T_target_source @ T_source_camera
     average = average_motion(T_target_camera, T_source_camera, options.average)
     unknown = Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
     result = _result(average, [unknown] * len(found.pairs), len(pairs), options)
-    views = [pairs[place].source for place in found.pairs]
+    views = [pairs[index].source for index in found.pairs]
     return CoarseRegistration(result, list(dict.fromkeys(views)))
 
 

@@ -1,4 +1,4 @@
-"""Build what registration needs; `toolkit.baselines.factory` builds the registrar itself."""
+"""Build the renderer for registration; `toolkit.baselines.factory` builds the registrar."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def build_view_renderer(
     """Build the renderer of submaps for registration and its checks.
 
     Args:
-        options: of registration.
-        semantics: decodes the features of the submaps; None leaves classes out.
-        backend_name: the renderer.
+        options: options of registration.
+        semantics: decodes the features of the submaps; None disables classes.
+        backend_name: rendering backend.
     """
     drawing = options.drawing
     return ViewRenderer(backend_name, semantics, drawing.min_silhouette, drawing.max_width)

@@ -1,6 +1,6 @@
-"""Fine registration: views of the source against the target rendered from the same poses (G-6).
+"""Fine registration: aligns rendered views of the source to the target at the same poses (G-6).
 
-It works in one direction and changes neither map. The optimiser is a joint Gauss-Newton over
+It works in one direction and does not change the maps. The optimiser is a joint Gauss-Newton over
 all views, which ignores pixels whose classes differ. The paper's own loss and optimiser are a
 baseline, see `toolkit.baselines.first_order_fine`.
 """
@@ -33,7 +33,7 @@ class SourceView:
 
     view: View
     T_source_camera: Array
-    reach_m: float
+    median_depth_m: float
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,14 @@ class TargetView:
 
 # An estimate that moved by less than this fraction of `rerender_distance` since the last rendering
 # has converged: 1 mm at 1 m.
-_AT_REST = 0.1
+_CONVERGED = 0.1
 
-# After a larger motion (median depths plus radians), views rendered again are aligned from the
-# coarsest level; after a smaller one at the finest level only.
+# After a larger motion (translation in median depths plus rotation in radians), newly rendered
+# views are aligned from the coarsest level; after a smaller one at the finest level only.
 _FAR = 0.05
 
-# Classes may be displaced by this fraction of the image's width as long as the estimate may be far
-# off, and by this number of pixels afterwards.
+# Tolerated displacement of classes: as a fraction of the image's width while the estimate may be
+# far from the solution, and in pixels afterwards.
 _FAR_WINDOW = 0.025
 _NEAR_WINDOW_PIXELS = 2
 
@@ -93,81 +93,84 @@ class FineRegistration:
         before = self.renderer.renders
         if views is None:
             views = views_of_overlap(target, source, start, self.options.views)
-        sources = [self._source_view(source, place) for place in views]
-        sources = [seen for seen in sources if seen.reach_m > 0]
+        sources = [self._source_view(source, index) for index in views]
+        sources = [view for view in sources if view.median_depth_m > 0]
         if not sources:
             return failed(self.method, "no view of the one shows what the other saw", start)
-        estimate, targets = self._estimated(target, source, sources, start)
-        check = self._checked(sources, targets, estimate.T_target_source)
+        estimate, targets = self._estimate(target, source, sources, start)
+        check = self._check(sources, targets, estimate.T_target_source)
         renders = self.renderer.renders - before
         return self._result(estimate, check, renders)
 
-    def _source_view(self, source: Submap, place: int) -> SourceView:
-        keyframe = source.keyframes[place]
+    def _source_view(self, source: Submap, index: int) -> SourceView:
+        keyframe = source.keyframes[index]
         view = self.renderer.render(
             source, self.renderer.camera_of(keyframe), keyframe.T_map_camera
         )
         solid = view.depth_m[view.depth_m > 0]
-        reach_m = float(np.median(solid)) if solid.size else 0.0
-        return SourceView(view, keyframe.T_map_camera, reach_m)
+        median_depth_m = float(np.median(solid)) if solid.size else 0.0
+        return SourceView(view, keyframe.T_map_camera, median_depth_m)
 
-    def _drawn(self, target: Submap, sources: list[SourceView], T: Array) -> list[TargetView]:
-        drawn = []
-        for seen in sources:
-            T_target_view = T @ seen.T_source_camera
-            view = self.renderer.render(target, seen.view.camera, T_target_view)
+    def _target_views(
+        self, target: Submap, sources: list[SourceView], T: Array
+    ) -> list[TargetView]:
+        """Render the target at the poses of the source views, for T_target_source [4, 4]."""
+        targets = []
+        for source in sources:
+            T_target_view = T @ source.T_source_camera
+            view = self.renderer.render(target, source.view.camera, T_target_view)
             levels = pyramid(view.level, self.options.dense.levels)
             model = [model_level(level) for level in levels]
-            drawn.append(TargetView(view, T_target_view, model))
-        return drawn
+            targets.append(TargetView(view, T_target_view, model))
+        return targets
 
-    def _estimated(
+    def _estimate(
         self, target: Submap, source: Submap, sources: list[SourceView], start: Array
     ) -> tuple[Estimate, list[TargetView]]:
         """Joint Gauss-Newton; the target is rendered again if the views have moved far."""
         estimate = Estimate(start.copy())
-        drawn_at, targets, far = start, self._drawn(target, sources, start), True
+        rendered_at, targets, far = start, self._target_views(target, sources, start), True
         for round_ in range(self.options.renders):
             pairs = self._pairs(sources, targets, far)
             estimate = align(pairs, estimate, self.options.dense, finest_only=not far)
-            moved = _farthest(sources, drawn_at, estimate.T_target_source)
-            near = moved <= self.options.rerender_distance
+            motion = _largest_motion(sources, rendered_at, estimate.T_target_source)
+            near = motion <= self.options.rerender_distance
             # Steps may oscillate around the solution by less than the required accuracy.
-            oscillates = moved <= _AT_REST * self.options.rerender_distance
-            at_rest = estimate.converged or (oscillates and estimate.pixels.sum() >= MIN_PIXELS)
+            oscillates = motion <= _CONVERGED * self.options.rerender_distance
+            converged = estimate.converged or (oscillates and estimate.pixels.sum() >= MIN_PIXELS)
             # Far from the last rendering, the estimate is not verified.
-            estimate = replace(estimate, converged=bool(at_rest and near))
+            estimate = replace(estimate, converged=bool(converged and near))
             if estimate.converged or round_ + 1 == self.options.renders:
                 break
-            far = moved > _FAR
-            drawn_at = estimate.T_target_source
-            targets = self._drawn(target, sources, drawn_at)
+            far = motion > _FAR
+            rendered_at = estimate.T_target_source
+            targets = self._target_views(target, sources, rendered_at)
         return estimate, targets
 
     def _pairs(self, sources: list[SourceView], targets: list[TargetView], far: bool) -> list[Pair]:
         pairs = []
-        for seen, drawn in zip(sources, targets, strict=True):
-            level = seen.view.level
+        for source, target in zip(sources, targets, strict=True):
+            level = source.view.level
             window = _NEAR_WINDOW_PIXELS
             if far:
                 window = max(window, round(_FAR_WINDOW * level.camera.width))
             if self.options.semantic_gate:
-                clash = classes_clash(seen.view.class_ids, drawn.view.class_ids, window)
-                if clash is not None:
-                    depth_m = level.depth_m.masked_fill(torch.from_numpy(clash), 0.0)
+                mask = mismatched_classes(source.view.class_ids, target.view.class_ids, window)
+                if mask is not None:
+                    depth_m = level.depth_m.masked_fill(torch.from_numpy(mask), 0.0)
                     level = replace(level, depth_m=depth_m)
             frame = pyramid(level, self.options.dense.levels)
-            T_model_target = se3.inverse(drawn.T_target_view)
-            pairs.append(Pair(drawn.model, frame, T_model_target, seen.T_source_camera))
+            T_model_target = se3.inverse(target.T_target_view)
+            pairs.append(Pair(target.model, frame, T_model_target, source.T_source_camera))
         return pairs
 
-    def _checked(
+    def _check(
         self, sources: list[SourceView], targets: list[TargetView], T: Array
     ) -> AlignmentCheck:
         total = AlignmentCheck()
-        for seen, drawn in zip(sources, targets, strict=True):
-            T_view_frame = se3.inverse(drawn.T_target_view) @ T @ seen.T_source_camera
-            total += compare(drawn.view, seen.view, T_view_frame)
+        for source, target in zip(sources, targets, strict=True):
+            T_view_frame = se3.inverse(target.T_target_view) @ T @ source.T_source_camera
+            total += compare(target.view, source.view, T_view_frame)
         return total
 
     def _result(
@@ -193,20 +196,20 @@ class FineRegistration:
         )
 
 
-def _farthest(sources: list[SourceView], T_before: Array, T_after: Array) -> float:
+def _largest_motion(sources: list[SourceView], T_before: Array, T_after: Array) -> float:
     """Largest motion of a view: translation in median depths plus rotation in radians."""
     motions = []
-    for seen in sources:
-        T = se3.inverse(T_before @ seen.T_source_camera) @ T_after @ seen.T_source_camera
+    for view in sources:
+        T = se3.inverse(T_before @ view.T_source_camera) @ T_after @ view.T_source_camera
         metres = float(np.linalg.norm(T[:3, 3]))
-        motions.append(metres / seen.reach_m + float(se3.rotation_angle_rad(T[:3, :3])))
+        motions.append(metres / view.median_depth_m + float(se3.rotation_angle_rad(T[:3, :3])))
     return max(motions)
 
 
-def classes_clash(
+def mismatched_classes(
     source: NDArray[np.int32] | None, target: NDArray[np.int32] | None, window: int
 ) -> NDArray[np.bool_] | None:
-    """Pixels [H, W] whose class does not occur in the other view within a window around them.
+    """Mask [H, W] of the pixels whose class does not occur in the other view within a window.
 
     Void matches everything. None if a view has no classes.
     """

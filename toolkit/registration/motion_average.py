@@ -1,7 +1,8 @@
 """Robust average of many hypotheses of one rigid motion, some of them wrong.
 
-The residuals are those of G-5, `log((T_target_camera_i)^-1 T T_source_camera_i)`. They are measured
-in the cameras' coordinates, where an error of the angle does not become metres at a far origin.
+The residuals are those of G-5, `log((T_target_camera_i)^-1 T T_source_camera_i)`. They are computed
+in camera coordinates. In those of the submaps, a small rotation error would cause a large
+translation error far from the origin.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from toolkit.registration.options import AverageOptions
 
 Array = NDArray[np.float64]
 
-# Geman-McClure: a squared residual of so many units has a quarter of its weight.
-_REACH = 9.0
-_SMALL_STEP = 1e-8
+# Geman-McClure scale: squared residual (in squared standard deviations) at which the weight is 1/4.
+_SCALE = 9.0
+_MIN_STEP = 1e-8
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def average_motion(
         step = -np.linalg.lstsq(H, g, rcond=None)[0]
         T = se3.orthonormalise(T @ se3.exp(step))
         steps += 1
-        converged = bool(np.linalg.norm(step) < _SMALL_STEP)
+        converged = bool(np.linalg.norm(step) < _MIN_STEP)
     inliers = np.linalg.norm(residuals, axis=1) < options.agree_within
     return MotionAverage(T, weights, inliers, np.asarray(H), steps, converged)
 
@@ -98,16 +99,16 @@ def _residuals(
 
 def _cost(residuals: Array) -> float:
     squares = (residuals**2).sum(axis=1)
-    return float((squares / (1.0 + squares / _REACH)).sum())
+    return float((squares / (1.0 + squares / _SCALE)).sum())
 
 
 def _weights(residuals: Array) -> Array:
     squares = (residuals**2).sum(axis=1)
-    return 1.0 / (1.0 + squares / _REACH) ** 2
+    return 1.0 / (1.0 + squares / _SCALE) ** 2
 
 
 def _inverse_right_jacobian(tangent: Array) -> Array:
-    """Jr^-1 [6, 6] of SE(3) at a tangent: its series, good to 1e-6 up to a radian."""
+    """Jr^-1 [6, 6] of SE(3) at a tangent, by its series; accurate to 1e-6 up to one radian."""
     ad = np.zeros((6, 6))
     ad[:3, :3] = ad[3:, 3:] = se3.hat(tangent[3:])
     ad[:3, 3:] = se3.hat(tangent[:3])

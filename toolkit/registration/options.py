@@ -84,9 +84,9 @@ class FineOptions:
     """Minimum overlap of a converged registration."""
     semantic_gate: bool = True
     """Exclude pixels whose classes differ."""
-    # Pixels and views show the same Gaussians, and the error of a fit is that of two maps: taken
-    # one by one, squared errors were 200 to 1100 times the expected ones in synthetic rooms, with
-    # and without sensor noise.
+    # Residuals are not independent: pixels and views show the same Gaussians, and the errors are
+    # those of two maps. With independent residuals, the squared pose errors were 200 to 1100 times
+    # the expected ones in synthetic rooms, with and without sensor noise.
     redundancy: Annotated[float, Range(ge=1)] = 500.0
     """Number of residuals that count as one in the information matrix."""
     dense: JointOptions = JointOptions()

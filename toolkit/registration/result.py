@@ -1,4 +1,4 @@
-"""What a registration says, and who may say it."""
+"""Result and interface of the registration of submaps."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ UNKNOWN = ResidualScales(float("nan"), float("nan"))
 
 @dataclass(frozen=True)
 class RegistrationResult:
-    """Where a source submap lies in a target's frame, and how far that can be trusted.
+    """Pose of a source submap in the frame of a target, with measures of its quality.
 
     Attributes:
-        T_target_source: [4, 4] float64; the start, or identity, where nothing was found.
-        converged: the optimiser came to rest on enough common pixels.
-        inliers: share of the overlapping pixels whose surfaces agree; of the pairs of
-            keyframes that agree, where only those were compared.
-        residual: robust scales of intensity and of depth at 1 m (m), nan where not measured.
-        overlap: share of the source's pixels that the target shows as well.
-        class_agreement: share of the overlapping labelled pixels of the same class, nan
-            without semantics.
+        T_target_source: [4, 4] float64; the initial pose, or the identity, if registration failed.
+        converged: whether the optimiser converged with enough overlapping pixels.
+        inliers: fraction of the overlapping pixels whose depths agree; for coarse registration,
+            fraction of the keyframe pairs that agree.
+        residual: robust scales of intensity and of depth at 1 m (m); nan if unknown.
+        overlap: fraction of the source's pixels that overlap with the target.
+        class_agreement: fraction of the labelled pixels with the same class; nan without
+            semantics.
         information: [6, 6] inverse covariance of x in T_target_source exp(x), translation
             first.
-        iterations, renders: steps taken (0 where Open3D does not tell), views drawn.
-        method: how it was found.
-        reason: why it did not converge, empty where it did.
+        iterations: number of steps; 0 for Open3D, which does not report it.
+        renders: number of rendered views.
+        method: name of the method.
+        reason: why it did not converge; empty if it did.
     """
 
     T_target_source: NDArray[np.float64]
@@ -48,7 +49,7 @@ class RegistrationResult:
     reason: str = ""
 
     def quality_values(self) -> dict[str, Any]:
-        """What a log or a report tells of it; None, which JSON knows, for what was not measured."""
+        """Method and quality for logs and reports; values that are not finite become None."""
         values = {
             "method": self.method,
             "overlap": self.overlap,
@@ -64,7 +65,7 @@ class RegistrationResult:
     def inverted(self) -> RegistrationResult:
         """The same registration with the roles of the submaps exchanged.
 
-        (T exp(x))^-1 = T^-1 exp(-Ad(T) x), so the information moves by Ad(T)^-1.
+        (T exp(x))^-1 = T^-1 exp(-Ad(T) x), so the information is transformed by Ad(T)^-1.
         """
         A = se3.adjoint(se3.inverse(self.T_target_source))
         return replace(
@@ -77,7 +78,7 @@ class RegistrationResult:
 def failed(
     method: str, reason: str, T_target_source: NDArray[np.float64] | None = None
 ) -> RegistrationResult:
-    """A registration that found nothing, with the start it was given."""
+    """Result of a registration that failed, with the initial pose if there was one."""
     return RegistrationResult(
         T_target_source=np.eye(4) if T_target_source is None else T_target_source.copy(),
         converged=False,
@@ -99,10 +100,10 @@ class Registrar(Protocol):
     def register(
         self, target: Submap, source: Submap, T_target_source: NDArray[np.float64] | None = None
     ) -> RegistrationResult:
-        """Where the source lies in the target's frame.
+        """Estimate the pose of the source in the target's frame.
 
         Args:
-            T_target_source: [4, 4] where to begin, or None to begin from nothing.
+            T_target_source: initial pose [4, 4]; None for registration without an initial pose.
         """
         ...
 
@@ -113,9 +114,10 @@ def register_pair(
     second: Submap,
     T_first_second: NDArray[np.float64] | None = None,
 ) -> RegistrationResult:
-    """T_first_second of two submaps, the one with more keyframes taken as the target (G).
+    """Register two submaps, with the one that has more keyframes as the target (G).
 
-    At equal counts the first one is. The result is `T_first_second` either way.
+    With equal numbers of keyframes the first one is the target. The result's `T_target_source` is
+    T_first_second in both cases.
     """
     if len(first.keyframes) >= len(second.keyframes):
         return registrar.register(first, second, T_first_second)

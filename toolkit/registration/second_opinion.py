@@ -1,4 +1,4 @@
-"""A registration that another method, which sees other things, must not contradict."""
+"""Validation of a registration by an independent second method."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SecondOpinionOptions:
-    """How far two answers may lie apart: well beyond what either errs by where it is right."""
+    """Maximum difference of two poses; well above the errors of correct registrations."""
 
-    max_apart_m: float = 0.1
-    max_apart_rad: float = 0.07
+    max_distance_m: float = 0.1
+    max_angle_rad: float = 0.07
 
 
 class SecondOpinion:
-    """Asks another registrar from nothing, and refuses what it contradicts.
+    """Rejects registrations that a second registrar, without an initial pose, contradicts.
 
-    Where the other one finds nothing there is no second opinion, and the first one holds.
+    If the second registrar does not converge, the result of the first one is returned.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class SecondOpinion:
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> RegistrationResult:
-        """See Registrar; not converged, with the reason, where the two do not agree."""
+        """See Registrar; the result has not converged if the two methods disagree."""
         result = self._first.register(target, source, T_target_source)
         if not result.converged:
             return result
@@ -45,10 +45,10 @@ class SecondOpinion:
         renders = result.renders + other.renders
         if not other.converged:
             return replace(result, renders=renders)
-        apart = se3.inverse(result.T_target_source) @ other.T_target_source
-        apart_m = float(np.linalg.norm(apart[:3, 3]))
-        apart_rad = float(se3.rotation_angle_rad(apart[:3, :3]))
-        if apart_m <= self.options.max_apart_m and apart_rad <= self.options.max_apart_rad:
+        T = se3.inverse(result.T_target_source) @ other.T_target_source
+        distance_m = float(np.linalg.norm(T[:3, 3]))
+        angle_rad = float(se3.rotation_angle_rad(T[:3, :3]))
+        if distance_m <= self.options.max_distance_m and angle_rad <= self.options.max_angle_rad:
             return replace(result, renders=renders)
-        reason = f"{other.method} has it {100 * apart_m:.0f} cm and {apart_rad:.2f} rad off"
+        reason = f"{other.method} has it {100 * distance_m:.0f} cm and {angle_rad:.2f} rad off"
         return replace(result, converged=False, renders=renders, reason=reason)

@@ -1,4 +1,4 @@
-"""Semantic-guided registration (G-III.B): coarse from alike keyframes, then fine by rendering."""
+"""Semantic-guided registration (G-III.B): coarse from similar keyframes, then fine by rendering."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SgrOptions:
-    """Values of both stages; `seed` is of the coarse one's random choices."""
+    """Options of both stages, and the random seed of the coarse stage."""
 
     coarse: CoarseOptions = field(default_factory=CoarseOptions)
     fine: FineOptions = field(default_factory=FineOptions)
@@ -29,22 +29,21 @@ class SgrOptions:
 
 
 class Refiner(Protocol):
-    """The stage after the coarse one."""
+    """The stage after coarse registration."""
 
     def refine(
         self, target: Submap, source: Submap, start: Array, views: list[int] | None = None
     ) -> RegistrationResult:
-        """T_target_source from a start near it.
+        """Refine T_target_source from an initial pose close to the solution.
 
         Args:
-            views: places of the source's keyframes to look from; the refiner's own choice
-                without.
+            views: indices of the source keyframes to compare; chosen by the refiner by default.
         """
         ...
 
 
 class SemanticGuidedRegistration:
-    """Registers two submaps, with or without a start; see Registrar.
+    """Registers two submaps, with or without an initial pose; see Registrar.
 
     Args:
         refiner: second stage, a FineRegistration by default.
@@ -70,8 +69,8 @@ class SemanticGuidedRegistration:
     def coarse(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
     ) -> CoarseRegistration:
-        """The first stage alone."""
-        # A generator of its own for every call: results do not depend on earlier ones.
+        """Run the coarse stage only."""
+        # A new generator for every call, so that results do not depend on earlier calls.
         generator = np.random.default_rng(self.options.seed)
         return register_coarse(target, source, self.options.coarse, generator, T_target_source)
 
@@ -82,10 +81,10 @@ class SemanticGuidedRegistration:
         coarse: CoarseRegistration,
         T_target_source: Array | None = None,
     ) -> RegistrationResult:
-        """The second stage after the first.
+        """Run the fine stage after the coarse one.
 
-        A coarse result that its pairs agree on comes before a given start, which may have
-        drifted; without either there is nothing to refine.
+        It starts at the coarse result if that has converged, because the given initial pose may
+        have drifted; otherwise at the given pose. Without either it returns the coarse result.
         """
         if coarse.result.converged:
             start = coarse.result.T_target_source
@@ -101,14 +100,14 @@ class SemanticGuidedRegistration:
         return replace(fine, method=method, iterations=fine.iterations + coarse.result.iterations)
 
     def _views(self, target: Submap, source: Submap, start: Array, agreed: list[int]) -> list[int]:
-        """The keyframes that the coarse stage rests on, and more that overlap."""
+        """The inlier keyframes of the coarse stage, then the keyframes with the largest overlap."""
         count = self.options.fine.views
         more = views_of_overlap(target, source, start, count)
         return list(dict.fromkeys([*agreed, *more]))[:count]
 
 
 class CoarseOnly:
-    """The first stage as a Registrar, judged by looking: what it is worth by itself."""
+    """Coarse registration without refinement, checked in rendered views; see Registrar."""
 
     def __init__(
         self, options: SgrOptions | None = None, renderer: ViewRenderer | None = None

@@ -17,7 +17,7 @@ from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.submaps.submap import Submap
 
 # Views with a smaller overlap are not used.
-_LEAST_SHARE = 0.1
+_MIN_OVERLAP = 0.1
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class ViewRenderer:
     """Renders submaps, decodes their classes, and counts the renderings.
 
     Args:
-        semantics: decodes the features of the submaps; None leaves classes out.
-        min_silhouette: thinner pixels have no surface.
-        max_width: images are halved until they are no wider.
+        semantics: decodes the features of the submaps; None disables classes.
+        min_silhouette: minimum silhouette (0-1) of pixels with a surface.
+        max_width: maximum image width in pixels; wider images are halved.
     """
 
     def __init__(
@@ -67,23 +67,23 @@ class ViewRenderer:
 
     @property
     def semantics(self) -> SemanticMapping | None:
-        """What reads the features of the submaps; None without classes."""
+        """Decodes the features of the submaps; None without classes."""
         return self._semantics
 
     @property
     def backend_name(self) -> str:
-        """As `render` takes it."""
+        """Name of the rendering backend."""
         return self._backend.name
 
     def camera_of(self, keyframe: Keyframe) -> Camera:
-        """The keyframe's camera at the rendered size."""
+        """The keyframe's camera at the size of the renderings."""
         camera = keyframe.camera
         while camera.width > self._max_width:
             camera = camera.halved()
         return camera
 
     def render(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
-        """Render a submap."""
+        """Render a submap and decode its classes."""
         self.renders += 1
         options = RenderOptions(self._min_silhouette, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
@@ -95,7 +95,7 @@ class ViewRenderer:
         return View(level, class_ids.reshape(camera.height, camera.width))
 
     def observed(self, keyframe: Keyframe) -> View:
-        """The observed images of a keyframe, at the rendered size."""
+        """The observed images of a keyframe, at the size of the renderings."""
         level = keyframe_level(keyframe)
         labels = None
         if self._semantics is not None and keyframe.labels is not None:
@@ -112,9 +112,9 @@ def views_of_overlap(
 ) -> list[int]:
     """The source keyframes with the largest overlap with a target keyframe, in descending order.
 
-    Overlap counts points seen from the same side and without occlusion: the two faces of a wall
-    between rooms are close, but must not be aligned to each other. Views with little overlap are
-    left out; the list may be empty.
+    Only points seen from the same side and without occlusion count as overlap: the two faces of a
+    wall between rooms are close, but must not be aligned to each other. Views with little overlap
+    are omitted; the list may be empty.
     """
     views = source.keyframes
     counts = np.array([len(k.points) for k in views])
@@ -128,10 +128,10 @@ def views_of_overlap(
     )
     owner = np.repeat(np.arange(len(views)), counts)
     rays = points - poses[owner, :3, 3]
-    shares = np.zeros(len(views))
+    overlaps = np.zeros(len(views))
     for other in target.keyframes:
         same_side = np.einsum("ij,ij->i", rays, points - other.T_map_camera[:3, 3]) > 0.0
         seen = np.bincount(owner[same_side & other.reaches(points)], minlength=len(views))
-        shares = np.maximum(shares, seen / np.maximum(counts, 1))
-    best = np.argsort(-shares, kind="stable")
-    return [int(i) for i in best if shares[i] >= _LEAST_SHARE][:count]
+        overlaps = np.maximum(overlaps, seen / np.maximum(counts, 1))
+    order = np.argsort(-overlaps, kind="stable")
+    return [int(i) for i in order if overlaps[i] >= _MIN_OVERLAP][:count]
