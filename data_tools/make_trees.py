@@ -40,7 +40,7 @@ def trees() -> list[Taxonomy]:
     def built(name: str, classes: Sequence[str], options: BuildOptions | None = None) -> Taxonomy:
         return build_taxonomy(classes, RuleGrouper(), options=options or BuildOptions(name=name))
 
-    function_alone = BuildOptions(aspects=("function",), most_functions=2, name="geometric")
+    function_alone = BuildOptions(aspects=("function",), max_functions=2, name="geometric")
     return [
         built("replica", CLASS_NAMES),
         built("nyu40", _names(NYU40)),

@@ -154,7 +154,7 @@ def test_a_group_is_never_called_like_a_class():
 def test_shapes_decide_the_geometry_level_where_they_are_known():
     # Four cabinets that names alone split by size: their shapes say otherwise.
     classes = ["base-cabinet", "wall-cabinet", "tv-stand", "wardrobe", "lamp", "cup"]
-    options = BuildOptions(aspects=("function", "geometry"), most_functions=3)
+    options = BuildOptions(aspects=("function", "geometry"), max_functions=3)
     shapes = GivenShapes(
         {"base-cabinet": [0, 1], "tv-stand": [0, 1.1], "wall-cabinet": [9, 5], "Wardrobe": [9, 5.2]}
     )

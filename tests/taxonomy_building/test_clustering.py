@@ -9,7 +9,7 @@ from toolkit.taxonomy_building.clustering import (
     balanced,
     clusters_of,
     standardised,
-    with_strays,
+    with_unmeasured,
 )
 
 
@@ -39,14 +39,14 @@ def test_standardised_has_zero_mean_and_unit_variance():
 @pytest.mark.parametrize("k", [2, 3, 4])
 def test_the_number_of_clusters_is_found(k):
     points = blobs(*[((4.0 * i, (-1.0) ** i * 3), 4) for i in range(k)])
-    clusters = clusters_of(points, most=5, most_items=99)
+    clusters = clusters_of(points, max_clusters=5, max_items=99)
     assert letters(clusters) == list("abcd"[:k])
 
 
 def test_k_respects_what_a_cluster_should_hold():
     points = blobs(((0, 0), 6), ((9, 0), 6))
-    assert len(clusters_of(points, most=6, most_items=12)) == 2
-    assert len(clusters_of(points, most=6, most_items=4)) >= 3
+    assert len(clusters_of(points, max_clusters=6, max_items=12)) == 2
+    assert len(clusters_of(points, max_clusters=6, max_items=4)) >= 3
 
 
 def test_the_order_of_names_does_not_matter():
@@ -62,22 +62,22 @@ def test_equal_shapes_are_one_cluster():
 def test_items_between_two_clusters_move_for_balance_and_others_stay():
     table = np.array([[0.0], [0.1], [0.2], [0.3], [1.4], [3.0], [3.1]])
     labels = np.array([0, 0, 0, 0, 0, 1, 1])
-    moved = balanced(table, labels, np.array([[0.2], [3.0]]), most_items=9)
+    moved = balanced(table, labels, np.array([[0.2], [3.0]]), max_items=9)
     assert moved.tolist() == [0, 0, 0, 0, 1, 1, 1]  # 4 and 3; 1.4 lies nearly half-way
     apart = np.array([[0.0], [0.1], [0.2], [0.3], [0.1], [3.0], [3.1]])
-    kept = balanced(apart, labels, np.array([[0.2], [3.0]]), most_items=9)
+    kept = balanced(apart, labels, np.array([[0.2], [3.0]]), max_items=9)
     assert kept.tolist() == labels.tolist()
 
 
 def test_beyond_what_a_cluster_may_hold_items_move_however_far_they_are():
     table = np.array([[0.0], [0.1], [0.2], [0.3], [0.15], [3.0]])
     labels = np.array([0, 0, 0, 0, 0, 1])
-    moved = balanced(table, labels, np.array([[0.15], [3.0]]), most_items=4)
+    moved = balanced(table, labels, np.array([[0.15], [3.0]]), max_items=4)
     assert np.bincount(moved).max() <= 4
     assert moved[3] == 1  # the one that loses least
 
 
 def test_strays_join_their_kin_or_the_smallest():
     clusters = [["a", "b"], ["c"]]
-    grown = with_strays(clusters, ["y", "z"], [["a", "z"], ["b", "c"], ["y"]])
+    grown = with_unmeasured(clusters, ["y", "z"], [["a", "z"], ["b", "c"], ["y"]])
     assert grown == [("a", "b", "z"), ("c", "y")]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
 from toolkit.taxonomy_building.critic import settle
-from toolkit.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
+from toolkit.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
 from toolkit.taxonomy_building.names import Matcher, clean_label, distinct, fold
 
 ITEMS = ("base-cabinet", "bed", "chair", "lamp", "shelf", "sofa")
@@ -139,7 +139,7 @@ def test_one_group_stays_where_the_fallback_sees_no_difference():
 
 
 def test_surplus_groups_are_refused_the_small_ones():
-    question = Question(ITEMS, "function", most_groups=2)
+    question = Question(ITEMS, "function", max_groups=2)
     grouper = Answers(
         {"a": ("bed",), "b": ("chair", "sofa"), "c": ("lamp", "shelf"), "d": ("base-cabinet",)},
         {"c": ("base-cabinet",), "b": ("bed",)},
@@ -203,7 +203,7 @@ def test_given_names_are_kept_to_the_letter_and_in_their_order():
 
 
 def test_useless_answers_are_asked_again_and_missing_ones_end_it():
-    refusal = UselessAnswerError("the model refused")
+    refusal = InvalidAnswerError("the model refused")
     two = {"a": ITEMS[:2], "b": ITEMS[2:]}
     grouper = Answers(refusal, two)
     assert settle(QUESTION, grouper, Untouched()) == two
@@ -248,10 +248,10 @@ items = st.lists(names.filter(str.strip), min_size=1, max_size=12, unique_by=str
 
 
 @st.composite
-def lies(draw, about: tuple[str, ...]) -> Grouping | UselessAnswerError:
+def lies(draw, about: tuple[str, ...]) -> Grouping | InvalidAnswerError:
     """An answer in which anything may be wrong."""
     if draw(st.integers(0, 9)) == 0:
-        return UselessAnswerError("no JSON")
+        return InvalidAnswerError("no JSON")
     change = st.sampled_from([str, str.upper, lambda n: n + "s", lambda n: f" {n} ", str.strip])
     written = st.one_of(
         st.sampled_from(about), st.builds(lambda n, f: f(n), st.sampled_from(about), change), names
@@ -294,7 +294,7 @@ def is_valid(question: Question, settled: Grouping) -> None:
     if question.clusters:
         assert set(settled.values()) == set(question.clusters)
     else:
-        assert len(settled) <= question.most_groups
+        assert len(settled) <= question.max_groups
 
 
 @settings(max_examples=50)

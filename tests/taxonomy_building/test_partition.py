@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.taxonomy_building.partition import (
-    _ALONE,
     _JOINED,
+    _SINGLE,
     _SPLIT,
     Branch,
     partition,
@@ -93,9 +93,9 @@ def every_cut(branch: Branch, most: int, ideal: float, root: bool = False):
     """(cost, sizes) of every cut of a branch, by trying them all."""
     if not root:
         size = len(branch.items)
-        yield (size / ideal - 1) ** 2 + (_ALONE if size == 1 else 0.0), [size]
+        yield (size / ideal - 1) ** 2 + (_SINGLE if size == 1 else 0.0), [size]
     if branch.children:
-        for cost, sizes in every_row(branch.children, most, ideal, branch.apart):
+        for cost, sizes in every_row(branch.children, most, ideal, branch.distance):
             if 1 < len(sizes) <= most:
                 yield cost + (0.0 if root else _SPLIT), sizes
 

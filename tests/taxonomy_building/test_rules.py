@@ -19,7 +19,7 @@ def ask(items, aspect, **more):
 
 def test_sizes_are_what_a_person_would_say():
     names = ["cup", "book", "pillow", "stool", "sink", "sofa", "bed", "wardrobe", "wall"]
-    groups = ask(names, "size", most_groups=3)
+    groups = ask(names, "size", max_groups=3)
     assert list(groups) == ["small", "medium", "large"]
     assert groups["small"] == ("book", "cup")
     assert groups["medium"] == ("pillow", "sink", "stool")
@@ -28,7 +28,7 @@ def test_sizes_are_what_a_person_would_say():
 
 @given(st.lists(st.sampled_from(WORDS), min_size=1, max_size=60, unique=True))
 def test_balance_never_moves_a_size_far(words):
-    groups = ask(words, "size", most_groups=4)
+    groups = ask(words, "size", max_groups=4)
     size_m = {word: built_in().look_up(word).size_m for word in words}
     for name, low, high in (
         ("small", 0.0, 0.4),
@@ -41,7 +41,7 @@ def test_balance_never_moves_a_size_far(words):
 
 def test_functions_are_what_a_person_would_say():
     names = ["chair", "office chair", "sofa", "dining table", "desk", "oven", "microwave", "cup"]
-    groups = ask([*names, "plate", "sock", "t-shirt"], "function", most_groups=4)
+    groups = ask([*names, "plate", "sock", "t-shirt"], "function", max_groups=4)
     together = [set(items) for items in groups.values()]
     assert {"sock", "t-shirt"} in together
     assert any({"chair", "office chair", "sofa"} <= group for group in together)
@@ -49,9 +49,9 @@ def test_functions_are_what_a_person_would_say():
 
 
 def test_shapes_and_then_sizes_tell_things_apart():
-    groups = ask(["ball", "orange", "wall", "picture", "pillow"], "geometry", most_groups=4)
+    groups = ask(["ball", "orange", "wall", "picture", "pillow"], "geometry", max_groups=4)
     assert {"ball", "orange"} in [set(items) for items in groups.values()]
-    boxes = ask(["jewelry box", "shoe box", "packing box", "wardrobe"], "geometry", most_groups=4)
+    boxes = ask(["jewelry box", "shoe box", "packing box", "wardrobe"], "geometry", max_groups=4)
     assert set(boxes) == {"smaller boxy", "larger boxy"}
 
 
@@ -71,7 +71,7 @@ def test_two_groups_of_one_name_are_kept_apart():
     tree["e"] = {"1 flat": ", ".join(f"e{n}" for n in "pqrstuvwxyz")}
     vocabulary = Vocabulary(tree)
     items = tuple(entry.word for entry in vocabulary)
-    groups = RuleGrouper(vocabulary).group(Question(items, "function", most_groups=3))
+    groups = RuleGrouper(vocabulary).group(Question(items, "function", max_groups=3))
     sizes = {name: len(members) for name, members in groups.items()}
     assert sizes == {"other": 8, "e": 11, "other 2": 8}
 
@@ -99,10 +99,10 @@ def test_given_names_are_the_only_ones_used():
     st.randoms(),
 )
 def test_any_names_are_grouped_completely_and_always_alike(names, aspect, most, random):
-    question = Question(tuple(names), aspect, most_groups=most)
+    question = Question(tuple(names), aspect, max_groups=most)
     groups = RuleGrouper().group(question)
     assert sorted(i for items in groups.values() for i in items) == sorted(names)
     assert 1 <= len(groups) <= most
     assert all(groups) and all(groups.values())
     random.shuffle(names)
-    assert RuleGrouper().group(Question(tuple(names), aspect, most_groups=most)) == groups
+    assert RuleGrouper().group(Question(tuple(names), aspect, max_groups=most)) == groups

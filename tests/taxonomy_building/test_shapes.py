@@ -103,7 +103,7 @@ def room(up_axis=2):
 
 @pytest.mark.parametrize("up_axis", [0, 1, 2])
 def test_the_floor_says_where_up_is(up_axis):
-    up, floor_m = room(up_axis).upright()
+    up, floor_m = room(up_axis).up_and_floor()
     np.testing.assert_allclose(up, np.eye(3)[up_axis], atol=0.01)
     assert floor_m == pytest.approx(0, abs=0.02)
 
@@ -168,10 +168,10 @@ def test_meshes_are_found_by_their_class_s_name(tmp_path):
 
 
 def test_folders_without_meshes_and_empty_meshes_are_refused(tmp_path):
-    with pytest.raises(FormatError, match="called after a class"):
+    with pytest.raises(FormatError, match="named after a class"):
         MeshShapes(tmp_path).embeddings(["cup"])
     (tmp_path / "cup.obj").write_text("v 0 0 0\n")
-    with pytest.raises(FormatError, match=r"cup\.obj: holds no triangle"):
+    with pytest.raises(FormatError, match=r"cup\.obj: contains no triangle"):
         MeshShapes(tmp_path).embeddings(["cup"])
 
 
@@ -194,14 +194,14 @@ def test_tables_give_their_rows(tmp_path, name, text):
     [
         ("t.csv", "", "no shape"),
         ("t.csv", "cup,1,2\nvase,1\n", "'vase' has 1 numbers, the first row 2"),
-        ("t.csv", "cup,1,2\nvase,1,x\n", "row of 'vase' must hold finite numbers"),
+        ("t.csv", "cup,1,2\nvase,1,x\n", "row of 'vase' must contain only finite numbers"),
         ("t.csv", "cup,1,nan\n", "finite"),
         ("t.csv", "cup,1\nCup,2\n", "two rows"),
-        ("t.csv", "cup\nvase\n", "finite numbers alone"),
+        ("t.csv", "cup\nvase\n", "only finite numbers"),
         ("t.json", '{"cup": [1, ', "cannot be read"),
         ("t.json", "[1, 2]", "no shape"),
-        ("t.json", '{"cup": 1}', "finite numbers alone"),
-        ("t.json", '{"cup": [true, null]}', "finite numbers alone"),
+        ("t.json", '{"cup": 1}', "only finite numbers"),
+        ("t.json", '{"cup": [true, null]}', "only finite numbers"),
     ],
 )
 def test_broken_tables_name_themselves(tmp_path, name, text, message):
@@ -243,7 +243,7 @@ def mesh_model(monkeypatch, tmp_path):
         MeshTransformer=SimpleNamespace(from_pretrained=lambda path, local_files_only: transformer)
     )
     monkeypatch.setitem(sys.modules, "meshgpt_pytorch", package)
-    return MeshModelShapes(tmp_path, most_faces=10), transformer, package
+    return MeshModelShapes(tmp_path, max_faces=10), transformer, package
 
 
 def test_a_mesh_model_gives_the_mean_vector_of_real_codes(mesh_model):
@@ -261,7 +261,7 @@ def test_what_a_mesh_model_lacks_is_said(mesh_model, monkeypatch, tmp_path):
         raise RuntimeError("size\nmismatch")
 
     package.MeshTransformer.from_pretrained = broken
-    with pytest.raises(DependencyError, match=r"no MeshTransformer .*\(size mismatch\)"):
+    with pytest.raises(DependencyError, match=r"does not contain a Mesh.*\(size mismatch\)"):
         shapes.embeddings(["cup"])
     monkeypatch.setitem(sys.modules, "meshgpt_pytorch", None)
     with pytest.raises(DependencyError, match="pip install meshgpt-pytorch"):

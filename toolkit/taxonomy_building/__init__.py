@@ -1,1 +1,1 @@
-"""How a taxonomy is made from a list of class names (H-III.A.2)."""
+"""Generation of a taxonomy from a list of class names (H-III.A.2)."""

@@ -1,7 +1,7 @@
-"""From a list of class names to a balanced, narrow tree (H-III.A.2).
+"""Build a balanced, narrow tree from a list of class names (H-III.A.2).
 
-Size first (H-2), then function, as many levels as balance needs (H-3), then shape (H-6),
-then the classes themselves.
+The levels are size (H-2), function with as many levels as needed for balance (H-3), shape (H-6),
+and class.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_parsing import folded
-from toolkit.taxonomy_building.clustering import clusters_of, standardised, with_strays
+from toolkit.taxonomy_building.clustering import clusters_of, standardised, with_unmeasured
 from toolkit.taxonomy_building.critic import settle
 from toolkit.taxonomy_building.grouper import Aspect, Grouper, Question
 from toolkit.taxonomy_building.rules import RuleGrouper
@@ -25,39 +25,40 @@ from toolkit.taxonomy_building.shapes import ShapeProvider
 
 _LEVEL_NAMES: dict[Aspect, str] = {"size": "size", "function": "function", "geometry": "shape"}
 
-# From name to subtree; a class has an empty one.
+# Mapping from name to subtree; the subtree of a class is empty.
 _Groups = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """How wide and deep a tree may be.
+    """Options of the width and depth of a tree.
 
     Attributes:
-        aspects: what each level is about, top first, without the classes' own; None for
-            size, function (by `function_levels`), geometry.
-        function_levels: None for as many as the number of classes needs.
-        most_sizes: groups at most at the top; at least 2, as the next two.
-        most_functions: groups at most in the first level of function, where people look for
-            furniture, kitchen, electronics, ...
-        most_groups: groups or classes at most under any other node, where meaning allows.
-            Four fill two bits, and need the fewest one-hot channels (n / log n).
-        listed: so many classes, and fewer, need no groups among them.
-        rounds: how often a grouper is asked the same question, before the rules decide.
-        name: of the tree.
+        aspects: criterion of each level above the classes, top first; None for size, function
+            (`function_levels` times) and geometry.
+        function_levels: number of levels of function; None derives it from the number of classes.
+        max_sizes: maximum number of groups at the top; at least 2, like the next two.
+        max_functions: maximum number of groups at the first level of function (furniture,
+            kitchen, electronics, ...).
+        max_groups: target maximum number of children of any other node. Four use two bits, and
+            give nearly the fewest one-hot channels (n / log n).
+        listed: maximum number of classes that are not divided into groups.
+        rounds: maximum number of times a grouper is asked the same question before the rules
+            decide.
+        name: name of the tree.
     """
 
     aspects: tuple[Aspect, ...] | None = None
     function_levels: int | None = None
-    most_sizes: int = 3
-    most_functions: int = 5
-    most_groups: int = 4
+    max_sizes: int = 3
+    max_functions: int = 5
+    max_groups: int = 4
     listed: int = 3
     rounds: int = 3
     name: str = "taxonomy"
 
     def __post_init__(self) -> None:
-        for field_name in ("most_sizes", "most_functions", "most_groups"):
+        for field_name in ("max_sizes", "max_functions", "max_groups"):
             if getattr(self, field_name) < 2:
                 raise ValueError(f"{field_name} must be at least 2")
 
@@ -69,55 +70,59 @@ def build_taxonomy(
     options: BuildOptions | None = None,
     seed: int = 0,
 ) -> Taxonomy:
-    """A tree with every class exactly once.
+    """Build a tree that contains every class exactly once.
 
-    The same names give the same tree in whatever order they come; the order decides only
-    the class ids, which count from 1.
+    The tree does not depend on the order of the names. The order defines the class ids, which
+    start at 1.
 
     Args:
-        classes: names, each once.
-        grouper: answers the questions of every node; what it leaves open the rules decide.
-        shapes: what is known of the classes' shapes; without it, or where it knows too few
-            of a node's classes, the grouper also sorts by shape.
-        seed: of k-means++.
+        classes: distinct class names.
+        grouper: divides the items of every node; the rules decide on items that it leaves out.
+        shapes: shape embeddings of the classes; if they are missing for too many classes of a
+            node, the grouper also divides by shape.
+        options: width and depth of the tree.
+        seed: seed of k-means++.
 
     Raises:
-        FormatError: fewer than two classes, repeated names, or names that no tree can hold.
-        ToolkitError: the grouper or the shapes cannot be had.
+        FormatError: fewer than two classes, repeated names, or invalid names.
+        ToolkitError: the grouper or the shapes are not available.
     """
     options = options or BuildOptions()
-    # Refuses bad names before anything is asked.
+    # Rejects invalid names before the grouper is called.
     Taxonomy.flat(classes, options.name)
     aspects = options.aspects or _aspects(len(classes), options)
     known = standardised(shapes.embeddings(sorted(classes))) if shapes else {}
     functions, names = aspects.count("function"), {folded(c) for c in classes}
-    growing = _Growing(options, functions, grouper, known, seed, names)
-    tree = growing.grow(sorted(classes), aspects, ())
-    # The check of the whole: every class exactly once, no empty group, no repeated sibling.
-    return Taxonomy(tree, growing.level_names(), classes, options.name)
+    builder = _TreeBuilder(options, functions, grouper, known, seed, names)
+    tree = builder.grow(sorted(classes), aspects, ())
+    # Taxonomy checks that every class appears once, and that no group is empty or repeated.
+    return Taxonomy(tree, builder.level_names(), classes, options.name)
 
 
 def _aspects(count: int, options: BuildOptions) -> tuple[Aspect, ...]:
     levels = options.function_levels
     if levels is None:
-        # So many levels would hold all classes if every group were full. Size, shape and the
-        # classes' own are three of them; one more than needed leaves room to keep together
-        # what belongs together. Two at least: people ask for furniture, and in it for seats.
-        full = math.ceil(math.log(count, options.most_groups) - 1e-9)
+        # `full` levels contain all classes if every group is full. Size, shape and class are three
+        # of them; an additional level avoids splitting semantic groups. Use at least two levels of
+        # function, for instance furniture and seating.
+        full = math.ceil(math.log(count, options.max_groups) - 1e-9)
         levels = max(2, full - 2)
     functions: list[Aspect] = ["function"] * levels
     return ("size", *functions, "geometry")
 
 
 @dataclass
-class _Growing:
-    """One tree while it grows.
+class _TreeBuilder:
+    """Recursive construction of one tree.
 
     Attributes:
-        function_levels: how many there are to be.
+        options: width and depth of the tree.
+        function_levels: number of levels of function.
+        grouper: divides the items of a node.
         shapes: standardised embeddings by class.
-        class_names: folded; no group may be called like one.
-        levels: for each level, how many classes stand under groups of each aspect.
+        seed: seed of k-means++.
+        class_names: normalised class names; groups must have other names.
+        levels: for each level, the number of classes below groups of each aspect.
     """
 
     options: BuildOptions
@@ -132,7 +137,7 @@ class _Growing:
     def grow(
         self, items: Sequence[str], aspects: Sequence[Aspect], path: tuple[str, ...]
     ) -> _Groups:
-        """The subtree of some classes, which begins with the first aspect that divides them."""
+        """Return the subtree of some classes; starts with the first aspect that divides them."""
         if len(items) <= self.options.listed or not aspects:
             return {item: {} for item in items}
         groups = self._divided(items, aspects, path)
@@ -140,7 +145,7 @@ class _Growing:
             return self.grow(items, aspects[1:], path)
         tree: _Groups = {}
         for name, members in groups.items():
-            if len(members) == 1:  # a chain to a single class says nothing more than the class
+            if len(members) == 1:  # a group with a single class is replaced by the class
                 tree[members[0]] = {}
                 continue
             self._count(len(path), aspects[0], len(members))
@@ -148,7 +153,7 @@ class _Growing:
         return tree
 
     def level_names(self) -> list[str]:
-        """A name for each level, by what most of its groups are about."""
+        """Return a name for each level, by the most frequent aspect of its groups."""
         aspects = [_LEVEL_NAMES[level.most_common(1)[0][0]] for level in self.levels]
         seen: Counter[str] = Counter()
         names = []
@@ -160,38 +165,38 @@ class _Growing:
     def _divided(
         self, items: Sequence[str], aspects: Sequence[Aspect], path: tuple[str, ...]
     ) -> dict[str, tuple[str, ...]]:
-        """Groups by the first aspect, those too large for the levels below divided again."""
-        most = self._most(aspects)
-        groups = self._asked(items, aspects[0], path, most)
-        room = self.options.most_groups ** len(aspects)
-        while len(groups) < most:
+        """Group by the first aspect; divide groups that are too large for the levels below."""
+        max_groups = self._most(aspects)
+        groups = self._asked(items, aspects[0], path, max_groups)
+        capacity = self.options.max_groups ** len(aspects)
+        while len(groups) < max_groups:
             largest = max(groups, key=lambda name: (len(groups[name]), name))
-            if len(groups[largest]) <= room:
+            if len(groups[largest]) <= capacity:
                 break
             parts = self._asked(
-                groups[largest], aspects[0], (*path, largest), most - len(groups) + 1
+                groups[largest], aspects[0], (*path, largest), max_groups - len(groups) + 1
             )
             if len(parts) == 1 or {*map(folded, parts)} & {*map(folded, groups)}:
                 break
             groups = {
                 name: members
-                for old, whole in groups.items()
-                for name, members in (parts if old == largest else {old: whole}).items()
+                for old, old_members in groups.items()
+                for name, members in (parts if old == largest else {old: old_members}).items()
             }
         return groups
 
     def _asked(
-        self, items: Sequence[str], aspect: Aspect, path: tuple[str, ...], most: int
+        self, items: Sequence[str], aspect: Aspect, path: tuple[str, ...], max_groups: int
     ) -> dict[str, tuple[str, ...]]:
-        """The settled answer to one question, with names that can stand at this place."""
+        """Return the checked answer to one question, with names that are valid at this node."""
         question = Question(
             tuple(sorted(items)),
             aspect,
             path,
-            most_groups=most,
-            clusters=self._clusters(items, most) if aspect == "geometry" else (),
+            max_groups=max_groups,
+            clusters=self._clusters(items, max_groups) if aspect == "geometry" else (),
         )
-        if isinstance(self.grouper, RuleGrouper):  # right as it is: there is nothing to settle
+        if isinstance(self.grouper, RuleGrouper):  # its answers are always valid
             groups = self.grouper.group(question)
         else:
             groups = settle(question, self.grouper, self._rules, self.options.rounds)
@@ -203,25 +208,25 @@ class _Growing:
             named[name] = members
         return named
 
-    def _clusters(self, items: Sequence[str], most: int) -> tuple[tuple[str, ...], ...]:
-        """Clusters by measured shape, or none where too few classes have one."""
+    def _clusters(self, items: Sequence[str], max_groups: int) -> tuple[tuple[str, ...], ...]:
+        """Return clusters by measured shape, or none if too few classes have a shape."""
         known = {item: self.shapes[item] for item in items if item in self.shapes}
         if len(known) < 3:
             return ()
-        clusters = clusters_of(known, most, self.options.most_groups, self.seed)
+        clusters = clusters_of(known, max_groups, self.options.max_groups, self.seed)
         if len(clusters) < 2:
             return ()
-        strays = [item for item in items if item not in known]
-        question = Question(tuple(sorted(items)), "geometry", most_groups=most)
-        kin = tuple(self._rules.group(question).values()) if strays else ()
-        return tuple(with_strays(clusters, strays, kin))
+        unmeasured = [item for item in items if item not in known]
+        question = Question(tuple(sorted(items)), "geometry", max_groups=max_groups)
+        similar = tuple(self._rules.group(question).values()) if unmeasured else ()
+        return tuple(with_unmeasured(clusters, unmeasured, similar))
 
     def _most(self, aspects: Sequence[Aspect]) -> int:
         if aspects[0] == "size":
-            return self.options.most_sizes
+            return self.options.max_sizes
         if aspects[0] == "function" and aspects.count("function") == self.function_levels:
-            return self.options.most_functions
-        return self.options.most_groups
+            return self.options.max_functions
+        return self.options.max_groups
 
     def _count(self, level: int, aspect: Aspect, members: int) -> None:
         while len(self.levels) <= level:

@@ -1,4 +1,4 @@
-"""Clusters of classes by the shape of their objects (H-5, H-6)."""
+"""Clustering of classes by the shape of their objects (H-5, H-6)."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# For balance an item moves to a cluster whose centre is at most so much farther than its own,
-# as a share of the distance between the two centres: at 0 it lies half-way, at 1 it is its
-# own cluster's centre.
-_REACH = 0.5
+# Balancing moves an item only if this increases the distance to its cluster centre by at most this
+# fraction of the distance between the two centres: 0 for an item half-way between the centres, 1
+# for an item at its own centre.
+_MAX_INCREASE = 0.5
 
 
 def standardised(embeddings: Mapping[str, Array]) -> dict[str, Array]:
-    """Embeddings [D] with zero mean and unit variance over the classes (H-5).
+    """Return embeddings [D] with zero mean and unit variance over the classes (H-5).
 
-    What is the same for all classes becomes 0.
+    Components that are equal for all classes become 0.
     """
     if not embeddings:
         return {}
@@ -31,21 +31,21 @@ def standardised(embeddings: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def clusters_of(
-    embeddings: Mapping[str, Array], most: int, most_items: int, seed: int = 0
+    embeddings: Mapping[str, Array], max_clusters: int, max_items: int, seed: int = 0
 ) -> list[list[str]]:
-    """k-means++ clusters, k by silhouette score, then balanced.
+    """Cluster by k-means++ with k selected by silhouette score, then balance the clusters.
 
     Args:
-        embeddings: standardised, [D] each.
-        most: clusters at most, >= 2.
-        most_items: items that a cluster should have at most; fewer clusters than that needs
-            are not considered, unless `most` leaves no choice.
-        seed: of k-means++.
+        embeddings: standardised vector [D] of each class.
+        max_clusters: maximum number of clusters, >= 2.
+        max_items: target maximum number of items per cluster; the minimum k follows from it,
+            unless `max_clusters` is smaller.
+        seed: seed of k-means++.
 
     Returns:
-        Clusters by their first name, names sorted; one of all where the shapes do not differ.
+        Clusters sorted by their first name, with sorted names; one cluster if all shapes are equal.
     """
-    # Seconds to import, and of no use without shapes.
+    # Imported on demand: takes seconds.
     from sklearn.cluster import KMeans
     from sklearn.metrics import silhouette_score
 
@@ -54,40 +54,41 @@ def clusters_of(
     distinct = len(np.unique(table, axis=0))
     if distinct < 2:
         return [names]
-    most = min(most, distinct)
-    least = min(max(2, math.ceil(len(names) / most_items)), most)
+    max_clusters = min(max_clusters, distinct)
+    min_clusters = min(max(2, math.ceil(len(names) / max_items)), max_clusters)
     best_score = -np.inf
-    for k in range(least, most + 1):
+    for k in range(min_clusters, max_clusters + 1):
         means = KMeans(k, init="k-means++", n_init=10, random_state=seed).fit(table)
-        # With as many clusters as items there is nothing to compare.
+        # The silhouette score is undefined for as many clusters as items.
         score = silhouette_score(table, means.labels_) if k < len(names) else -1.0
         if score > best_score:
             best_score, best = score, means
-    labels = balanced(table, best.labels_, best.cluster_centers_, most_items)
+    labels = balanced(table, best.labels_, best.cluster_centers_, max_items)
     clusters = [[names[i] for i in np.flatnonzero(labels == c)] for c in range(best.n_clusters)]
     return sorted(cluster for cluster in clusters if cluster)
 
 
 def balanced(
-    table: Array, labels: NDArray[np.integer], centres: Array, most_items: int
+    table: Array, labels: NDArray[np.integer], centres: Array, max_items: int
 ) -> NDArray[np.integer]:
-    """Cluster numbers [N] after moves that bring sizes to within one item where shape allows.
+    """Return cluster indices [N] with balanced sizes.
 
-    The item that loses least moves first, from a larger to a smaller cluster. Beyond
-    `most_items` an item moves however far it is, while another cluster has room.
+    Items move from larger to smaller clusters, in the order of the increase in distance to the
+    centre, until sizes differ by at most one or no item is close enough. The limit on the distance
+    is ignored for clusters with more than `max_items` items.
 
     Args:
         table: embeddings [N, D].
-        labels: cluster numbers [N].
-        centres: [K, D].
-        most_items: items that a cluster should have at most.
+        labels: cluster indices [N].
+        centres: cluster centres [K, D].
+        max_items: target maximum number of items per cluster.
     """
     labels = labels.copy()
     distances = np.linalg.norm(table[:, None] - centres[None], axis=2)
     between = np.linalg.norm(centres[:, None] - centres[None], axis=2)
     while True:
         sizes = np.bincount(labels, minlength=len(centres))
-        move = _best_move(labels, distances, between, sizes, most_items)
+        move = _best_move(labels, distances, between, sizes, max_items)
         if move is None:
             return labels
         labels[move[0]] = move[1]
@@ -98,35 +99,35 @@ def _best_move(
     distances: Array,
     between: Array,
     sizes: NDArray[np.integer],
-    most_items: int,
+    max_items: int,
 ) -> tuple[int, int] | None:
     best, best_loss = None, np.inf
     for item, own in enumerate(labels):
         for other in np.flatnonzero(sizes <= sizes[own] - 2):
             loss = float(distances[item, other] - distances[item, own])
-            near = loss <= _REACH * between[own, other]
-            if (near or sizes[own] > most_items) and loss < best_loss:
+            near = loss <= _MAX_INCREASE * between[own, other]
+            if (near or sizes[own] > max_items) and loss < best_loss:
                 best, best_loss = (item, int(other)), loss
     return best
 
 
-def with_strays(
-    clusters: Sequence[Sequence[str]], strays: Sequence[str], kin: Sequence[Sequence[str]]
+def with_unmeasured(
+    clusters: Sequence[Sequence[str]], unmeasured: Sequence[str], similar: Sequence[Sequence[str]]
 ) -> list[tuple[str, ...]]:
-    """Clusters that also hold the items whose shape is unknown.
+    """Add the items of unknown shape to the clusters.
 
     Args:
-        clusters: of the items whose shape is known.
-        strays: the others.
-        kin: groups of all items by what their names say of their shape; a stray joins the
-            cluster that holds most of its kin, or the smallest.
+        clusters: clusters of the items of known shape.
+        unmeasured: items of unknown shape.
+        similar: groups of all items by the shape expected from their names; an unmeasured item is
+            added to the cluster with the most items of its group, or to the smallest cluster.
     """
-    grown = [list(cluster) for cluster in clusters]
-    for stray in sorted(strays):
-        kinsfolk = {item for group in kin if stray in group for item in group}
-        place = max(
-            range(len(grown)),
-            key=lambda n: (len(kinsfolk.intersection(clusters[n])), -len(grown[n]), -n),
+    extended = [list(cluster) for cluster in clusters]
+    for name in sorted(unmeasured):
+        peers = {item for group in similar if name in group for item in group}
+        best = max(
+            range(len(extended)),
+            key=lambda n: (len(peers.intersection(clusters[n])), -len(extended[n]), -n),
         )
-        grown[place].append(stray)
-    return [tuple(sorted(cluster)) for cluster in grown]
+        extended[best].append(name)
+    return [tuple(sorted(cluster)) for cluster in extended]

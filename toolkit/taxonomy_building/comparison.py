@@ -1,4 +1,4 @@
-"""Trees without meaning, as narrow as a given one: what a tree is worth shows beside them."""
+"""Baseline trees with the structure of a given tree but without semantic grouping."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 
 def random_taxonomy(like: Taxonomy, seed: int = 0) -> Taxonomy:
-    """A tree of the same form, level widths and class ids, its classes put anywhere."""
+    """Return a tree of the same structure and class ids, with randomly assigned classes."""
     order = np.random.default_rng(seed).permutation(len(like))
     return _filled(like, [like.classes[i] for i in order], "random")
 
 
 def alphabetical_taxonomy(like: Taxonomy) -> Taxonomy:
-    """A tree of the same form, level widths and class ids, its classes put in by name."""
+    """Return a tree of the same structure and class ids, with classes in alphabetical order."""
     return _filled(like, sorted(like.classes, key=str.casefold), "alphabetical")
 
 
 def _filled(like: Taxonomy, classes: Sequence[str], kind: str) -> Taxonomy:
-    """The tree with its leaves renamed in order, and groups that are numbered."""
+    """Return the tree with the leaves renamed in order and numbered groups."""
     remaining = iter(classes)
     names: dict[tuple[str, ...], str] = {}
     root: dict[str, Any] = {}

@@ -1,17 +1,18 @@
-"""The critic: whatever a grouper says, every item ends in exactly one group (H-III.A.2).
+"""The critic corrects the answers of groupers: every item is in exactly one group (H-III.A.2).
 
-The rules, in the order in which they are applied to an answer:
+The rules in the order of their application:
 
-- an item is found by its name, whatever its case, plural, hyphens or white space; what
-  matches nothing was invented and is dropped;
-- an item named twice stays where it was named first;
-- a group's name loses '>' and what is invisible; equal names are one group; one that is
-  called like a class gets "group" after it; a name without a letter or digit is refused with
-  its group, and so is, where names are given, any other;
-- empty groups do not count; the smallest groups beyond the number allowed are refused;
-- one group that holds everything is refused.
+- items are matched by name without case, plural, hyphens and white space; items without a match
+  are dropped;
+- an item that is named twice remains in the first group;
+- '>' and invisible characters are removed from the names of groups; groups of equal names are
+  merged; "group" is appended to names of classes; groups without a letter or digit in their name
+  are rejected, and if the question gives names, groups with other names;
+- empty groups are ignored; the smallest groups above the maximum number are rejected;
+- a single group with all items is rejected.
 
-What was refused or left out is asked about again, a few times; then the fallback decides.
+Items that were rejected or left out are asked about again, for a limited number of rounds. The
+fallback decides on the remaining ones.
 """
 
 from __future__ import annotations
@@ -20,32 +21,32 @@ from toolkit.taxonomy_building.drafts import ClusterNames, Draft, Groups
 from toolkit.taxonomy_building.grouper import (
     Grouper,
     Grouping,
+    InvalidAnswerError,
     Question,
-    UselessAnswerError,
 )
 from toolkit.taxonomy_building.repairs import Repairs
 
 
 def settle(question: Question, grouper: Grouper, fallback: Grouper, rounds: int = 3) -> Grouping:
-    """Groups that hold every item of a question exactly once.
+    """Return groups that contain every item of a question exactly once.
 
-    Answers are compared with the question as sets, never by another model. A question with
-    clusters keeps its clusters, and takes from the answers only their names. What had to be
-    repaired is logged.
+    Answers are compared with the question as sets, without another model. Clusters of a question
+    are kept, only their names are taken from the answers. Corrections are logged.
 
     Args:
-        grouper: asked first, and again for what it left out.
-        fallback: decides what is open after the last round.
-        rounds: how often the grouper is asked at most, >= 1.
+        question: the items and the criterion.
+        grouper: asked first, and again for missing items.
+        fallback: decides on the items that are open after the last round.
+        rounds: maximum number of calls of the grouper, >= 1.
 
     Returns:
-        At most `most_groups` groups, none empty, their names distinct and fit for a path.
-        Given names keep their order; items that of the question. One group alone stands for
-        several items only where the fallback, too, sees no difference.
+        At most `max_groups` non-empty groups with distinct, valid names. Given names keep their
+        order, and items the order of the question. A single group contains several items only
+        if the fallback does not distinguish them either.
 
     Raises:
-        ValueError: items repeat, or the clusters do not hold each of them once.
-        ToolkitError: the grouper can give no answer at all, or the fallback fails.
+        ValueError: items are repeated, or the clusters do not contain each of them once.
+        ToolkitError: the grouper is not available, or the fallback fails.
     """
     _check(question)
     repairs = Repairs()
@@ -56,12 +57,12 @@ def settle(question: Question, grouper: Grouper, fallback: Grouper, rounds: int 
             break
         if attempt > 1:
             repairs.asked_again += draft.open_items()
-            # With its number no question repeats: a cache would repeat the answer, too.
+            # The attempt number makes questions distinct, so that a cache does not repeat answers.
             complaint = f"Attempt {attempt} of {rounds}. {complaint}"
         try:
             complaint = draft.add(grouper.group(draft.open_question(), complaint))
-        except UselessAnswerError as error:
-            repairs.useless.append(str(error))
+        except InvalidAnswerError as error:
+            repairs.invalid.append(str(error))
             complaint = f"Your last answer could not be used: {error}."
     if draft.open_items():
         draft.complete(fallback)
@@ -74,4 +75,4 @@ def _check(question: Question) -> None:
     if len(set(items)) != len(items):
         raise ValueError("the items of a question must differ")
     if question.clusters and sorted(i for c in question.clusters for i in c) != items:
-        raise ValueError("the clusters of a question must hold each of its items once")
+        raise ValueError("the clusters of a question must contain each of its items once")

@@ -1,4 +1,4 @@
-"""What the critic has of an answer so far, and what it still has to ask about."""
+"""Partial answers: the groups accepted by the critic so far, and the open items."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from toolkit.taxonomy_building.repairs import Repairs
 
 
 class Draft(Protocol):
-    """An answer that grows until nothing of the question is open."""
+    """A partial answer to a question."""
 
     def open_items(self) -> list[str]:
-        """The items without a place, in the question's order."""
+        """Return the items without a group, in the order of the question."""
         ...
 
     def open_question(self) -> Question:
-        """The question about those alone."""
+        """Return the question restricted to the open items."""
         ...
 
     def add(self, answer: Grouping) -> str:
-        """Keep what is right of an answer; the complaint about the rest."""
+        """Accept the valid part of an answer; return a complaint about the rest."""
         ...
 
     def complete(self, fallback: Grouper) -> None:
-        """Leave nothing open."""
+        """Complete the open items with the fallback."""
         ...
 
     def result(self) -> Grouping:
-        """The groups, once nothing is open."""
+        """Return the groups; requires that no items are open."""
         ...
 
 
 class Groups:
-    """Groups for a question that leaves them open, or only gives their names."""
+    """Groups for a question without clusters."""
 
     def __init__(self, question: Question, repairs: Repairs) -> None:
         self._question = question
@@ -52,9 +52,9 @@ class Groups:
         return [item for item in self._question.items if item not in self._group_of]
 
     def open_question(self) -> Question:
-        """Where there can be no more groups, those so far are the names to choose from."""
+        """See `Draft`; restricts the names to the existing groups if no more are permitted."""
         so_far = self._so_far()
-        full = len(so_far) >= self._question.most_groups
+        full = len(so_far) >= self._question.max_groups
         groups = tuple(so_far) if full else self._question.groups
         return replace(self._question, items=tuple(self.open_items()), groups=groups)
 
@@ -72,8 +72,8 @@ class Groups:
         return f"{problem} Groups so far: {so_far}. Use these names where they fit."
 
     def complete(self, fallback: Grouper) -> None:
-        """The fallback groups all items; an open one joins those it is grouped with."""
-        repairs = Repairs()  # the fallback's own are nobody's concern
+        """Group all items by the fallback; assign open items like those in the same group."""
+        repairs = Repairs()  # corrections of the fallback are not reported
         alone = Groups(self._question, repairs)
         alone._keep(alone._proposed(fallback.group(self._question)))
         opinions = {i: self._labels.use(g) or g for i, g in alone._group_of.items()}
@@ -92,7 +92,7 @@ class Groups:
         return {label: items for label, items in grouped.items() if items}
 
     def _proposed(self, answer: Grouping) -> dict[str, list[str]]:
-        """The answer's groups, by the names they get, of items that are still open."""
+        """Return the groups of the answer by their final names, restricted to open items."""
         proposed: dict[str, list[str]] = {}
         seen = set(self._group_of)
         for written_label, written_items in answer.items():
@@ -111,10 +111,10 @@ class Groups:
         return proposed
 
     def _keep(self, proposed: Mapping[str, Sequence[str]]) -> list[str]:
-        """Take over groups while there is room, large ones first; those refused."""
+        """Accept groups up to the maximum number, largest first; return the rejected ones."""
         so_far = self._so_far()
         new = sorted((g for g in proposed if g not in so_far), key=lambda g: -len(proposed[g]))
-        surplus = new[self._question.most_groups - len(so_far) :]
+        surplus = new[self._question.max_groups - len(so_far) :]
         self._repairs.surplus += surplus
         for label, items in proposed.items():
             if label not in surplus:
@@ -125,24 +125,24 @@ class Groups:
         return len(self._so_far()) == 1 and len(self._question.items) > 1
 
     def _so_far(self) -> list[str]:
-        """The groups in the order in which they came."""
+        """Return the groups in the order in which they were added."""
         return list(dict.fromkeys(self._group_of.values()))
 
     def _fill(self, opinions: Mapping[str, str]) -> None:
-        # An item on which there is no opinion takes what groups there are then.
+        # Items without an opinion are last, so that they are assigned to existing groups.
         for item in sorted(self.open_items(), key=lambda i: i not in opinions):
             self._group_of[item] = self._place(opinions.get(item), opinions)
 
     def _place(self, opinion: str | None, opinions: Mapping[str, str]) -> str:
-        """The group of an item about which the fallback has an opinion, or none."""
+        """Return the group of an item, given the fallback's opinion on it or None."""
         sizes = Counter(self._group_of.values())
         if opinion is not None:
             if opinion in sizes:
                 return opinion
-            kin = Counter(g for i, g in self._group_of.items() if opinions.get(i) == opinion)
-            if kin and not self._question.groups:
-                return kin.most_common(1)[0][0]
-            if len(sizes) < self._question.most_groups:
+            related = Counter(g for i, g in self._group_of.items() if opinions.get(i) == opinion)
+            if related and not self._question.groups:
+                return related.most_common(1)[0][0]
+            if len(sizes) < self._question.max_groups:
                 return opinion
         if sizes:
             return min(sizes, key=lambda label: sizes[label])
@@ -150,7 +150,7 @@ class Groups:
 
 
 class ClusterNames:
-    """Names for clusters that stay as they are."""
+    """Names of given clusters."""
 
     def __init__(self, question: Question, repairs: Repairs) -> None:
         self._question = question
@@ -172,7 +172,7 @@ class ClusterNames:
         )
 
     def add(self, answer: Grouping) -> str:
-        """Each cluster takes the name under which most of its items stand, each name once."""
+        """Name each cluster by the group with most of its items; each name is used once."""
         for (cluster, label), _ in self._votes(answer).most_common():
             if cluster not in self._name_of and label not in self._name_of.values():
                 self._name_of[cluster] = label
@@ -180,21 +180,21 @@ class ClusterNames:
         return f"These groups have no name of their own yet. Names that are taken: {taken}."
 
     def complete(self, fallback: Grouper) -> None:
-        """Take the fallback's names, numbered where they repeat or lack."""
+        """Use the names of the fallback, with numbers if they are repeated or missing."""
         answer = fallback.group(self.open_question())
-        left = self._open_clusters()
+        remaining = self._open_clusters()
         self.add(answer)
         preferred = dict(reversed([pair for pair, _ in self._votes(answer).most_common()]))
         for cluster in self._open_clusters():
             taken = [*self._question.items, *self._name_of.values()]
             self._name_of[cluster] = distinct(preferred.get(cluster, "kind"), taken)
-        self._repairs.by_fallback += [self._name_of[cluster] for cluster in left]
+        self._repairs.by_fallback += [self._name_of[cluster] for cluster in remaining]
 
     def result(self) -> Grouping:
         return {self._name_of[cluster]: cluster for cluster in self._question.clusters}
 
     def _votes(self, answer: Grouping) -> Counter[tuple[tuple[str, ...], str]]:
-        """How many items of each nameless cluster stand under each name."""
+        """Return the number of items of each unnamed cluster in each group of the answer."""
         cluster_of = {item: cluster for cluster in self._open_clusters() for item in cluster}
         votes: Counter[tuple[tuple[str, ...], str]] = Counter()
         for written_label, written_items in answer.items():
@@ -212,7 +212,7 @@ class ClusterNames:
 
 
 class _Labels:
-    """Names of groups: as they were written, and as they are used."""
+    """Maps the names of groups in answers to valid, distinct names."""
 
     def __init__(self, question: Question, repairs: Repairs) -> None:
         self._given = Matcher(question.groups) if question.groups else None
@@ -221,7 +221,7 @@ class _Labels:
         self._used: dict[str, str] = {}
 
     def use(self, written: str) -> str | None:
-        """The name to use for a group, the same each time; None where it is refused."""
+        """Return the name to use for a group, consistent over answers; None if it is rejected."""
         if self._given:
             label = self._given.find(written)
         else:
@@ -236,8 +236,8 @@ class _Labels:
         if not key:
             return None
         if key not in self._used:
-            wanted = f"{label} group" if key in self._reserved else label
-            used = distinct(wanted, [*self._reserved, *self._used.values()])
-            # What it is called here comes back in the next answer.
+            candidate = f"{label} group" if key in self._reserved else label
+            used = distinct(candidate, [*self._reserved, *self._used.values()])
+            # The next answer refers to the group by this name.
             self._used |= {key: used, fold(used): used}
         return self._used[key]

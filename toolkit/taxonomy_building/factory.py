@@ -1,4 +1,4 @@
-"""Labeller and taxonomy from settings: class names that no shipped tree covers get a new tree."""
+"""Build the labeller and the taxonomy from options."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from toolkit.taxonomy_building.rules import RuleGrouper
 
 
 def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
-    """The taxonomy that the setting names, or one that contains the classes.
+    """Return the taxonomy of an option, or for "auto" one that contains the classes.
 
     Args:
         setting: a YAML file, the name of a shipped tree, or "auto": the smallest shipped tree
-            with all classes, else a tree built by the rules.
+            with all classes, or if there is none, a tree built by the rules.
         names: class names by id.
 
     Raises:
@@ -36,13 +36,14 @@ def build_labeller(
     names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
 ) -> Labeller | None:
-    """The labeller of a data set's frames, None for a map without semantics.
+    """Build the labeller of a dataset's frames; None for a map without semantics.
 
     Args:
-        names, stems: as for `build_segmenter`.
+        options: options of semantics.
+        names, stems: see `build_segmenter`.
 
     Raises:
-        ToolkitError: as `build_segmenter` and `choose_taxonomy`, or the tree lacks a class.
+        ToolkitError: see `build_segmenter` and `choose_taxonomy`; or the tree lacks a class.
     """
     if options.code.kind == "none" or options.segmenter.kind == "none":
         return None

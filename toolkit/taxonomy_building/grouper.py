@@ -1,4 +1,4 @@
-"""The question that each node of a growing tree asks, and who may answer it."""
+"""Interface of groupers, which divide the items of a node into groups."""
 
 from __future__ import annotations
 
@@ -10,47 +10,48 @@ from toolkit.errors import ToolkitError
 
 Aspect = Literal["size", "function", "geometry"]
 
-# Group name to its items, in the answer's own order.
+# Mapping from group name to items, in the order of the answer.
 Grouping = Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Question:
-    """Sort items into named groups.
+    """A request to divide items into named groups.
 
     Attributes:
-        items: class names, each once, sorted.
-        aspect: what the groups are to be about.
+        items: distinct class names, sorted.
+        aspect: criterion of the groups.
         path: names of the groups above, top first.
-        groups: the names to choose from, or empty where the answer may invent them.
-        most_groups: at most so many groups; at least two.
-        clusters: for geometry alone: the sets of items that shape statistics found, which
-            the answer only names; empty otherwise.
+        groups: permitted names of groups; empty if the grouper chooses the names.
+        max_groups: maximum number of groups, at least two.
+        clusters: for geometry only: sets of items clustered by shape statistics, which only need
+            names; empty otherwise.
     """
 
     items: tuple[str, ...]
     aspect: Aspect
     path: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
-    most_groups: int = 6
+    max_groups: int = 6
     clusters: tuple[tuple[str, ...], ...] = ()
 
 
-class UselessAnswerError(ToolkitError):
-    """An answer came and is none: a refusal, broken JSON, cut off. To ask again may help."""
+class InvalidAnswerError(ToolkitError):
+    """An answer is not a grouping (refusal, invalid JSON, truncated); a retry may succeed."""
 
 
 class Grouper(Protocol):
-    """Answers questions, perhaps wrongly: the critic checks every answer."""
+    """Proposes groups. Proposals can be wrong; the critic checks them."""
 
     def group(self, question: Question, complaint: str = "") -> Grouping:
         """Propose groups.
 
         Args:
-            complaint: what was wrong with the last answer to the same question.
+            question: the items and the criterion.
+            complaint: errors in the previous answer to the same question.
 
         Raises:
-            UselessAnswerError: the answer is no grouping; the critic asks again.
-            ToolkitError: no answer can be had (no network, no key); asking again is no use.
+            InvalidAnswerError: the answer is not a grouping; the critic retries.
+            ToolkitError: the grouper is not available (no network, no key).
         """
         ...

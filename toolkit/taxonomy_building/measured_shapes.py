@@ -1,4 +1,4 @@
-"""Shapes of classes, measured in labelled scans or on meshes."""
+"""Shape embeddings of classes, measured in labelled scans or on meshes."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ Array = NDArray[np.float64]
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
 
 _UP: tuple[float, float, float] = (0.0, 0.0, 1.0)
-_SAMPLES = 4000  # points on a mesh
-_HALF_KEY = 1 << 20  # voxels on each side of the origin, three coordinates in one int64
-_MOST_IDS = 1 << 16  # label images have 16 bits
+_SAMPLES = 4000  # points sampled on a mesh
+_HALF_KEY = 1 << 20  # voxels on each side of the origin; three coordinates are packed in an int64
+_MAX_IDS = 1 << 16  # label images have 16 bits
 
 
 @dataclass(frozen=True)
 class LabelledScan:
-    """Points with a class each.
+    """A labelled point cloud.
 
     Attributes:
-        points_m: [N, 3] float64, one frame for all, metres.
-        class_ids: [N] integers, 0 void.
+        points_m: [N, 3] float64 in metres.
+        class_ids: [N] integers, 0 is void.
         names: class names by id.
-        up: unit vector away from the floor, or None: from the floor's own points, or z where
-            no class is called floor.
+        up: unit vector away from the floor. If it is None, it is estimated from the points of the
+            floor, or it is z if no class is named floor.
     """
 
     points_m: Array
@@ -47,8 +47,8 @@ class LabelledScan:
     names: Mapping[int, str]
     up: Array | None = None
 
-    def upright(self) -> tuple[Array, float]:
-        """Unit vector up, and the floor's height along it; without a floor the lowest point's."""
+    def up_and_floor(self) -> tuple[Array, float]:
+        """Return the up direction and the height of the floor, or of the lowest point."""
         floors = [number for number, name in self.names.items() if folded(name) == "floor"]
         floor = self.points_m[np.isin(self.class_ids, floors)]
         up = np.array(_UP) if self.up is None else np.asarray(self.up, np.float64)
@@ -63,20 +63,20 @@ class LabelledScan:
 def labelled_scan(
     views: Iterable[tuple[Frame, Array]], names: Mapping[int, str], voxel_m: float = 0.03
 ) -> LabelledScan:
-    """The surface that labelled frames saw, one point a voxel with the label most votes gave.
+    """Fuse labelled frames to a point cloud with one point per voxel and majority labels.
 
     Args:
-        views: frames with labels and their poses, camera to world [4, 4].
+        views: frames with labels, and their poses [4, 4], camera to world.
         names: class names by id.
-        voxel_m: edge of a voxel in metres, > 0.
+        voxel_m: voxel size in metres, > 0.
 
     Raises:
-        DatasetError: a frame has no labels, or none of them has depth with a label.
+        DatasetError: a frame has no labels, or no pixel has both depth and a label.
     """
     keys, labels = [], []
     for frame, T_world_camera in views:
         if frame.labels is None:
-            raise DatasetError(f"frame {frame.index} has no labels; give a labelled sequence")
+            raise DatasetError(f"frame {frame.index} has no labels; use a labelled sequence")
         seen = (frame.depth_m > 0) & (frame.labels > 0)
         points = transform_points(T_world_camera, frame.camera.unproject(frame.depth_m)[seen])
         voxels = np.floor(points / voxel_m).astype(np.int64) + _HALF_KEY
@@ -84,22 +84,22 @@ def labelled_scan(
         labels.append(frame.labels[seen].astype(np.int64))
     if not keys or not sum(map(len, keys)):
         raise DatasetError("no pixel has both depth and a label; check the labels of the sequence")
-    voxels, place = np.unique(np.concatenate(keys), return_inverse=True)
-    votes, counts = np.unique(place * _MOST_IDS + np.concatenate(labels), return_counts=True)
+    voxels, index = np.unique(np.concatenate(keys), return_inverse=True)
+    votes, counts = np.unique(index * _MAX_IDS + np.concatenate(labels), return_counts=True)
     winner = np.zeros(len(voxels), np.int64)
-    order = np.argsort(counts, kind="stable")  # the most frequent writes last
-    winner[votes[order] // _MOST_IDS] = votes[order] % _MOST_IDS
+    order = np.argsort(counts, kind="stable")  # the most frequent label is written last
+    winner[votes[order] // _MAX_IDS] = votes[order] % _MAX_IDS
     mask = (1 << 21) - 1
     grid = np.stack([voxels >> 42, (voxels >> 21) & mask, voxels & mask], axis=1) - _HALF_KEY
     return LabelledScan((grid + 0.5) * voxel_m, winner, names)
 
 
 class ScanShapes:
-    """Mean statistics of the objects of each class in labelled scans.
+    """Mean shape statistics of the objects of each class in labelled scans.
 
     Args:
-        scans: one or more.
-        gap_m: objects of a class are apart by at least so much; DBSCAN's radius.
+        scans: one or more labelled scans.
+        gap_m: minimum distance between objects of a class in metres; radius of DBSCAN.
     """
 
     def __init__(self, scans: Sequence[LabelledScan], gap_m: float = 0.1) -> None:
@@ -107,33 +107,33 @@ class ScanShapes:
         self._gap_m = gap_m
 
     def embeddings(self, classes: Sequence[str]) -> dict[str, Array]:
-        """STATISTICS, averaged over objects, of the classes that the scans show.
+        """Return STATISTICS averaged over objects, for the classes in the scans.
 
         Raises:
             DependencyError: Open3D is missing.
         """
         measured: dict[str, list[Array]] = {}
         for scan in self._scans:
-            up, floor_m = scan.upright()
+            up, floor_m = scan.up_and_floor()
             for number in np.unique(scan.class_ids):
                 name = folded(scan.names.get(int(number), ""))
                 points = scan.points_m[scan.class_ids == number]
                 for piece in instances(points, self._gap_m):
                     measured.setdefault(name, []).append(shape_statistics(piece, up, floor_m))
         known = {c: np.mean(measured[folded(c)], axis=0) for c in classes if folded(c) in measured}
-        logger.info("shapes of %d of %d classes measured", len(known), len(classes))
+        logger.info("Measured the shapes of %d of %d classes.", len(known), len(classes))
         return known
 
 
 class MeshShapes:
-    """Mean statistics of meshes, files in a folder called after their class.
+    """Mean shape statistics of meshes in a folder, with files named after their class.
 
-    `chair.ply`, `chair_2.obj` and `chair 3.stl` are three chairs. The bottom of each counts
-    as the floor.
+    `chair.ply`, `chair_2.obj` and `chair 3.stl` are three chairs. The floor is at the lowest point
+    of each mesh.
 
     Args:
-        folder: of .ply, .obj, .stl, .off, .glb or .gltf files.
-        up: the meshes' own upward direction; many collections have y, (0, 1, 0).
+        folder: folder of .ply, .obj, .stl, .off, .glb or .gltf files.
+        up: up direction of the meshes; many collections use y, (0, 1, 0).
     """
 
     def __init__(self, folder: str | Path, up: Sequence[float] = _UP) -> None:
@@ -141,16 +141,16 @@ class MeshShapes:
         self._up = np.asarray(up, np.float64) / np.linalg.norm(up)
 
     def embeddings(self, classes: Sequence[str]) -> dict[str, Array]:
-        """STATISTICS, averaged over meshes, of the classes that have a mesh.
+        """Return STATISTICS averaged over meshes, for the classes that have a mesh.
 
         Raises:
-            FormatError: there is no mesh for any class, or a file holds none.
+            FormatError: no class has a mesh, or a file does not contain a mesh.
             DependencyError: Open3D is missing.
         """
-        wanted = {folded(c): c for c in classes}
+        by_name = {folded(c): c for c in classes}
         measured: dict[str, list[Array]] = {}
         for path in sorted(self._folder.glob("*")):
-            name = wanted.get(folded(path.stem)) or wanted.get(_without_number(path.stem))
+            name = by_name.get(folded(path.stem)) or by_name.get(_without_number(path.stem))
             if path.suffix.lower() in MESH_SUFFIXES and name:
                 points = _surface_points(path)
                 floor_m = float((points @ self._up).min())
@@ -158,7 +158,7 @@ class MeshShapes:
                 measured.setdefault(name, []).append(statistics)
         if not measured:
             raise FormatError(
-                f"{self._folder}: no mesh is called after a class; give files like 'chair.ply'"
+                f"{self._folder}: no mesh is named after a class; name files like 'chair.ply'"
             )
         return {name: np.mean(rows, axis=0) for name, rows in measured.items()}
 
@@ -168,16 +168,16 @@ def _without_number(stem: str) -> str:
 
 
 def _surface_points(path: Path) -> Array:
-    """Points [_SAMPLES, 3] spread evenly over a mesh, the same each time."""
-    # The older reader leaves polygons of more than three corners out of .obj files.
+    """Sample points [_SAMPLES, 3] uniformly on a mesh, deterministically."""
+    # Open3D's legacy reader omits polygons with more than three vertices from .obj files.
     try:
         mesh = open3d().t.io.read_triangle_mesh(str(path))
         vertices, triangles = mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy()
-    except (IndexError, KeyError, RuntimeError) as error:  # all of them where there is none
-        raise FormatError(f"{path}: holds no triangle mesh that Open3D can read") from error
+    except (IndexError, KeyError, RuntimeError) as error:  # raised for files without a mesh
+        raise FormatError(f"{path}: contains no triangle mesh that Open3D can read") from error
     corners = vertices.astype(np.float64)[triangles]
     if len(corners) == 0 or not np.isfinite(corners).all():
-        raise FormatError(f"{path}: holds no triangles, or corners that are no numbers")
+        raise FormatError(f"{path}: contains no triangles, or vertices that are not finite")
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     areas = np.linalg.norm(np.cross(a, b), axis=1)
     if not areas.sum() > 0:
@@ -185,6 +185,6 @@ def _surface_points(path: Path) -> Array:
     generator = np.random.default_rng(0)
     chosen = generator.choice(len(corners), _SAMPLES, p=areas / areas.sum())
     u, v = generator.random((2, _SAMPLES, 1))
-    folds = u + v > 1  # the other half of the parallelogram, back into the triangle
+    folds = u + v > 1  # mirror the other half of the parallelogram into the triangle
     u, v = np.where(folds, 1 - u, u), np.where(folds, 1 - v, v)
     return corners[chosen, 0] + u * a[chosen] + v * b[chosen]

@@ -1,4 +1,4 @@
-"""Shapes of classes as a text-to-mesh model imagines them (H-4, by vectors)."""
+"""Shape embeddings of classes from a text-to-mesh model (H-4, with codebook vectors)."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ PACKAGE = "meshgpt_pytorch"
 
 
 class MeshModelShapes:
-    """The mean code vector of the mesh that MeshGPT makes of each class's name.
+    """Mean codebook vector of the mesh that MeshGPT generates for each class name.
 
-    H-4 averages the codes' *indices*, which are names and no quantities; here it is the
-    vectors of the codebook that stand behind them.
+    H-4 averages codebook *indices*, which have no metric. Here, the codebook vectors of the
+    indices are averaged.
 
     Args:
-        weights: local folder with a text-conditioned `MeshTransformer`, as its own
-            `save_pretrained` writes it; nothing is downloaded.
-        most_faces: of a generated mesh, >= 1; time grows faster than it.
+        weights: local folder with a text-conditioned `MeshTransformer`, written by its
+            `save_pretrained`; nothing is downloaded.
+        max_faces: maximum number of faces of a generated mesh, >= 1; the time grows faster than
+            linearly with it.
     """
 
-    def __init__(self, weights: str | Path, most_faces: int = 250) -> None:
+    def __init__(self, weights: str | Path, max_faces: int = 250) -> None:
         self._weights = Path(weights)
-        self._most_faces = most_faces
+        self._most_faces = max_faces
 
     def embeddings(self, classes: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-        """One vector [dimension of the codebook] for each class that the model makes a mesh of.
+        """Return a vector [dimension of the codebook] for each class with a generated mesh.
 
         Raises:
-            DependencyError: the package or the weights are missing, or do not fit together.
+            DependencyError: the package or the weights are missing, or are incompatible.
         """
         transformer = self._transformer()
         vectors = {name: self._mean_code_vector(transformer, name) for name in classes}
@@ -45,7 +46,7 @@ class MeshModelShapes:
     def _transformer(self) -> Any:
         if not self._weights.exists():
             raise DependencyError(
-                f"mesh model weights {self._weights} are missing; give the folder of a saved "
+                f"mesh model weights {self._weights} are missing; set the folder of a saved "
                 "MeshTransformer, or another source of shapes"
             )
         try:
@@ -59,25 +60,26 @@ class MeshModelShapes:
             transformer = package.MeshTransformer.from_pretrained(
                 str(self._weights), local_files_only=True
             )
-        except Exception as error:  # a foreign checkpoint fails in ways of its own
+        except Exception as error:  # invalid checkpoints raise various exceptions
             reason = str(error).replace("\n", " ")
             raise DependencyError(
-                f"{self._weights}: no MeshTransformer that {PACKAGE} can load ({reason})"
+                f"{self._weights} does not contain a MeshTransformer that {PACKAGE} can load "
+                f"({reason})"
             ) from error
         return transformer.eval()
 
     @torch.no_grad()
     def _mean_code_vector(self, transformer: Any, name: str) -> NDArray[np.float64]:
-        """Mean over the vertices; NaN where the mesh is empty."""
+        """Return the mean over the vertices; NaN if the mesh is empty."""
         autoencoder = transformer.autoencoder
-        codes_a_face = autoencoder.num_vertices_per_face * autoencoder.num_quantizers
+        codes_per_face = autoencoder.num_vertices_per_face * autoencoder.num_quantizers
         codes = transformer.generate(
             texts=[name.replace("-", " ").replace("_", " ")],
-            temperature=0.0,  # the likeliest mesh, the same each time
-            max_seq_len=self._most_faces * codes_a_face,
+            temperature=0.0,  # deterministic: the most likely mesh
+            max_seq_len=self._most_faces * codes_per_face,
             return_codes=True,
         )
-        # [1, vertices, quantizers]; after the mesh's end come negative ids.
-        real = (codes >= 0).all(dim=-1)[0]
+        # [1, vertices, quantizers]; padded with negative ids after the end of the mesh.
+        valid = (codes >= 0).all(dim=-1)[0]
         vectors = autoencoder.quantizer.get_output_from_indices(codes.clamp(min=0))[0]
-        return vectors[real].mean(dim=0).double().cpu().numpy()
+        return vectors[valid].mean(dim=0).double().cpu().numpy()

@@ -1,19 +1,19 @@
-"""Names as people and models write them: found again, and made fit for a tree."""
+"""Matching and normalisation of names written by people and language models."""
 
 from __future__ import annotations
 
 import unicodedata
 from collections.abc import Callable, Iterable
 
-LONGEST_LABEL = 60  # characters; a longer one is a sentence and no name
+LONGEST_LABEL = 60  # characters; longer labels are truncated
 
 
 class Matcher:
-    """Finds the name that was meant among those asked about.
+    """Finds the best match of a text in a list of names.
 
-    Exactly written wins; then the same letters and digits, whatever the case, hyphens and
-    white space; then the same but for a plural. A way of writing that two names share finds
-    neither: "glass" and "glasses" stay apart.
+    Exact matches have priority, then matches of letters and digits without case, hyphens and white
+    space, then matches without plural endings. Ambiguous matches are rejected, so that "glass" and
+    "glasses" remain distinct.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
@@ -22,7 +22,7 @@ class Matcher:
         self._keys = [(key, _unambiguous(names, key)) for key in (fold, _stem)]
 
     def find(self, text: str) -> str | None:
-        """The name, spelled as asked, or None."""
+        """Return the matching name, or None."""
         if text in self._exact:
             return text
         for key, table in self._keys:
@@ -32,18 +32,18 @@ class Matcher:
 
 
 def fold(text: str) -> str:
-    """Letters and digits alone, in lower case."""
+    """Return only the letters and digits in lower case."""
     return "".join(c for c in unicodedata.normalize("NFKC", text).casefold() if c.isalnum())
 
 
 def clean_label(text: str) -> str:
-    """A group's name fit for a path: one line, no '>', nothing invisible; perhaps empty."""
+    """Return a valid group name: one line without '>' and invisible characters; can be empty."""
     kept = (" " if c == ">" or c.isspace() else c for c in text)
     return " ".join("".join(c for c in kept if c.isprintable()).split())[:LONGEST_LABEL].strip()
 
 
 def distinct(label: str, taken: Iterable[str]) -> str:
-    """The label, or it with the first number that makes it differ from those taken."""
+    """Return the label, with the first number that makes it distinct from those taken."""
     used = {fold(t) for t in taken}
     candidate, number = label, 2
     while fold(candidate) in used:
@@ -52,9 +52,9 @@ def distinct(label: str, taken: Iterable[str]) -> str:
 
 
 def _stem(text: str) -> str:
-    """Like `fold`, every word without what plurals change (boxes, knives, candies)."""
-    apart = "".join(c if c.isalnum() else " " for c in unicodedata.normalize("NFKC", text))
-    return "".join(_stem_word(word) for word in apart.casefold().split())
+    """Like `fold`, with the plural endings of all words removed (boxes, knives, candies)."""
+    separated = "".join(c if c.isalnum() else " " for c in unicodedata.normalize("NFKC", text))
+    return "".join(_stem_word(word) for word in separated.casefold().split())
 
 
 def _stem_word(word: str) -> str:
@@ -68,11 +68,11 @@ def _stem_word(word: str) -> str:
 
 
 def _unambiguous(names: tuple[str, ...], key: Callable[[str], str]) -> dict[str, str]:
-    """From key to name, without the keys that are empty or shared."""
+    """Return a table from key to name without empty and ambiguous keys."""
     table: dict[str, str] = {}
-    shared = {""}
+    ambiguous = {""}
     for name in names:
         written = key(name)
         if table.setdefault(written, name) != name:
-            shared.add(written)
-    return {k: name for k, name in table.items() if k not in shared}
+            ambiguous.add(written)
+    return {k: name for k, name in table.items() if k not in ambiguous}

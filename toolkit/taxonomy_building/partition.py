@@ -1,36 +1,38 @@
-"""A few groups of about equal size, cut out of a tree of meanings."""
+"""Partition a semantic hierarchy into a few groups of similar size."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# What meaning costs against balance, in units of a group that is empty or twice too large.
-_JOINED = 0.6  # per neighbour that shares a group: "seating and beds" says less than "seating"
-_SPLIT = 0.3  # per meaning that is missing in the answer since its parts stand there instead
-_ALONE = 0.4  # per group of one: it is no group
+# Costs relative to the imbalance of a group that is empty or twice too large.
+_JOINED = 0.6  # per sibling merged into a group: "seating and beds" is less specific than "seating"
+_SPLIT = 0.3  # per node that is replaced by groups of its descendants
+_SINGLE = 0.4  # per group with a single item
 
 
 @dataclass(frozen=True)
 class Branch:
-    """A meaning, the items that have it, and the narrower meanings of all of them.
+    """A node of the semantic hierarchy.
 
-    Neighbouring children are nearer in meaning than distant ones.
+    Neighbouring children are closer in meaning than distant ones.
 
     Attributes:
-        name: may be empty at the root.
-        apart: how far the children are from each other: 1 for kin, more for strangers.
+        name: name of the node; may be empty at the root.
+        items: items below the node.
+        children: more specific nodes with the same items.
+        distance: semantic distance between the children: 1 for related ones, more for others.
     """
 
     name: str
     items: tuple[str, ...]
     children: tuple[Branch, ...] = ()
-    apart: float = 1.0
+    distance: float = 1.0
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """Some groups and how far they are from equal."""
+    """Some groups and their total cost."""
 
     cost: float
     groups: tuple[Branch, ...]
@@ -39,54 +41,54 @@ class _Cut:
         return _Cut(self.cost + other.cost, self.groups + other.groups)
 
 
-# By number of groups, of which each has at least one.
+# Best cut by number of groups.
 _Cuts = dict[int, _Cut]
 
 
-def partition(root: Branch, most: int) -> tuple[Branch, ...]:
-    """At most `most` groups that hold all items of a tree of meanings, balanced.
+def partition(root: Branch, max_groups: int) -> tuple[Branch, ...]:
+    """Partition a semantic hierarchy into at most `max_groups` balanced groups.
 
-    A group is a node of the tree or a few neighbours under one parent, so that no group mixes
-    what the tree keeps far apart. Of these cuts the best is found exactly: the sum of squared
-    distances from equal sizes plus a price for each meaning lost.
+    A group is a node of the tree, or adjacent children of one node. The optimum is found by dynamic
+    programming. The cost is the sum of squared relative deviations from equal sizes, plus costs
+    for merged and split nodes and single items.
 
     Args:
-        root: at least one item.
-        most: at least two.
+        root: node with at least one item.
+        max_groups: maximum number of groups, at least two.
 
     Returns:
-        Groups in the tree's order; the root alone where it has no parts.
+        Groups in the order of the tree; the root alone if it has no children.
     """
     if not root.children:
         return (root,)
-    ideal = max(len(root.items) / most, 2.0)
-    cuts = _side_by_side(root, most, ideal)
-    # Of all in one group nothing is learnt; between equals, fewer groups are narrower.
+    ideal = max(len(root.items) / max_groups, 2.0)
+    cuts = _children_cuts(root, max_groups, ideal)
+    # One group is useless; of equal costs, the fewest groups give the smallest code.
     return min((cuts[n] for n in sorted(cuts) if n > 1), key=lambda cut: cut.cost).groups
 
 
-def _cuts(branch: Branch, most: int, ideal: float) -> _Cuts:
-    cuts: _Cuts = {1: _whole(branch, ideal)}
-    if branch.children and most > 1:
-        for count, cut in _side_by_side(branch, most, ideal).items():
+def _cuts(branch: Branch, max_groups: int, ideal: float) -> _Cuts:
+    cuts: _Cuts = {1: _single_group(branch, ideal)}
+    if branch.children and max_groups > 1:
+        for count, cut in _children_cuts(branch, max_groups, ideal).items():
             if count > 1:
                 cuts[count] = _Cut(cut.cost + _SPLIT, cut.groups)
     return cuts
 
 
-def _side_by_side(parent: Branch, most: int, ideal: float) -> _Cuts:
-    """Cuts of a node's children, each by itself or joined with its neighbours."""
+def _children_cuts(parent: Branch, max_groups: int, ideal: float) -> _Cuts:
+    """Return the best cuts of a node's children, separate or merged with their neighbours."""
     children = parent.children
-    alone = [_cuts(child, most, ideal) for child in children]
-    best: list[_Cuts] = [{0: _Cut(0.0, ())}]  # of the first so many children
+    separate = [_cuts(child, max_groups, ideal) for child in children]
+    best: list[_Cuts] = [{0: _Cut(0.0, ())}]  # best[n] are the cuts of the first n children
     for end in range(1, len(children) + 1):
         found: _Cuts = {}
         for start in range(end):
             joined = {1: _joined(parent, children[start:end], ideal)}
-            for count, cut in (alone[start] if end - start == 1 else joined).items():
+            for count, cut in (separate[start] if end - start == 1 else joined).items():
                 for before, earlier in best[start].items():
                     total = before + count
-                    if total > most:
+                    if total > max_groups:
                         continue
                     candidate = earlier + cut
                     if total not in found or candidate.cost < found[total].cost:
@@ -97,25 +99,24 @@ def _side_by_side(parent: Branch, most: int, ideal: float) -> _Cuts:
 
 def _joined(parent: Branch, neighbours: Sequence[Branch], ideal: float) -> _Cut:
     items = tuple(item for branch in neighbours for item in branch.items)
-    cut = _whole(Branch(_name(parent, neighbours), items, tuple(neighbours)), ideal)
-    return _Cut(cut.cost + _JOINED * parent.apart * (len(neighbours) - 1), cut.groups)
+    cut = _single_group(Branch(_name(parent, neighbours), items, tuple(neighbours)), ideal)
+    return _Cut(cut.cost + _JOINED * parent.distance * (len(neighbours) - 1), cut.groups)
 
 
 def _name(parent: Branch, neighbours: Sequence[Branch]) -> str:
-    """ "beds and tables", or "other furniture" where the list would be long.
+    """Return a name such as "beds and tables", or "other furniture" for more than three names.
 
-    Where the whole has no name, a single item beside groups is not worth a word, either:
-    "kitchen and other".
+    If the parent has no name, single items are summarised as "other": "kitchen and other".
     """
     several = [branch for branch in neighbours if len(branch.items) > 1]
-    worthy = neighbours if parent.name or not several else several
-    names = [name for b in worthy for name in b.name.replace(" and ", ", ").split(", ")]
+    named = neighbours if parent.name or not several else several
+    names = [name for b in named for name in b.name.replace(" and ", ", ").split(", ")]
     if len(names) > 3:
         return f"other {parent.name}" if parent.name else "other"
-    names += ["other"] * (len(worthy) < len(neighbours))
+    names += ["other"] * (len(named) < len(neighbours))
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
-def _whole(branch: Branch, ideal: float) -> _Cut:
+def _single_group(branch: Branch, ideal: float) -> _Cut:
     size = len(branch.items)
-    return _Cut((size / ideal - 1) ** 2 + (_ALONE if size == 1 else 0.0), (branch,))
+    return _Cut((size / ideal - 1) ** 2 + (_SINGLE if size == 1 else 0.0), (branch,))

@@ -1,4 +1,4 @@
-"""What the critic had to mend in the answers to one question."""
+"""Record of the errors that the critic corrected in the answers to one question."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from toolkit.taxonomy_building.grouper import Question
 
 logger = logging.getLogger(__name__)
 
-_SHOWN = 3  # of a list that may be long
+_SHOWN = 3  # maximum number of list entries in a log line
 
 
 @dataclass
 class Repairs:
-    """Every way in which answers were wrong; empty lists for a right one.
+    """Corrected errors by kind; empty for a correct answer.
 
     Attributes:
-        useless: answers that were none, by their reason.
-        invented: items that nobody asked about, dropped.
-        renamed: items written otherwise than asked, put back as "written -> asked".
-        repeated: items put in a second group, or twice in one; the first place counts.
-        labels: names of groups that were changed, as "written -> used", or refused.
-        surplus: groups beyond the number allowed; their items were asked about again.
-        undivided: how often one group held everything, and was refused.
-        asked_again: items that were left out, once for each time.
-        by_fallback: what the fallback placed or named in the end.
+        invalid: reasons of answers that were not groupings.
+        invented: dropped items that are not in the question.
+        renamed: items with a different spelling, as "written -> correct".
+        repeated: items that appear more than once; the first group counts.
+        labels: names of groups that were changed or refused, as "written -> used".
+        surplus: groups above the maximum number; their items were asked about again.
+        undivided: number of rejected answers with a single group.
+        asked_again: items missing in an answer, once per answer.
+        by_fallback: items assigned or groups named by the fallback.
     """
 
-    useless: list[str] = field(default_factory=list)
+    invalid: list[str] = field(default_factory=list)
     invented: list[str] = field(default_factory=list)
     renamed: list[str] = field(default_factory=list)
     repeated: list[str] = field(default_factory=list)
@@ -51,14 +51,14 @@ class Repairs:
         return ", ".join(parts) or "nothing"
 
     def log(self, question: Question) -> None:
-        """One line: a warning where the fallback had to help, else for those who ask."""
+        """Log one line: a warning if the fallback was used, else at level INFO."""
         if str(self) == "nothing":
             return
         where = " > ".join(question.path) or "the top"
         level = logging.WARNING if self.by_fallback else logging.INFO
         logger.log(
             level,
-            "%d items by %s at %s: repaired %s",
+            "Grouped %d items by %s at %s; corrected %s",
             len(question.items),
             question.aspect,
             where,
@@ -67,6 +67,6 @@ class Repairs:
 
 
 def _clipped(text: str) -> str:
-    """A part of an answer, fit for one line of a log."""
+    """Return a part of an answer, escaped and truncated for a log line."""
     line = repr(text)[1:-1]
     return line if len(line) <= 80 else line[:77] + "..."

@@ -1,4 +1,4 @@
-"""The default grouper: offline, built on what the vocabulary knows of names."""
+"""The default grouper, which works offline with the built-in vocabulary."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from toolkit.taxonomy_building.names import distinct
 from toolkit.taxonomy_building.partition import Branch, partition
 from toolkit.taxonomy_building.vocabulary import SHAPES, Entry, Vocabulary, built_in
 
-# Where one size ends and the next begins may move in these ranges (metres) to balance the
-# groups, and no further: nothing above 0.4 m is ever small, no bed ever medium.
+# Ranges of the limits between sizes in metres. The limits are chosen within them to balance the
+# groups: nothing above 0.4 m is small, and no bed is medium.
 _SIZES = ("small", "medium", "large", "very large")
 _LIMITS_M = ((0.25, 0.4), (0.7, 0.9), (1.7, 2.2))
 
-# To join kitchen and clothes, or flat and soft, costs so much more than chairs and sofas.
-_STRANGERS = 1.3
+# Distance between top-level nodes (kitchen and clothes); it is 1 below them (chairs and sofas).
+_TOP_DISTANCE = 1.3
 
 
 class RuleGrouper:
-    """Groups by a built-in vocabulary; the same items always give the same groups."""
+    """Groups items by a vocabulary; deterministic."""
 
     def __init__(self, vocabulary: Vocabulary | None = None) -> None:
         self._vocabulary = built_in() if vocabulary is None else vocabulary
         self._functions = {f: n for n, f in enumerate(self._vocabulary.functions)}
 
     def group(self, question: Question, complaint: str = "") -> Grouping:
-        """Groups by size, function or shape; one group where the rules see no difference.
+        """Group by size, function or shape; returns one group if the items do not differ.
 
-        Where names are given to choose from, every item goes to the one that most of its
-        words speak for.
+        If the question gives names, every item is assigned to the name with the most matching
+        words.
         """
         entries = {item: self._vocabulary.look_up(item) for item in sorted(question.items)}
         if question.groups:
@@ -39,10 +39,10 @@ class RuleGrouper:
         if question.clusters:
             return _named_clusters(question.clusters, entries)
         if question.aspect == "size":
-            return _by_size(entries, question.most_groups)
+            return _by_size(entries, question.max_groups)
         root = self._functions_of(entries) if question.aspect == "function" else _shapes(entries)
         groups: dict[str, tuple[str, ...]] = {}
-        for branch in partition(root, question.most_groups):
+        for branch in partition(root, question.max_groups):
             groups[distinct(branch.name or "other", groups)] = branch.items
         return groups
 
@@ -54,9 +54,9 @@ class RuleGrouper:
 def _nested(
     name: str, items: Sequence[str], path: Callable[[str], tuple[str, ...]], depth: int = 0
 ) -> Branch:
-    """The tree of items by path, in the order given; a chain keeps its last name alone.
+    """Return the tree of items by path, in the given order; single children replace parents.
 
-    What differs at the top of the paths is far apart.
+    The distance between nodes is larger at the top level.
     """
     parts: dict[str, list[str]] = {}
     for item in items:
@@ -67,14 +67,14 @@ def _nested(
     children = [_nested(part, members, path, depth + 1) for part, members in parts.items()]
     if len(children) == 1:
         return children[0]
-    return Branch(name, tuple(items), tuple(children), 1.0 if depth else _STRANGERS)
+    return Branch(name, tuple(items), tuple(children), 1.0 if depth else _TOP_DISTANCE)
 
 
-def _by_size(entries: Mapping[str, Entry], most: int) -> Grouping:
-    """Groups from small to large, with the limits that balance them best."""
+def _by_size(entries: Mapping[str, Entry], max_groups: int) -> Grouping:
+    """Return groups from small to large, with the limits that balance them best."""
     sizes_m = sorted(entry.size_m for entry in entries.values())
-    names = _SIZES if most > 2 else ("small", "large")
-    ranges = _LIMITS_M[: most - 1] if most > 2 else _LIMITS_M[1:2]
+    names = _SIZES if max_groups > 2 else ("small", "large")
+    ranges = _LIMITS_M[: max_groups - 1] if max_groups > 2 else _LIMITS_M[1:2]
 
     def imbalance(limits_m: Sequence[float]) -> int:
         counts = Counter(sum(size > limit for limit in limits_m) for size in sizes_m)
@@ -88,23 +88,23 @@ def _by_size(entries: Mapping[str, Entry], most: int) -> Grouping:
 
 
 def _steps(sizes_m: Sequence[float], low: float, high: float) -> list[float]:
-    """Limits in a range that separate the sizes differently."""
+    """Return the limits in a range that give different groups."""
     return [low, *sorted({size for size in sizes_m if low < size <= high})]
 
 
 def _shapes(entries: Mapping[str, Entry]) -> Branch:
-    """The tree of shapes, and of sizes where one shape has several."""
+    """Return the tree of shapes, divided by size if a shape has several sizes."""
     paths: dict[str, tuple[str, ...]] = {}
     for shape in SHAPES:
-        alike = [item for item in sorted(entries) if entries[item].shape == shape]
-        alike.sort(key=lambda item: entries[item].size_m)
-        for item, sizes in zip(alike, _comparatives(alike, entries), strict=True):
+        same_shape = [item for item in sorted(entries) if entries[item].shape == shape]
+        same_shape.sort(key=lambda item: entries[item].size_m)
+        for item, sizes in zip(same_shape, _comparatives(same_shape, entries), strict=True):
             paths[item] = (shape, *(f"{size} {shape}" for size in sizes))
     return _nested("shapes", list(paths), lambda item: paths[item])
 
 
 def _comparatives(items: Sequence[str], entries: Mapping[str, Entry]) -> Sequence[tuple[str, ...]]:
-    """("smaller",) or ("larger",) for items sorted by size; () where all are alike."""
+    """Return ("smaller",) or ("larger",) for items sorted by size; () if all sizes are equal."""
     sizes = [entries[item].size_m for item in items]
     cuts = [n for n in range(1, len(sizes)) if sizes[n] > sizes[n - 1]]
     if not cuts:
@@ -114,7 +114,7 @@ def _comparatives(items: Sequence[str], entries: Mapping[str, Entry]) -> Sequenc
 
 
 def _named_clusters(clusters: Sequence[Sequence[str]], entries: Mapping[str, Entry]) -> Grouping:
-    """Each cluster by the shape that most of its items have, or the two most frequent."""
+    """Name each cluster by its most frequent shape, or by the two most frequent ones."""
     named: dict[str, tuple[str, ...]] = {}
     for cluster in clusters:
         shapes = [shape for shape, _ in _ranked(entries[item].shape for item in cluster)]
@@ -131,7 +131,7 @@ def _ranked(values: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def _among(names: Sequence[str], entries: Mapping[str, Entry]) -> Grouping:
-    """Items under given names; what no name speaks for goes to the last."""
+    """Assign items to given names by matching words; items without a match to the last name."""
     groups: dict[str, list[str]] = {name: [] for name in names}
     for item, entry in entries.items():
         known = " ".join([item, entry.word, entry.shape, *entry.function]).casefold().split()

@@ -1,4 +1,4 @@
-"""Numbers that describe the shape of one object's points."""
+"""Shape statistics of the points of an object."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from toolkit.geometry.open3d_bridge import open3d
 
 Array = NDArray[np.float64]
 
-# What `shape_statistics` returns, in its order.
+# Names of the values returned by `shape_statistics`.
 STATISTICS = (
     "middle extent by longest",
     "shortest extent by longest",
@@ -21,18 +21,18 @@ STATISTICS = (
     "bottom above floor (m)",
 )
 
-_FEWEST_POINTS = 10
-# Qhull, under the oriented box, fails where all points lie in a plane; depth is noisier.
+_MIN_POINTS = 10
+# Noise added because Qhull fails for coplanar points; smaller than depth noise.
 _NOISE_M = 1e-3
 
 
 def shape_statistics(points_m: Array, up: Array, floor_m: float = 0.0) -> Array:
-    """STATISTICS of an object.
+    """Compute the STATISTICS of an object.
 
     Extents are those of the oriented box (Open3D). Linearity (l1-l2)/l1, planarity (l2-l3)/l1
-    and sphericity l3/l1 come from the eigenvalues l1 >= l2 >= l3 of the points' covariance.
-    Levelness is 1 where the object's flat side is level as a table's, 0 where it is upright
-    as a picture's.
+    and sphericity l3/l1 are computed from the eigenvalues l1 >= l2 >= l3 of the points'
+    covariance. Levelness is 1 if the flat side of the object is horizontal (table), and 0 if it is
+    vertical (picture).
 
     Args:
         points_m: [N, 3], N >= 10.
@@ -65,17 +65,18 @@ def shape_statistics(points_m: Array, up: Array, floor_m: float = 0.0) -> Array:
     )
 
 
-def instances(points_m: Array, gap_m: float, least_points: int = 30) -> list[Array]:
-    """Points [N, 3] of a class, apart for each object (Open3D's DBSCAN), largest first.
+def instances(points_m: Array, gap_m: float, min_points: int = 30) -> list[Array]:
+    """Split the points of a class into objects (Open3D's DBSCAN), largest first.
 
     Args:
-        gap_m: points farther apart belong to different objects.
-        least_points: smaller pieces are noise, unless there is nothing else.
+        points_m: [N, 3] points of the class.
+        gap_m: minimum distance between different objects in metres.
+        min_points: minimum number of points of an object, unless all objects are smaller.
     """
-    if len(points_m) < _FEWEST_POINTS:
+    if len(points_m) < _MIN_POINTS:
         return []
     cloud = open3d().geometry.PointCloud(open3d().utility.Vector3dVector(points_m))
-    labels = np.asarray(cloud.cluster_dbscan(eps=gap_m, min_points=_FEWEST_POINTS // 2))
+    labels = np.asarray(cloud.cluster_dbscan(eps=gap_m, min_points=_MIN_POINTS // 2))
     pieces = [points_m[labels == label] for label in range(labels.max() + 1)]
-    pieces = sorted((p for p in pieces if len(p) >= _FEWEST_POINTS), key=len, reverse=True)
-    return [p for p in pieces if len(p) >= least_points] or pieces[:1]
+    pieces = sorted((p for p in pieces if len(p) >= _MIN_POINTS), key=len, reverse=True)
+    return [p for p in pieces if len(p) >= min_points] or pieces[:1]

@@ -1,7 +1,7 @@
-"""What is known of the shape of a class's objects (H-4), whatever the source.
+"""Shape embeddings of classes (H-4).
 
-H averages MeshGPT's codebook *indices*, but neighbouring indices are no similar shapes: all
-sources here give vectors whose distances mean something.
+Hier-SLAM averages MeshGPT's codebook *indices*, which have no metric: neighbouring indices are not
+similar shapes. The providers in this package return vectors in a metric space.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from toolkit.semantics.taxonomy_parsing import folded
 
 
 class ShapeProvider(Protocol):
-    """Describes the shape of classes by vectors."""
+    """Source of shape embeddings of classes."""
 
     def embeddings(self, classes: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-        """One finite vector [D] for each class whose shape is known, all of the same length.
+        """Return a finite vector [D] for each class of known shape, all of the same length.
 
         Raises:
             ToolkitError: the source cannot be read.
@@ -33,28 +33,28 @@ class ShapeProvider(Protocol):
 
 
 class GivenShapes:
-    """Vectors that are at hand.
+    """Given vectors.
 
     Args:
-        vectors: by class name; case, hyphens and spaces do not matter.
+        vectors: vectors by class name; names are compared without case, hyphens and spaces.
     """
 
     def __init__(self, vectors: Mapping[str, Sequence[float] | NDArray]) -> None:
         self._vectors = {folded(n): np.asarray(v, np.float64) for n, v in vectors.items()}
 
     def embeddings(self, classes: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-        """The vectors of those classes that have one."""
+        """Return the vectors of the classes that have one."""
         return {c: self._vectors[folded(c)] for c in classes if folded(c) in self._vectors}
 
 
 def read_shape_table(path: str | Path) -> GivenShapes:
-    """A table of vectors, one row a class.
+    """Read a table of vectors with one row per class.
 
-    CSV: a name and numbers in every line; a first line whose cells are no numbers is a
-    heading. JSON: {"name": [numbers], ...}.
+    CSV: a name and numbers in every line; a first line without numbers is a header.
+    JSON: {"name": [numbers], ...}.
 
     Raises:
-        FormatError: the file is missing or no such table, or rows differ in length.
+        FormatError: the file is missing or not a valid table, or rows differ in length.
     """
     path = Path(path)
     try:
@@ -63,18 +63,20 @@ def read_shape_table(path: str | Path) -> GivenShapes:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
         raise FormatError(f"{path}: cannot be read as a table of shapes ({error})") from error
     if not rows:
-        raise FormatError(f"{path}: holds no shape; give a row 'class, number, ...' for each class")
+        raise FormatError(
+            f"{path}: contains no shape; write a row 'class, number, ...' for each class"
+        )
     table: dict[str, list[float]] = {}
     for name, cells in rows:
         numbers = [_number(cell) for cell in cells]
         if not numbers or not all(map(math.isfinite, numbers)):
-            raise FormatError(f"{path}: the row of '{name}' must hold finite numbers alone")
+            raise FormatError(f"{path}: the row of '{name}' must contain only finite numbers")
         if len(numbers) != len(rows[0][1]):
             raise FormatError(
                 f"{path}: '{name}' has {len(numbers)} numbers, the first row {len(rows[0][1])}"
             )
         if folded(name) in table:
-            raise FormatError(f"{path}: '{name}' has two rows; leave one out")
+            raise FormatError(f"{path}: '{name}' has two rows; remove one")
         table[folded(name)] = numbers
     return GivenShapes(table)
 
@@ -89,12 +91,12 @@ def _json_rows(text: str) -> list[tuple[str, list[Any]]]:
 def _csv_rows(text: str) -> list[tuple[str, list[Any]]]:
     rows = [(row[0].strip(), list(row[1:])) for row in csv.reader(text.splitlines()) if row]
     if rows and rows[0][1] and all(math.isnan(_number(cell)) for cell in rows[0][1]):
-        del rows[0]  # the heading
+        del rows[0]  # the header
     return rows
 
 
 def _number(cell: object) -> float:
-    """A cell's number, or NaN."""
+    """Return the number in a cell, or NaN."""
     try:
         return float(cell) if isinstance(cell, str | int | float) else math.nan
     except ValueError:

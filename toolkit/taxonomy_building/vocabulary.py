@@ -1,4 +1,4 @@
-"""What the built-in rules know of an object by its name, seen before or not."""
+"""The built-in vocabulary: function, size and shape of an object by its name."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Any
 
 import yaml
 
-# Neighbours are the most alike.
+# Neighbouring shapes are the most similar.
 SHAPES = ("flat", "long", "tall", "boxy", "legged", "round", "hollow", "soft", "irregular")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What is known of a kind of object.
+    """Properties of a kind of object.
 
     Attributes:
-        word: the known word or phrase, singular.
-        function: names of groups from the most general to the most special.
-        size_m: typical length of its longest side in metres.
+        word: word or phrase of the vocabulary, singular.
+        function: names of groups from the most general to the most specific.
+        size_m: typical length of the longest side in metres.
         shape: one of SHAPES.
     """
 
@@ -40,10 +40,10 @@ def _set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
-# Words of quantity: "stack of books" is books, where "bottle of water" is a bottle.
+# Words of quantity: "stack of books" is looked up as "books", but "bottle of water" as "bottle".
 _QUANTITIES = _set("set pair stack pile bunch group roll sheet piece deck row heap pack bundle lot")
 _PREPOSITIONS = _set("for with without on in at from and by to under over near w or")
-# Parts and helpers belong to what they are for: a soap holder to the soap.
+# Parts and accessories take the function of their object: soap holder and soap.
 _HELPERS = _set(
     """accessory base button case cover dispenser equipment frame handle holder item kit leg lever
     lid liner machine object part product protector rod stuff supply thing top topper"""
@@ -53,7 +53,7 @@ _SCALES = {
     **dict.fromkeys(_set("small mini tiny little compact portable pocket"), 0.6),
     **dict.fromkeys(_set("large big giant huge oversized industrial"), 1.5),
 }
-# Rooms and the like, which are no objects but say what an unknown object is used for.
+# Rooms and activities, which indicate the function of an unknown object.
 _PLACES = {
     "kitchen": "spatula",
     "cooking": "spatula",
@@ -83,20 +83,20 @@ _IRREGULAR = {
     "leaves": "leaf",
 }
 _BRACKETS = re.compile(r"\(([^)]*)\)")
-_SHORTEST_ENDING = 4  # letters of a word that may end a compound: "shelf" in "bookshelf"
-_SHORTEST_GUESS = 6  # letters of a word that may be a misspelling of another
+_MIN_ENDING = 4  # minimum length of the ending of a compound: "shelf" in "bookshelf"
+_MIN_MISSPELT = 6  # minimum length of a word that is compared with misspellings
 
 
 class Vocabulary:
-    """Known objects and the search among them.
+    """Known objects, and the look-up of names.
 
     Args:
-        tree: functions, nested; a leaf maps "metres shape" to words with commas between.
+        tree: nested functions; a leaf maps "metres shape" to words separated by commas.
     """
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
         self._entries = {_squeezed(e.word): e for e in _entries(tree, ())}
-        # In the order of the file, in which related functions are neighbours.
+        # In the order of the file; related functions are neighbours.
         self.functions = tuple(dict.fromkeys(e.function for e in self._entries.values()))
 
     def __len__(self) -> int:
@@ -106,11 +106,11 @@ class Vocabulary:
         return iter(self._entries.values())
 
     def look_up(self, name: str) -> Entry:
-        """What an object is by its name; UNKNOWN where nothing in the name says it.
+        """Return the entry of a name, or UNKNOWN.
 
-        Case, hyphens, plurals and numbers do not matter. In turn: the longest known ending
-        ("tall office chair"), a compound's ending ("bookshelf"), a misspelling, any word of
-        the name, any word in brackets ("quiche (food)").
+        Case, hyphens, plurals and numbers are ignored. The look-up tries in turn: the longest known
+        ending ("tall office chair"), the ending of a compound ("bookshelf"), a misspelling, any
+        word of the name, any word in brackets ("quiche (food)").
         """
         words = _words(name)
         found = self._exact(words)
@@ -139,7 +139,7 @@ class Vocabulary:
         return None
 
     def _qualified(self, entry: Entry, before: Sequence[str]) -> Entry:
-        """The entry of the last words, changed by the words before them."""
+        """Return the entry of the last words, modified by the words before them."""
         for word in before:
             entry = replace(entry, size_m=entry.size_m * _SCALES.get(word, 1.0))
         if not _TOYS.isdisjoint(before):
@@ -155,19 +155,19 @@ class Vocabulary:
         if not words:
             return None
         for last in _singulars(words[-1]):
-            for start in range(3, len(last) - _SHORTEST_ENDING + 1):
+            for start in range(3, len(last) - _MIN_ENDING + 1):
                 if last[start:] in self._entries:
                     return self._qualified(self._entries[last[start:]], words[:-1])
         return None
 
     def _misspelt(self, words: Sequence[str]) -> Entry | None:
-        if not words or len(words[-1]) < _SHORTEST_GUESS:
+        if not words or len(words[-1]) < _MIN_MISSPELT:
             return None
         close = difflib.get_close_matches(words[-1], self._entries, n=1, cutoff=0.88)
         return self._qualified(self._entries[close[0]], words[:-1]) if close else None
 
     def _mentioned(self, words: Sequence[str]) -> Entry | None:
-        """What the last known word speaks of, of unknown shape and hardly large."""
+        """Return the entry of the last known word, with unknown shape and limited size."""
         for end in range(len(words), 0, -1):
             for start in range(end):
                 place = _PLACES.get(words[start]) if start == end - 1 else None
@@ -180,7 +180,7 @@ class Vocabulary:
 
 @functools.cache
 def built_in() -> Vocabulary:
-    """The vocabulary that comes with the package."""
+    """Load the vocabulary of the package."""
     text = resources.files(__package__).joinpath("vocabulary.yaml").read_text("utf-8")
     return Vocabulary(yaml.safe_load(text))
 
@@ -196,7 +196,7 @@ def _entries(tree: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Entry]
 
 
 def _words(name: str) -> list[str]:
-    """Lower-case words; numbers, brackets and what is in them left out."""
+    """Return the words in lower case, without numbers and text in brackets."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     spaced = _BRACKETS.sub(" ", spaced).replace("'", "")
     words = re.findall(r"[^\W_]+", spaced.casefold())
@@ -204,7 +204,7 @@ def _words(name: str) -> list[str]:
 
 
 def _head(words: list[str]) -> list[str]:
-    """The words that end in what the thing is: before "for" or "with", around "of"."""
+    """Return the words that end with the object: those before "for" or "with", around "of"."""
     if "of" in words[1:-1]:
         of = words.index("of", 1)
         counted = _QUANTITIES.intersection(_singulars(words[of - 1]))
@@ -216,7 +216,7 @@ def _head(words: list[str]) -> list[str]:
 
 
 def _singulars(word: str) -> list[str]:
-    """The word and what it may be the plural of, the likeliest first."""
+    """Return the word and its possible singulars, most likely first."""
     found = [word]
     if word in _IRREGULAR:
         found.append(_IRREGULAR[word])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toolkit.taxonomy_building.language_model.chat import ModelIdentity
-from toolkit.taxonomy_building.language_model.endpoint import Endpoint, Patience
+from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
 
 # Every client loads the machine's certificates, which takes ten times as long as a local
 # exchange without them.
@@ -36,10 +36,10 @@ def connect(fake) -> Callable[..., tuple[Endpoint, list[float]]]:
     """Makes a client of the fake endpoint that notes its waits instead of waiting."""
     pytest.importorskip("openai")
 
-    def connected(**patience: float) -> tuple[Endpoint, list[float]]:
+    def connected(**retries: float) -> tuple[Endpoint, list[float]]:
         waits: list[float] = []
         identity = ModelIdentity(fake.url, "fake-1")
-        limits = Patience(**{"request_s": 5.0, **patience})
+        limits = RetryOptions(**{"request_timeout_s": 5.0, **retries})
         key = fake_endpoint.KEY
         return Endpoint(identity, key, np.random.default_rng(0), limits, waits.append), waits
 

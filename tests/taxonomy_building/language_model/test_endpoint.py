@@ -87,20 +87,20 @@ def test_a_retry_after_that_says_nothing_is_as_none(fake, connect, nonsense):
 
 def test_a_wait_longer_than_the_whole_time_ends_it_at_once(fake, connect):
     fake.behaviours = [fails(429, "quota", Retry_After="86400")]
-    endpoint, waits = connect(total_s=60.0)
-    with pytest.raises(ToolkitError, match=r"in 1 tries.*quota.*asks to wait 86400 s"):
+    endpoint, waits = connect(total_timeout_s=60.0)
+    with pytest.raises(ToolkitError, match=r"in 1 attempts.*quota.*asks to wait 86400 s"):
         endpoint.complete(REQUEST)
     assert waits == []
 
 
 def test_tries_and_time_are_bounded(fake, connect):
     fake.behaviours = [fails(500)]
-    endpoint, waits = connect(tries=4)
-    with pytest.raises(ToolkitError, match=r"no answer from fake-1 at http.* in 4 tries"):
+    endpoint, waits = connect(max_attempts=4)
+    with pytest.raises(ToolkitError, match=r"no answer from fake-1 at http.* in 4 attempts"):
         endpoint.complete(REQUEST)
     assert len(fake.requests) == 4
     assert len(waits) == 3
-    endpoint, waits = connect(tries=1000, total_s=20.0)
+    endpoint, waits = connect(max_attempts=1000, total_timeout_s=20.0)
     with pytest.raises(ToolkitError, match="no answer"):
         endpoint.complete(REQUEST)
     assert sum(waits) <= 20.0
@@ -111,7 +111,7 @@ def test_tries_and_time_are_bounded(fake, connect):
 )
 def test_a_slow_answer_is_given_up_and_asked_for_again(fake, connect, late):
     fake.behaviours = [lambda request: late, honest]
-    endpoint, waits = connect(request_s=0.1)
+    endpoint, waits = connect(request_timeout_s=0.1)
     assert endpoint.complete(REQUEST).text != "late"
     assert len(waits) == 1
 
@@ -123,7 +123,7 @@ def test_without_network_one_line_says_what_to_do():
     with pytest.raises(ToolkitError) as error:
         endpoint.complete(REQUEST)
     message = str(error.value)
-    assert "no answer from m at http://127.0.0.1:9/v1 in 6 tries: no connection" in message
+    assert "no answer from m at http://127.0.0.1:9/v1 in 6 attempts: no connection" in message
     assert "--grouper rules" in message
     assert "\n" not in message
 
@@ -195,7 +195,7 @@ def test_too_long_for_the_model_and_refusals_are_answers(fake, connect):
 def test_what_is_no_chat_completion_ends_in_one_line(fake, connect, body):
     fake.behaviours = [lambda request: Response(body=body)]
     endpoint, _ = connect()
-    with pytest.raises(ToolkitError, match="no chat completion"):
+    with pytest.raises(ToolkitError, match="not send a chat completion"):
         endpoint.complete(REQUEST)
 
 

@@ -107,7 +107,7 @@ def test_what_was_never_asked_is_told_clearly(tmp_path):
 def test_what_is_no_record_is_named(tmp_path, content):
     file = tmp_path / "record.json"
     file.write_bytes(content.encode("utf-8", "surrogatepass"))
-    with pytest.raises(FormatError, match=r"record\.json is no record.*--record"):
+    with pytest.raises(FormatError, match=r"record\.json is not a recording.*--record"):
         ReplayedModel(file)
 
 

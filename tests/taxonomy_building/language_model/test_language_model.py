@@ -20,7 +20,7 @@ from fake_endpoint import (
 
 from toolkit.errors import ToolkitError
 from toolkit.taxonomy_building.critic import settle
-from toolkit.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
+from toolkit.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
 from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
 
 NAMES = """
@@ -116,7 +116,7 @@ def test_every_class_is_in_one_group_and_always_in_the_same(fake, connect, lie):
         settled.append(settle(QUESTION, LanguageModelGrouper(endpoint), Halves(), rounds=2))
         held = sorted(item for items in settled[-1].values() for item in items)
         assert held == sorted(CLASSES)
-        assert 2 <= len(settled[-1]) <= QUESTION.most_groups
+        assert 2 <= len(settled[-1]) <= QUESTION.max_groups
     assert list(settled[0].items()) == list(settled[1].items())
 
 
@@ -151,7 +151,7 @@ def test_after_broken_answers_and_outages_a_right_one_counts(fake, connect):
 
 def test_without_an_answer_it_ends_and_the_fallback_is_not_asked(fake, connect):
     fake.behaviours = [fails(503)]
-    endpoint, _ = connect(tries=2)
+    endpoint, _ = connect(max_attempts=2)
     with pytest.raises(ToolkitError, match="no answer from"):
         settle(QUESTION, LanguageModelGrouper(endpoint), Halves())
 
@@ -210,7 +210,7 @@ def test_long_lists_go_in_portions_that_keep_the_first_groups(fake, connect):
 def test_full_groups_are_the_only_ones_for_later_portions(fake, connect):
     endpoint, _ = connect()
     grouper = LanguageModelGrouper(endpoint, portion=10)
-    grouper.group(Question(QUESTION.items, "function", most_groups=2))
+    grouper.group(Question(QUESTION.items, "function", max_groups=2))
     assert "no other names for groups than" in fake.requests[1]["messages"][1]["content"]
 
 
@@ -220,7 +220,7 @@ def test_names_that_cannot_be_sent_back_do_no_harm(fake, connect):
         honest,
     ]
     endpoint, _ = connect()
-    LanguageModelGrouper(endpoint, portion=10).group(Question(CLASSES, "function", most_groups=2))
+    LanguageModelGrouper(endpoint, portion=10).group(Question(CLASSES, "function", max_groups=2))
     assert '["a", "b"]' in fake.requests[1]["messages"][1]["content"]
 
 
@@ -243,7 +243,7 @@ def test_one_bad_portion_leaves_the_others(fake, connect):
     groups = LanguageModelGrouper(endpoint, portion=15).group(QUESTION)
     assert sum(map(len, groups.values())) == 29
     fake.behaviours = [says("no")]
-    with pytest.raises(UselessAnswerError):
+    with pytest.raises(InvalidAnswerError):
         LanguageModelGrouper(endpoint, portion=15).group(QUESTION)
 
 

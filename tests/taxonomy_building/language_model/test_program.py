@@ -96,7 +96,7 @@ def test_without_a_model_it_ends_or_falls_back_where_asked(build, fake, tmp_path
         (("--base-url", "{url}"), "needs --model or SEMSPLAT_LLM_MODEL"),
         (("--base-url", "localhost", "--model", "m"), "must be http://"),
         (("--replay", "none.json"), "none.json: cannot be read"),
-        (("--replay", "names.txt"), "names.txt is no record of a language model"),
+        (("--replay", "names.txt"), "names.txt is not a recording of a language model"),
         (("--replay", "none.json", "--cache", "c"), "leave --cache out"),
         (("--base-url", "{url}", "--model", "m", "--record", "none/r"), "cannot write none/r"),
     ],

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.taxonomy_building.grouper import Question, UselessAnswerError
+from toolkit.taxonomy_building.grouper import InvalidAnswerError, Question
 from toolkit.taxonomy_building.language_model.chat import ChatAnswer
 from toolkit.taxonomy_building.language_model.prompts import read_answer, request_for
 
@@ -52,7 +52,7 @@ def test_all_that_decides_the_answer_is_in_the_request():
         request_for(QUESTION, seed=1),
         request_for(QUESTION, "do better"),
         request_for(Question(QUESTION.items, "function")),
-        request_for(Question(QUESTION.items, "size", most_groups=3)),
+        request_for(Question(QUESTION.items, "size", max_groups=3)),
         request_for(Question(QUESTION.items, "size", path=("x",))),
         request_for(Question(("bed", "lamp"), "size")),
     ]
@@ -110,7 +110,7 @@ def test_of_a_broken_answer_a_whole_group_is_kept():
 )
 def test_what_holds_no_groups_is_useless(answer, reason):
     for question in (QUESTION, SHAPES):
-        with pytest.raises(UselessAnswerError, match=reason):
+        with pytest.raises(InvalidAnswerError, match=reason):
             read_answer(question, answer)
 
 
@@ -150,6 +150,6 @@ def test_no_answer_is_more_than_useless(value):
     for question in (QUESTION, SHAPES):
         try:
             groups = read_answer(question, ChatAnswer(text))
-        except UselessAnswerError:
+        except InvalidAnswerError:
             continue
         assert all(isinstance(i, str) for items in groups.values() for i in items)

@@ -83,4 +83,4 @@ def test_a_record_makes_the_same_tree_without_the_model(fake, connect, tmp_path)
 def test_without_the_model_there_is_no_tree(fake, connect):
     fake.behaviours = [honest, fails(503)]
     with pytest.raises(NoModelError):
-        tree(connect(tries=2)[0])
+        tree(connect(max_attempts=2)[0])

@@ -1,1 +1,1 @@
-"""Groups from a language model behind any OpenAI-compatible endpoint."""
+"""Grouping by a language model with an OpenAI-compatible endpoint."""

@@ -1,4 +1,4 @@
-"""One question to a chat model and its answer, as plain values."""
+"""Requests to chat models, their answers, and the interface of chat models."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Ending = Literal["stop", "length", "refused"]
 
 
 class NoModelError(ToolkitError):
-    """No model answers: it cannot be reached, refuses to work, or takes too long."""
+    """The model is not available: it cannot be reached, rejects requests, or times out."""
 
 
 @dataclass(frozen=True)
 class ModelIdentity:
-    """Who answers: two models of one name at two places may differ."""
+    """Identity of a model: models of the same name can differ between endpoints."""
 
     base_url: str
     model: str
@@ -28,13 +28,14 @@ class ModelIdentity:
 
 @dataclass(frozen=True)
 class ChatRequest:
-    """All that decides an answer, but for who gives it.
+    """A request; together with the identity of the model it determines the answer.
 
     Attributes:
-        system: what holds for every question.
-        user: the question.
+        system: system prompt.
+        user: user prompt.
         schema: JSON schema of the answer.
-        seed: asked of the model's sampler, whose temperature is 0.
+        seed: seed of the sampler.
+        temperature: temperature of the sampler.
     """
 
     system: str
@@ -44,17 +45,17 @@ class ChatRequest:
     temperature: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """JSON values; equal for equal requests."""
+        """Return JSON values; they are equal for equal requests."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class ChatAnswer:
-    """What came.
+    """An answer of a model.
 
     Attributes:
-        text: as the model wrote it; empty where it refused.
-        ending: "length" where question or answer were too long for the model.
+        text: text of the model; empty if it refused to answer.
+        ending: reason for the end; "length" if request or answer are too long for the model.
     """
 
     text: str
@@ -62,17 +63,17 @@ class ChatAnswer:
 
 
 class ChatModel(Protocol):
-    """Answers requests, or says why it cannot."""
+    """A chat model."""
 
     @property
     def identity(self) -> ModelIdentity:
-        """Who answers."""
+        """Identity of the model."""
         ...
 
     def complete(self, request: ChatRequest) -> ChatAnswer:
-        """The model's answer.
+        """Return the answer of the model.
 
         Raises:
-            NoModelError: there is none to be had.
+            NoModelError: the model is not available.
         """
         ...

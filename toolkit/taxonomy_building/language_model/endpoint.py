@@ -1,4 +1,4 @@
-"""A chat model behind an OpenAI-compatible endpoint: patient, but not for ever."""
+"""A chat model with an OpenAI-compatible endpoint, with retries and time limits."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from toolkit.taxonomy_building.language_model.chat import (
     NoModelError,
 )
 from toolkit.taxonomy_building.language_model.transport import (
-    PassingError,
     RefusedError,
+    TransientError,
     Transport,
     one_line,
     status_error,
@@ -29,9 +29,9 @@ from toolkit.taxonomy_building.language_model.transport import (
 
 logger = logging.getLogger(__name__)
 
-# How endpoints word that question and answer do not fit into the model.
+# Error messages of endpoints for requests that exceed the context length.
 _TOO_LONG = re.compile(r"context.?(length|size|window)|maximum context|too (many|long|large)", re.I)
-# Ways to ask for JSON, the strictest first. Each of them some endpoints refuse.
+# Response formats, strictest first. Not all endpoints support all of them.
 _FORMATS = ("json_schema", "json_object", "text")
 
 URL_VARIABLE = "SEMSPLAT_LLM_BASE_URL"
@@ -40,40 +40,40 @@ KEY_VARIABLE = "SEMSPLAT_LLM_API_KEY"
 
 
 @dataclass(frozen=True)
-class Patience:
-    """How long to wait for an answer.
+class RetryOptions:
+    """Time limits and retries of requests.
 
     Attributes:
-        request_s: for one try, to the last byte of its answer.
-        total_s: for all tries and the waits between them.
-        tries: at most.
-        first_wait_s: before the second try at most; the wait doubles each time.
-        longest_wait_s: between tries, unless the endpoint asks for more.
+        request_timeout_s: time limit of one request in seconds.
+        total_timeout_s: time limit of all attempts, including the delays between them, in seconds.
+        max_attempts: maximum number of attempts.
+        first_delay_s: maximum delay before the second attempt; it doubles with every attempt.
+        max_delay_s: maximum delay between attempts, unless the endpoint requests more.
     """
 
-    request_s: float = 120.0
-    total_s: float = 600.0
-    tries: int = 6
-    first_wait_s: float = 1.0
-    longest_wait_s: float = 60.0
+    request_timeout_s: float = 120.0
+    total_timeout_s: float = 600.0
+    max_attempts: int = 6
+    first_delay_s: float = 1.0
+    max_delay_s: float = 60.0
 
 
 class Endpoint:
     """A chat model on the network.
 
-    Only what may pass is tried again: status 408, 429 and 5xx, time-outs and broken
-    connections, after growing, jittered waits or as long as the endpoint asks. What it does
-    not know of structured output, temperature and seed it is not sent again.
+    Requests are retried after transient errors only: status 408, 429 and 5xx, timeouts and
+    connection errors. Delays grow exponentially with jitter, or follow the endpoint's request.
+    Structured output, temperature and seed are omitted once the endpoint has rejected them.
 
     Args:
-        identity: the base URL, which often ends in /v1, and the model's name there.
-        api_key: sent as a bearer token; empty where none is needed.
-        generator: of the jitter.
-        patience: how long to wait, and how often.
-        sleep: waits so many seconds.
+        identity: the base URL, which often ends in /v1, and the model's name.
+        api_key: sent as a bearer token; empty for endpoints without authentication.
+        generator: random generator of the jitter.
+        retries: time limits and retries.
+        sleep: function that waits for a number of seconds.
 
     Raises:
-        SettingsError: the URL or the key cannot be one.
+        SettingsError: the URL or the key is invalid.
         DependencyError: the package `openai` is missing.
     """
 
@@ -82,15 +82,15 @@ class Endpoint:
         identity: ModelIdentity,
         api_key: str,
         generator: np.random.Generator,
-        patience: Patience | None = None,
+        retries: RetryOptions | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._identity = identity
         self._transport = Transport(identity.base_url, api_key)
         self._generator = generator
-        self._patience = patience or Patience()
+        self._retries = retries or RetryOptions()
         self._sleep = sleep
-        self._unknown: set[str] = set()
+        self._unsupported: set[str] = set()
         self._format = 0
 
     @property
@@ -98,39 +98,39 @@ class Endpoint:
         return self._identity
 
     def complete(self, request: ChatRequest) -> ChatAnswer:
-        """The model's answer.
+        """Return the answer of the model.
 
         Raises:
-            NoModelError: the endpoint cannot be reached, refuses, or takes too long.
+            NoModelError: the endpoint cannot be reached, rejects the request, or times out.
         """
-        left_s = self._patience.total_s
-        tries = 0
+        left_s = self._retries.total_timeout_s
+        attempts = 0
         while True:
-            tries += 1
+            attempts += 1
             start = time.monotonic()
             try:
-                return self._adapting(request, min(self._patience.request_s, left_s))
-            except PassingError as trouble:
-                wait_s = max(self._wait_s(tries), trouble.wait_s)
+                return self._adapting(request, min(self._retries.request_timeout_s, left_s))
+            except TransientError as error:
+                wait_s = max(self._wait_s(attempts), error.wait_s)
                 left_s -= time.monotonic() - start + wait_s
-                if tries == self._patience.tries or left_s <= 0.0:
-                    raise self._gave_up(trouble, tries) from None
-                logger.info("%s: %s; trying again in %.1f s", self._identity, trouble, wait_s)
+                if attempts == self._retries.max_attempts or left_s <= 0.0:
+                    raise self._gave_up(error, attempts) from None
+                logger.info("%s: %s; retrying in %.1f s.", self._identity, error, wait_s)
             self._sleep(wait_s)
 
-    def _wait_s(self, tries: int) -> float:
-        doubled = self._patience.first_wait_s * 2.0 ** (tries - 1)
-        return min(doubled, self._patience.longest_wait_s) * self._generator.uniform(0.5, 1.0)
+    def _wait_s(self, attempts: int) -> float:
+        doubled = self._retries.first_delay_s * 2.0 ** (attempts - 1)
+        return min(doubled, self._retries.max_delay_s) * self._generator.uniform(0.5, 1.0)
 
-    def _gave_up(self, trouble: PassingError, tries: int) -> NoModelError:
-        asked = f", and it asks to wait {trouble.wait_s:.0f} s" if trouble.wait_s else ""
+    def _gave_up(self, error: TransientError, attempts: int) -> NoModelError:
+        asked = f", and it asks to wait {error.wait_s:.0f} s" if error.wait_s else ""
         return NoModelError(
-            f"no answer from {self._identity} in {tries} tries: {trouble}{asked}; check "
+            f"no answer from {self._identity} in {attempts} attempts: {error}{asked}; check "
             "--base-url and the network, or use --grouper rules"
         )
 
     def _adapting(self, request: ChatRequest, time_s: float) -> ChatAnswer:
-        """The answer, without the parameters that the endpoint turns out not to know."""
+        """Return the answer; omit the parameters that the endpoint does not support."""
         while True:
             try:
                 return self._answer(self._transport.post(self._body(request), time_s))
@@ -141,15 +141,15 @@ class Endpoint:
                     raise self._final(refused) from None
 
     def _adapts(self, refused: RefusedError) -> bool:
-        """Whether there is something to leave out next time, which it notes."""
+        """Disable the rejected parameter; return whether a retry without it is possible."""
         names_format = "response_format" in refused.text
         if refused.status not in (400, 422) and not names_format:
             return False
         for parameter in ("temperature", "seed"):
             named = re.search(rf"\b{parameter}\b", refused.text) and not names_format
-            if named and parameter not in self._unknown:
-                logger.info("%s does not take %s", self._identity, parameter)
-                self._unknown.add(parameter)
+            if named and parameter not in self._unsupported:
+                logger.info("%s does not support the parameter %s.", self._identity, parameter)
+                self._unsupported.add(parameter)
                 return True
         self._format += 1
         return self._format < len(_FORMATS)
@@ -170,7 +170,7 @@ class Endpoint:
                 {"role": "user", "content": request.user},
             ],
         }
-        for parameter in {"temperature", "seed"} - self._unknown:
+        for parameter in {"temperature", "seed"} - self._unsupported:
             body[parameter] = getattr(request, parameter)
         kind = _FORMATS[self._format]
         if kind != "text":
@@ -181,11 +181,11 @@ class Endpoint:
         return body
 
     def _answer(self, body: str) -> ChatAnswer:
-        """Out of a response that may be anything.
+        """Parse a response.
 
         Raises:
-            PassingError, RefusedError: it is an error, sent as a success.
-            NoModelError: it is no chat completion at all.
+            TransientError, RefusedError: the response is an error with a success status.
+            NoModelError: the response is not a chat completion.
         """
         try:
             values = json.loads(body)
@@ -198,7 +198,7 @@ class Endpoint:
             refusal = message.get("refusal") or choice.get("finish_reason") == "content_filter"
         except (ValueError, RecursionError, AttributeError, LookupError, TypeError):
             raise NoModelError(
-                f"{self._identity} sent no chat completion but: {one_line(body)}; check "
+                f"{self._identity} did not send a chat completion but: {one_line(body)}; check "
                 "whether --base-url must end in /v1"
             ) from None
         if refusal and not text:
@@ -212,13 +212,16 @@ def endpoint_from_environment(
     generator: np.random.Generator,
     environment: Mapping[str, str],
 ) -> Endpoint:
-    """The endpoint that is given, or else named by the environment; the key by that alone.
+    """Build the endpoint from arguments and environment variables.
 
     Args:
-        environment: of the process; SEMSPLAT_LLM_BASE_URL, _MODEL and _API_KEY are read.
+        base_url: URL of the endpoint; None reads SEMSPLAT_LLM_BASE_URL.
+        model: name of the model; None reads SEMSPLAT_LLM_MODEL.
+        generator: random generator of the jitter.
+        environment: environment variables; the key is read from SEMSPLAT_LLM_API_KEY only.
 
     Raises:
-        SettingsError: URL or model are given nowhere, or URL or key cannot be one.
+        SettingsError: URL or model are missing, or URL or key are invalid.
         DependencyError: the package `openai` is missing.
     """
     base_url = base_url or environment.get(URL_VARIABLE)
@@ -228,13 +231,15 @@ def endpoint_from_environment(
             f"a language model needs --base-url or {URL_VARIABLE}, such as http://localhost:11434/v1"
         )
     if not model:
-        raise SettingsError(f"a language model needs --model or {MODEL_VARIABLE}: its name there")
+        raise SettingsError(
+            f"a language model needs --model or {MODEL_VARIABLE}: its name at the endpoint"
+        )
     key = environment.get(KEY_VARIABLE, "")
     return Endpoint(ModelIdentity(base_url, model), key, generator)
 
 
 def _text(content: object) -> str:
-    """Of a message, whose content may come in parts."""
+    """Return the text of a message, whose content can be a list of parts."""
     if isinstance(content, list):
         return "".join(part["text"] for part in content if "text" in part)
     return content if isinstance(content, str) else ""

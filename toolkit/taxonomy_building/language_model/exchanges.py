@@ -1,4 +1,4 @@
-"""Answers kept: a cache on the disk, a record of a whole dialogue, and its replay."""
+"""Disk cache, recording and replay of exchanges with a language model."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ _FORMAT = "semsplat language model exchanges 1"
 
 
 class CachedModel:
-    """Asks a model only what it was never asked before.
+    """Caches the answers of a model on disk.
 
     Args:
-        folder: one file an answer, named by the hash of all that decides it; made if absent.
+        model: the model.
+        folder: folder with one file per answer, named by the hash of model and request; it is
+            created if it does not exist.
 
     Raises:
-        RunFolderError: the folder cannot be made.
+        RunFolderError: the folder cannot be created.
     """
 
     def __init__(self, model: ChatModel, folder: Path) -> None:
@@ -52,9 +54,9 @@ class CachedModel:
             try:
                 return _answer(json.loads(file.read_text(encoding="utf-8"))["answer"])
             except (OSError, ValueError, KeyError, TypeError):
-                logger.warning("%s is damaged; asking again", file)
+                logger.warning("Cache file %s is damaged; sending the request again.", file)
         answer = self._model.complete(request)
-        write_bytes(file, _as_json(_exchange(request, answer) | _who(self.identity)))
+        write_bytes(file, _as_json(_exchange(request, answer) | _identity_values(self.identity)))
         return answer
 
 
@@ -65,7 +67,7 @@ class RecordingModel:
         self._model = model
         self._path = path
         self._exchanges: list[dict[str, Any]] = []
-        self._write()  # a place that cannot be written is told before anything is asked
+        self._write()  # fails before the first request if the path is not writable
 
     @property
     def identity(self) -> ModelIdentity:
@@ -78,15 +80,15 @@ class RecordingModel:
         return answer
 
     def _write(self) -> None:
-        header = {"format": _FORMAT} | _who(self.identity)
+        header = {"format": _FORMAT} | _identity_values(self.identity)
         write_bytes(self._path, _as_json(header | {"exchanges": self._exchanges}))
 
 
 class ReplayedModel:
-    """Answers as the model did that was recorded; needs neither network nor key.
+    """Replays recorded answers; requires neither network nor key.
 
     Raises:
-        FormatError: the file is missing or no such record.
+        FormatError: the file is missing or not a recording.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,7 +96,7 @@ class ReplayedModel:
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
             if record["format"] != _FORMAT:
-                raise ValueError(f"its format is {record['format']!r}, not {_FORMAT!r}")
+                raise ValueError(f"the format is {record['format']!r}, not {_FORMAT!r}")
             self._identity = ModelIdentity(record["base_url"], record["model"])
             self._answers = {
                 _hash(each["request"]): _answer(each["answer"]) for each in record["exchanges"]
@@ -103,7 +105,7 @@ class ReplayedModel:
             raise FormatError(f"{path}: cannot be read ({error.strerror})") from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"{path} is no record of a language model ({error}); make one with --record"
+                f"{path} is not a recording of a language model ({error}); create one with --record"
             ) from error
 
     @property
@@ -111,10 +113,10 @@ class ReplayedModel:
         return self._identity
 
     def complete(self, request: ChatRequest) -> ChatAnswer:
-        """The recorded answer.
+        """Return the recorded answer.
 
         Raises:
-            SettingsError: this was never asked.
+            SettingsError: the request is not in the recording.
         """
         answer = self._answers.get(_hash(request.to_json()))
         if answer is None:
@@ -126,14 +128,14 @@ class ReplayedModel:
 
 
 def _key(identity: ModelIdentity, request: ChatRequest) -> str:
-    return _hash(_who(identity) | {"request": request.to_json()})
+    return _hash(_identity_values(identity) | {"request": request.to_json()})
 
 
 def _hash(values: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-def _who(identity: ModelIdentity) -> dict[str, Any]:
+def _identity_values(identity: ModelIdentity) -> dict[str, Any]:
     return {"base_url": identity.base_url, "model": identity.model}
 
 
@@ -152,5 +154,5 @@ def _answer(values: Mapping[str, Any]) -> ChatAnswer:
 
 
 def _as_json(values: Mapping[str, Any]) -> bytes:
-    # ASCII: an answer may hold half characters, which no file can.
+    # ASCII: an answer can contain unpaired surrogates, which cannot be encoded as UTF-8.
     return (json.dumps(values, indent=1) + "\n").encode("ascii")

@@ -1,4 +1,4 @@
-"""Questions in the words of a model, and its words as groups (H, appendix I)."""
+"""Prompts for language models, and parsing of their answers (H, appendix I)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from toolkit.taxonomy_building.grouper import Grouping, Question, UselessAnswerError
+from toolkit.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
 from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest
 
 _DATA = """\
@@ -45,8 +45,8 @@ _GOALS = {
 _SORT_FORM = '{"groups": [{"name": "...", "items": ["...", "..."]}, ...]}'
 _NAME_FORM = '{"groups": [{"number": 1, "name": "..."}, ...]}'
 
-_SHOWN_OF_CLUSTER = 20  # items are enough to tell a shape
-_LONGEST_ANSWER = 200_000  # characters; what comes after is no answer
+_SHOWN_OF_CLUSTER = 20  # maximum number of items of a cluster in a prompt
+_MAX_ANSWER_LENGTH = 200_000  # characters; the remainder is ignored
 
 _OPENING = re.compile(r"[{\[]")
 
@@ -54,15 +54,17 @@ _OPENING = re.compile(r"[{\[]")
 def request_for(
     question: Question, complaint: str = "", so_far: Sequence[str] = (), seed: int = 0
 ) -> ChatRequest:
-    """The request that asks a question.
+    """Return the request for a question.
 
     Args:
-        complaint: what was wrong with the last answer.
+        question: the items and the criterion.
+        complaint: errors in the previous answer.
         so_far: groups of earlier portions of the same items.
+        seed: seed of the sampler.
     """
     naming = bool(question.clusters)
     data = _DATA.format(form=_NAME_FORM if naming else _SORT_FORM)
-    system = (_NAME if naming else _SORT).format(data=data, most=question.most_groups)
+    system = (_NAME if naming else _SORT).format(data=data, most=question.max_groups)
     lines = [] if naming else [_GOALS[question.aspect]]
     if question.path:
         lines.append(f"All of them belong to {_quoted(question.path)}.")
@@ -77,28 +79,28 @@ def request_for(
 
 
 def read_answer(question: Question, answer: ChatAnswer) -> Grouping:
-    """The groups in an answer, as wrong as the model made them.
+    """Parse the groups in an answer, without checking them.
 
-    JSON is found within prose, Markdown or a model's thoughts. Besides the form asked for,
-    a mapping from names to lists is taken, and an item's number for the item.
+    JSON is also found within prose, Markdown or reasoning. Besides the requested format, mappings
+    from names to lists, and item numbers instead of items are accepted.
 
     Raises:
-        UselessAnswerError: there are none.
+        InvalidAnswerError: the answer contains no groups.
     """
     if answer.ending == "refused":
-        raise UselessAnswerError("the model refused to answer")
+        raise InvalidAnswerError("the model refused to answer")
     read = _named_clusters if question.clusters else _groups
     best: Grouping = {}
-    for value in _json_values(answer.text[:_LONGEST_ANSWER]):
+    for value in _json_values(answer.text[:_MAX_ANSWER_LENGTH]):
         grouping = read(value, question)
-        # Thoughts and examples come before the answer, and hold less.
+        # Reasoning and examples precede the answer and contain fewer items.
         if _size(grouping) >= _size(best):
             best = grouping
     if best:
         return best
     if answer.ending == "length":
-        raise UselessAnswerError("the answer was cut off")
-    raise UselessAnswerError("the answer holds no JSON of the form asked for")
+        raise InvalidAnswerError("the answer was cut off")
+    raise InvalidAnswerError("the answer holds no JSON of the form asked for")
 
 
 def _size(grouping: Grouping) -> int:
@@ -110,7 +112,7 @@ def _quoted(names: Iterable[str]) -> str:
 
 
 def _json(name: str) -> str:
-    """A JSON string; what is invisible in it, escaped."""
+    """Return a JSON string, with invisible characters escaped."""
     return json.dumps(name, ensure_ascii=not name.isprintable())
 
 
@@ -149,26 +151,26 @@ def _object(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def _json_values(text: str) -> Iterator[Any]:
-    """Every JSON object or list in a text that is not within another."""
+    """Yield every top-level JSON object or list in a text."""
     decoder = json.JSONDecoder()
-    place = 0
-    while found := _OPENING.search(text, place):
+    position = 0
+    while found := _OPENING.search(text, position):
         try:
-            value, place = decoder.raw_decode(text, found.start())
+            value, position = decoder.raw_decode(text, found.start())
         except ValueError:
-            place = found.start() + 1
-        except RecursionError:  # thousands of brackets are no answer
+            position = found.start() + 1
+        except RecursionError:  # thousands of nested brackets
             return
         else:
             yield value
 
 
 def _groups(value: Any, question: Question) -> dict[str, tuple[str, ...]]:
-    """Groups of an answer, those of one name joined; empty where it is of no known form."""
+    """Return the groups of a JSON value, merged by name; empty if the format is unknown."""
     if isinstance(value, dict) and isinstance(value.get("groups"), (list, dict)):
         value = value["groups"]
     if isinstance(value, dict) and {"name", "items"} <= set(value):
-        value = [value]  # one group, out of an answer that is broken as a whole
+        value = [value]  # a single group from an answer that is not valid JSON as a whole
     if isinstance(value, dict):
         pairs = list(value.items())
     elif isinstance(value, list):
@@ -193,7 +195,7 @@ def _items(written: list[Any], asked: Sequence[str]) -> Iterator[str]:
 
 
 def _named_clusters(value: Any, question: Question) -> dict[str, tuple[str, ...]]:
-    """The clusters by their names; of several with the same name the first."""
+    """Return the clusters by name; for a repeated name the first one."""
     if isinstance(value, dict):
         value = value.get("groups")
     grouping: dict[str, tuple[str, ...]] = {}

@@ -1,4 +1,4 @@
-"""One HTTP exchange through the `openai` package, bounded in time and silent about the key."""
+"""HTTP requests through the `openai` package, with a time limit and without leaking the key."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from urllib.parse import urlsplit
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
 from toolkit.taxonomy_building.language_model.chat import NoModelError
 
-# Shorter keys are words for servers that want none ("EMPTY"); to blot such a word out of
-# every answer would spoil them.
-_SHORTEST_SECRET = 8
-_LONGEST_EXCERPT = 200  # characters of an endpoint's own words in an error
+# Shorter keys are placeholders for servers without authentication ("EMPTY") and are not redacted,
+# because they can occur in answers.
+_MIN_SECRET_LENGTH = 8
+_MAX_EXCERPT_LENGTH = 200  # maximum number of characters of a response in an error
 
 
-class PassingError(ToolkitError):
-    """What may be gone at the next try.
+class TransientError(ToolkitError):
+    """A transient error; a retry may succeed.
 
     Attributes:
-        wait_s: how long the endpoint asks to wait; 0 where it does not say.
+        wait_s: time to wait requested by the endpoint in seconds; 0 if unspecified.
     """
 
     def __init__(self, message: str, wait_s: float = 0.0) -> None:
@@ -33,10 +33,11 @@ class PassingError(ToolkitError):
 
 
 class RefusedError(ToolkitError):
-    """What the endpoint will refuse again.
+    """A permanent error; a retry of the same request fails.
 
     Attributes:
-        status: of HTTP. text: what it says, whole.
+        status: HTTP status.
+        text: complete text of the response.
     """
 
     def __init__(self, status: int, text: str) -> None:
@@ -49,12 +50,11 @@ class Transport:
     """Posts chat requests to one endpoint.
 
     Args:
-        base_url: http or https, without credentials in it.
-        api_key: sent as a bearer token; it never leaves this object otherwise, not even in
-            what the endpoint sends back.
+        base_url: http or https URL without credentials.
+        api_key: sent as a bearer token; it is redacted in responses and errors.
 
     Raises:
-        SettingsError: the URL or the key cannot be one.
+        SettingsError: the URL or the key is invalid.
         DependencyError: the package `openai` is missing.
     """
 
@@ -64,24 +64,25 @@ class Transport:
         self._openai = _openai()
 
     def post(self, body: Mapping[str, Any], time_s: float) -> str:
-        """The response to a chat completion, its JSON as text.
+        """Return the JSON text of the response to a chat completion request.
 
         Args:
-            time_s: to the last byte of it.
+            body: the request.
+            time_s: time limit of the complete response in seconds.
 
         Raises:
-            PassingError: time-out, broken connection, status 408, 429 or 5xx.
-            RefusedError: any other status of failure.
-            NoModelError: what the client itself cannot do.
+            TransientError: timeout, connection error, status 408, 429 or 5xx.
+            RefusedError: any other error status.
+            NoModelError: any other error of the client.
         """
         openai = self._openai
         try:
             return self._without_key(_finished(self._response(body, time_s)))
         except (openai.APITimeoutError, TimeoutError):
-            raise PassingError(f"no answer within {time_s:.0f} s") from None
+            raise TransientError(f"no answer within {time_s:.0f} s") from None
         except openai.APIConnectionError as error:
             reason = self._without_key(one_line(str(error.__cause__ or error)))
-            raise PassingError(f"no connection ({reason})") from None
+            raise TransientError(f"no connection ({reason})") from None
         except openai.APIStatusError as error:
             text = self._without_key(error.response.text)
             wait_s = _seconds(error.response.headers.get("retry-after"))
@@ -90,11 +91,11 @@ class Transport:
             raise NoModelError(self._without_key(one_line(str(error)))) from None
 
     async def _response(self, body: Mapping[str, Any], time_s: float) -> str:
-        # The client's own time-out starts anew with every byte; ours does not.
+        # The client's timeout restarts with every received byte; this one does not.
         async with asyncio.timeout(time_s):
             async with self._openai.AsyncOpenAI(
                 base_url=self._base_url,
-                api_key=self._api_key or "none",  # else the client looks for one of its own
+                api_key=self._api_key or "none",  # otherwise the client reads OPENAI_API_KEY
                 max_retries=0,
                 timeout=time_s,
             ) as client:
@@ -102,28 +103,28 @@ class Transport:
                 return response.http_response.text
 
     def _without_key(self, text: str) -> str:
-        hidden = len(self._api_key) >= _SHORTEST_SECRET
+        hidden = len(self._api_key) >= _MIN_SECRET_LENGTH
         return text.replace(self._api_key, "***") if hidden else text
 
 
-def status_error(status: int, text: str, wait_s: float = 0.0) -> PassingError | RefusedError:
-    """The error of a response that is none."""
+def status_error(status: int, text: str, wait_s: float = 0.0) -> TransientError | RefusedError:
+    """Return the error that corresponds to an HTTP status."""
     refused = RefusedError(status, text)
     if status in (408, 429) or status >= 500:
-        passing = PassingError(str(refused), wait_s)
-        # Some servers call a parameter that they do not know an error of their own.
+        passing = TransientError(str(refused), wait_s)
+        # Some servers report an unknown parameter as an internal error.
         return refused if "response_format" in text else passing
     return refused
 
 
 def one_line(text: str) -> str:
-    """The beginning of a text, fit for an error message."""
+    """Return the beginning of a text on one line, for an error message."""
     line = " ".join(text.split())
-    return line if len(line) <= _LONGEST_EXCERPT else line[: _LONGEST_EXCERPT - 3] + "..."
+    return line if len(line) <= _MAX_EXCERPT_LENGTH else line[: _MAX_EXCERPT_LENGTH - 3] + "..."
 
 
 def _finished(work: Coroutine[Any, Any, str]) -> str:
-    """The result of a coroutine, also where the caller runs an event loop (a notebook)."""
+    """Run a coroutine, also if the caller runs an event loop (notebooks)."""
     try:
         asyncio.get_running_loop()
     except RuntimeError:
@@ -133,7 +134,7 @@ def _finished(work: Coroutine[Any, Any, str]) -> str:
 
 
 def _seconds(retry_after: str | None) -> float:
-    """Of a Retry-After header: a number or a date; 0 for nonsense."""
+    """Parse a Retry-After header with a number or a date; return 0 if it is invalid."""
     if not retry_after:
         return 0.0
     try:
@@ -151,14 +152,14 @@ def _checked_url(base_url: str) -> str:
         parts = urlsplit(base_url)
         good = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
     except ValueError:
-        raise SettingsError(f"--base-url {base_url!r} is no URL") from None
+        raise SettingsError(f"--base-url {base_url!r} is not a URL") from None
     if not good:
         raise SettingsError(f"--base-url {base_url!r} must be http://... or https://...")
     if parts.username or parts.password or parts.query or parts.fragment:
-        # It is written to files and logs, where a key has no place.
+        # The URL is written to files and logs, which must not contain a key.
         raise SettingsError(
-            "--base-url must hold neither user, password, '?' nor '#'; "
-            "the key goes into SEMSPLAT_LLM_API_KEY"
+            "--base-url must not contain user, password, '?' or '#'; "
+            "set the key in SEMSPLAT_LLM_API_KEY"
         )
     return base_url
 
@@ -166,7 +167,7 @@ def _checked_url(base_url: str) -> str:
 def _checked_key(api_key: str) -> str:
     key = api_key.strip()
     if not (key.isascii() and key.isprintable()) or " " in key:
-        raise SettingsError("the key in SEMSPLAT_LLM_API_KEY holds characters that no key has")
+        raise SettingsError("the key in SEMSPLAT_LLM_API_KEY contains invalid characters")
     return key
 
 
