@@ -21,7 +21,7 @@ from toolkit.cli.errors import one_line_errors
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.meshes import TriangleMesh
 from toolkit.runs.labelled import load_labelled_run
-from toolkit.runs.shapes import MeshOptions, surface_mesh
+from toolkit.runs.meshing import MeshOptions, surface_mesh
 from toolkit.semantics.palette import Palette
 
 OPTIONS = MeshOptions(voxel_m=0.02, max_depth_m=6.0, every=3)

@@ -1,7 +1,7 @@
 """MkDocs hook: generate the reference of all options and of the public Python API.
 
-The options come from the parsers of the programs, the API from docstrings. The pages exist only
-in the built site: `make docs`.
+The options come from the declarations of the jobs' arguments, the API from docstrings. The pages
+exist only in the built site: `make docs`.
 """
 
 from __future__ import annotations
@@ -9,16 +9,15 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import tyro
-
 import toolkit
+from toolkit.cli.help import default_text, option_names, type_text
 from toolkit.cli.main import JOBS
-from toolkit.options import nested_options
-from toolkit.runs.settings import RunSettings
+from toolkit.cli.programs import PROGRAMS
+from toolkit.cli.run import RunProgram
+from toolkit.options import REQUIRED, Option, nested_options
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -60,7 +59,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def options_page() -> str:
-    """All options of all programs, in one table for each group."""
+    """All options of all jobs, in one table for each group."""
     lines = [
         "# Options",
         "",
@@ -69,79 +68,42 @@ def options_page() -> str:
         "`--tracking.dense.levels 3` is `tracking: {dense: {levels: 3}}`. A switch `--x` has the "
         "opposite `--no-x`.",
     ]
-    for job, (module, meaning) in JOBS.items():
-        actions = list(job_options(module))
-        if actions:
-            lines += ["", f"## semsplat {job}", "", meaning[0].upper() + meaning[1:] + "."]
-        for group, members in _grouped(actions):
+    for job, (_, description) in JOBS.items():
+        options = job_options(job)
+        if options:
+            lines += ["", f"## semsplat {job}", "", description[0].upper() + description[1:] + "."]
+        for group, members in _grouped(options).items():
             if group:
                 lines += ["", f"### {job}: {group}"]
             lines += ["", "| option | values | default | description |", "|---|---|---|---|"]
-            lines += [_row(action) for action in members]
+            lines += [_row(option) for option in members]
     return "\n".join(lines) + "\n"
 
 
-def job_options(module_name: str) -> Iterator[Any]:
-    """The argparse actions of a job's parser, without help."""
-    module = importlib.import_module(f"toolkit.cli.{module_name}")
-    if not hasattr(module, "parse_arguments"):
-        return
-    found: list[Any] = []
-
-    def record(kind: type, *_: object, **options: Any) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            found.extend(tyro.extras.get_parser(kind, **options)._actions)
-        raise _RecordedError
-
-    original = module.parse_arguments
-    module.parse_arguments = record  # type: ignore[attr-defined]
-    try:
-        module.main([])
-    except _RecordedError:
-        pass
-    finally:
-        module.parse_arguments = original  # type: ignore[attr-defined]
-    yield from (action for action in found if "--help" not in action.option_strings)
+def job_options(job: str) -> tuple[Option, ...]:
+    """The options of a job, without help."""
+    kind = {**PROGRAMS, "run": RunProgram}.get(job)
+    return () if kind is None else nested_options(kind)
 
 
-class _RecordedError(Exception):
-    """The parser has been recorded."""
+def _grouped(options: Sequence[Option]) -> dict[str, list[Option]]:
+    groups: dict[str, list[Option]] = {"": []}
+    for option in options:
+        groups.setdefault(option.key.rpartition(".")[0].replace("_", "-"), []).append(option)
+    return {group: members for group, members in groups.items() if members}
 
 
-def _grouped(actions: Sequence[Any]) -> Iterator[tuple[str, list[Any]]]:
-    groups: dict[str, list[Any]] = {}
-    for action in actions:
-        name = action.option_strings[0].lstrip("-") if action.option_strings else ""
-        groups.setdefault(name.rpartition(".")[0], []).append(action)
-    yield from groups.items()
+def _row(option: Option) -> str:
+    values = "switch" if isinstance(option.default, bool) else _code(_values(option))
+    if option.range is not None:
+        values += f" {option.range}"
+    default = "required" if option.default is REQUIRED else _code(default_text(option))
+    cells = (f"`{option_names(option)[0]}`", values, default, option.description)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _row(action: Any) -> str:
-    names = action.option_strings[:1] or [str(action.metavar)]
-    text, _, default = re.sub(r"\x1b\[[\d;]*m", "", action.help or "").partition("(default: ")
-    if not default:
-        text, _, _ = text.partition("(required)")
-    default = default.rstrip(" )").replace("None", "")
-    values = [_values(action), *_range(names[0])]
-    shown_default = "required" if default == "required" else _code(default)
-    cells = (f"`{names[0]}`", " ".join(filter(None, values)), shown_default, text)
-    return "| " + " | ".join(" ".join(c.split()).replace("|", "\\|") for c in cells) + " |"
-
-
-def _values(action: Any) -> str:
-    if len(action.option_strings) > 1 or (action.option_strings and action.nargs == 0):
-        return "switch"
-    metavar = action.metavar
-    shown = " ".join(metavar) if isinstance(metavar, tuple) else str(metavar or "")
-    shown = re.sub(r"\{?None\}?\|", "", shown)
-    return _code(re.sub(r"[{}]", "", shown).replace(",", ", ")) if shown else ""
-
-
-def _range(option: str) -> list[str]:
-    key = option.lstrip("-").replace("-", "_")
-    ranges = {o.key: o.range for o in nested_options(RunSettings)}
-    return [str(ranges[key])] if ranges.get(key) is not None else []
+def _values(option: Option) -> str:
+    return re.sub(r"[{}]", "", type_text(option.type)).replace(",", ", ")
 
 
 def _code(text: str) -> str:

@@ -1,24 +1,24 @@
-"""The errors that the toolkit raises on purpose: one root, a few children.
+"""Exceptions of the toolkit.
 
-A message is one line: what is wrong, which file or setting, and the remedy.
-Programs print it and exit with a non-zero status.
+A message is one line: what is wrong, which file or setting is affected, and how to fix it. Programs
+print the message and exit with a non-zero status.
 """
 
 
 class ToolkitError(Exception):
-    """Root of all errors that a user can mend."""
+    """Base class of all errors that a user can fix."""
 
 
 class DatasetError(ToolkitError):
-    """A data set, or one file of it, is missing, unreadable or inconsistent."""
+    """A dataset or one of its files is missing, unreadable or inconsistent."""
 
 
 class SettingsError(ToolkitError):
-    """A setting is unknown, of the wrong type or out of range."""
+    """A setting is unknown, has the wrong type or is out of range."""
 
 
 class FormatError(ToolkitError):
-    """A file is not what its name or header says."""
+    """A file is damaged or does not have the expected format."""
 
 
 class RunFolderError(ToolkitError):

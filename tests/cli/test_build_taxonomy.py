@@ -106,15 +106,15 @@ def test_shapes_of_a_labelled_recording(real_data, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "give --out FILE.yaml to write the tree, or --review"),
-        (("--review",), "give --classes FILE or --dataset.path FOLDER"),
+        ((), "give --out FILE.yaml to write the taxonomy, or --review"),
+        (("--review",), "give either --classes FILE or --dataset.path FOLDER"),
         (("--review", "--classes", "no.txt"), "cannot read no.txt: No such file"),
         (("--review", "--classes", "no.json"), "cannot read no.json"),
         (("--review", "--dataset.path", "none"), "none"),
-        (("--review", "--classes", "{names}", "--dataset.path", "x"), "one of them"),
-        (("--classes", "{names}", "--out", "tree.txt"), "--out tree.txt must end in .yaml"),
+        (("--review", "--classes", "{names}", "--dataset.path", "x"), "give either --classes"),
+        (("--classes", "{names}", "--out", "tree.txt"), "--out tree.txt: the name must end in"),
         (("--classes", "{names}", "--out", "none/tree.yaml"), "there is no folder none"),
-        (("--classes", "{names}", "--picture", "tree.bmp"), "--picture tree.bmp must end in"),
+        (("--classes", "{names}", "--picture", "tree.bmp"), "--picture tree.bmp: the name must"),
         (
             ("--classes", "{names}", "--review", "--seed", "-1"),
             "--seed: input should be greater than or equal to 0",
@@ -123,8 +123,8 @@ def test_shapes_of_a_labelled_recording(real_data, tmp_path, capsys):
         (("--classes", "{names}", "--review", "--shapes", "table"), "--shapes"),
         (("--classes", "{names}", "--review", "--shapes", "table", "no.csv"), "no.csv"),
         (("--classes", "{names}", "--review", "--shapes", "meshes", "none"), "none: no mesh"),
-        (("--classes", "{names}", "--review", "--model", "m"), "--model is of use with"),
-        (("--classes", "{names}", "--review", "--fall-back"), "--fall-back is of use with"),
+        (("--classes", "{names}", "--review", "--model", "m"), "--model requires --grouper"),
+        (("--classes", "{names}", "--review", "--fall-back"), "--fall-back requires --grouper"),
     ],
 )
 def test_bad_options_end_in_one_line(names_file, capsys, words, message):
@@ -144,7 +144,7 @@ def test_bad_options_end_in_one_line(names_file, capsys, words, message):
         (b"bed\nchair\nvoid\n", "void"),
         (b"bed\na > b\nchair\n", "'>'"),
         (b"bed\nb\x07ell\nchair\n", "b\\x07ell"),
-        (b"bed\n\xff\xfe\nchair", "no text in UTF-8"),
+        (b"bed\n\xff\xfe\nchair", "not UTF-8 text"),
         (b"\x00" * 9, "names.txt: "),
     ],
 )

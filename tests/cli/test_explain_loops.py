@@ -7,7 +7,8 @@ import json
 import cv2
 import pytest
 
-from toolkit.cli.explain_loops import main, summary, verdicts_on
+from toolkit.cli.explain_loops import main, results_of, summary
+from toolkit.cli.programs import ExplainLoopsOptions
 from toolkit.errors import FormatError, RunFolderError
 
 CANDIDATE = {
@@ -58,45 +59,46 @@ def looped(run):
 
 
 def test_each_suspicion_has_a_picture(looped, capsys):
-    assert main([str(looped)]) == 0
+    assert main(ExplainLoopsOptions(looped)) == 0
     (picture,) = (looped / "loops").iterdir()
     assert picture.name == "frame000008_frame000001.png"
     # Wide enough for the lines below.
     assert cv2.imread(str(picture)).shape[1] > 2 * 480
-    told = capsys.readouterr().out
-    assert "2 keyframes considered, 1 of them suspected" in told
-    assert "submaps 0 and 1: registered, 6.4 cm" in told and "anchors move by up to 5.0 cm" in told
+    printed = capsys.readouterr().out
+    assert "2 loop candidates, 1 of them accepted" in printed
+    assert "submaps 0 and 1: registered, 6.4 cm" in printed
+    assert "anchors corrected by up to 5.0 cm" in printed
 
 
 def test_refused_ones_on_request_and_elsewhere(looped, tmp_path):
-    assert main([str(looped), "--refused", "--out", str(tmp_path / "pictures")]) == 0
+    assert main(ExplainLoopsOptions(looped, out=tmp_path / "pictures", refused=True)) == 0
     assert len(list((tmp_path / "pictures").iterdir())) == 2
 
 
 def test_a_run_without_loops_has_nothing_to_draw(run, capsys):
-    assert main([str(run)]) == 0
-    assert "0 keyframes considered" in capsys.readouterr().out
+    assert main(ExplainLoopsOptions(run)) == 0
+    assert "0 loop candidates" in capsys.readouterr().out
     assert not (run / "loops").exists()
 
 
 def test_what_cannot_be_read_is_named(looped, tmp_path):
     with pytest.raises(RunFolderError, match="holds no run"):
-        main([str(tmp_path)])
+        main(ExplainLoopsOptions(tmp_path))
     (looped / "loops.jsonl").write_text("no json\n{}\n")
     with pytest.raises(FormatError, match=r"loops\.jsonl"):
-        main([str(looped)])
+        main(ExplainLoopsOptions(looped))
 
 
 def test_a_verdict_belongs_to_its_frames_or_its_submaps():
     inside = CANDIDATE | {"query_submap": 0}
     other = WITHIN | {"match": 5}
-    assert verdicts_on(inside, [other, WITHIN, BETWEEN]) == [WITHIN]
+    assert results_of(inside, [other, WITHIN, BETWEEN]) == [WITHIN]
     taken, against = WITHIN | {"accepted": True}, WITHIN | {"kind": "consistency"}
-    assert verdicts_on(inside, [taken, other, against]) == [taken, against]
-    assert summary([inside, taken, against])[1:] == ["frames 8 and 1: refused, no match"]
-    assert verdicts_on(CANDIDATE, [WITHIN, BETWEEN, BETWEEN | {"first": 2}]) == [BETWEEN]
+    assert results_of(inside, [taken, other, against]) == [taken, against]
+    assert summary([inside, taken, against])[1:] == ["frames 8 and 1: rejected, no match"]
+    assert results_of(CANDIDATE, [WITHIN, BETWEEN, BETWEEN | {"first": 2}]) == [BETWEEN]
     another = VERIFIED | {"match": 2}
-    assert verdicts_on(CANDIDATE, [BETWEEN, VERIFIED, another]) == [BETWEEN, VERIFIED]
+    assert results_of(CANDIDATE, [BETWEEN, VERIFIED, another]) == [BETWEEN, VERIFIED]
 
 
 def test_the_story_tells_what_was_refused():
@@ -104,6 +106,6 @@ def test_the_story_tells_what_was_refused():
         [CANDIDATE, WITHIN, BETWEEN | {"accepted": False, "reason": "only 3 % overlap"}]
     )
     assert lines[1:] == [
-        "frames 8 and 1: refused, no match",
-        "submaps 0 and 1: only 3 % overlap, 6.4 cm and 0.57 degrees off the odometry",
+        "frames 8 and 1: rejected, no match",
+        "submaps 0 and 1: only 3 % overlap, 6.4 cm and 0.57 degrees from odometry",
     ]

@@ -90,7 +90,7 @@ def test_a_bare_splat_file_is_shown_whole(run, tmp_path):
         (["render", "RUN", "--trajectory", "RUN/nothing.txt"], "nothing.txt"),
         (["render", "RUN/map.ply", "--camera", "0", "1", "1", "1"], "fx, fy > 0"),
         (["render", "RUN", "--out", "RUN/map.ply"], "map.ply"),
-        (["export", "RUN", "--to", "RUN/map.obj"], ".ply, .splat, .spz"),
+        (["export", "RUN", "--to", "RUN/map.obj"], ".ply or .splat or .spz"),
         (["export", "RUN", "--to", "RUN/no/map.ply"], "RUN/no"),
         (["export", "RUN", "--to", "RUN/a.ply", "--mesh", "--points"], "not both"),
         (["export", "RUN", "--to", "RUN/a.mesh.ply", "--voxel-m", "0"], "--voxel-m"),

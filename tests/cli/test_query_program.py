@@ -97,7 +97,7 @@ def test_query_prints_the_tree_and_a_table(finished):
     done = semsplat("query", finished, "large items > furnishings", "chair")
     assert done.returncode == 0, done.stderr
     assert "large items > furnishings: " in done.stdout
-    assert "3 object(s), covering" in done.stdout
+    assert "3 object(s), " in done.stdout and "m2 of floor area" in done.stdout
     assert "1.20 x 0.80 x 0.75" in done.stdout
     # The group and then the class, each with both chairs.
     assert done.stdout.count("0.48 x 0.44 x 0.90") == 4
@@ -161,20 +161,20 @@ def test_unsure_gaussians_can_be_left_out(room_run, capsys):
     assert answer["gaussians"] == len(chairs) // 2
     assert len(answer["objects"]) == 1
     line = one_line_of_error(capsys, "query", room_run, "chair", "--min-confidence", "0.95")
-    assert "holds no 'chair' with confidence 0.95 or more" in line
+    assert "contains no 'chair' with confidence 0.95 or more" in line
 
 
 def test_without_a_floor_it_says_so(finished, capsys):
     assert main(["query", str(finished), "table", "--floor", "wall"]) == 0
-    assert "nothing in the map tells what is up" in capsys.readouterr().out
+    assert "No floor was found" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["chiar"], "no class or group 'chiar' in taxonomy 'room'; did you mean chair"),
-        (["sofa"], "holds no 'sofa'; see what there is with: semsplat query RUN --list"),
-        (["chair", "sofa"], "holds no 'sofa'"),
+        (["sofa"], "contains no 'sofa'; list its classes with: semsplat query RUN --list"),
+        (["chair", "sofa"], "contains no 'sofa'"),
         (["chair", "--list"], "not both"),
         (["--cloud", "a.ply"], "need the names"),
         (["chair", "--cloud", "FOLDER/a.obj"], "must end in .ply or .pcd"),
@@ -192,7 +192,8 @@ def test_bad_queries_are_told_in_one_line(finished, tmp_path, capsys, words, sai
 
 
 def test_runs_without_labels_or_their_tree_say_what_to_do(room_run, run, capsys):
-    assert "map.ply has no labels; map again" in one_line_of_error(capsys, "query", run, "chair")
+    line = one_line_of_error(capsys, "query", run, "chair")
+    assert "map.ply has no labels; run SLAM again" in line
     assert "has no labels" in one_line_of_error(
         capsys, "export", run, "--to", run / "a.ply", "--keep", "chair"
     )
@@ -237,8 +238,8 @@ def test_export_makes_meshes_and_points_of_a_part(finished, tmp_path):
     [
         (["--keep", "chiar"], "did you mean chair"),
         (["--drop", "chiar"], "did you mean chair"),
-        (["--keep", "sofa"], "holds no 'sofa'"),
-        (["--drop", "large items"], "leave nothing"),
+        (["--keep", "sofa"], "contains no 'sofa'"),
+        (["--drop", "large items"], "exclude all Gaussians"),
     ],
 )
 def test_bad_parts_are_told_in_one_line(finished, tmp_path, capsys, words, said):

@@ -36,7 +36,7 @@ def merged(room_runs, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("merged") / "ab"
     done = semsplat("register", room_runs.a, room_runs.b, "--out", out, *FAST)
     assert done.returncode == 0, done.stderr
-    for word in ("overlap", "surfaces", "classes", "residuals"):
+    for word in ("overlap", "inliers", "with the same class", "residuals"):
         assert word in done.stdout
     return out
 
@@ -136,7 +136,7 @@ def test_different_trees_merge_without_labels(room_runs, b, tmp_path, capsys):
     other_tree(b)
     assert main(["register", str(room_runs.a), str(b), "--out", str(tmp_path / "m"), *FAST]) == 0
     said = capsys.readouterr().out
-    assert "without labels" in said and str(b / "taxonomy.yaml") in said
+    assert "has no labels" in said and str(b / "taxonomy.yaml") in said
     assert read_splats(tmp_path / "m/map.ply").labels is None
     assert figures(tmp_path / "m")["class_agreement"] is None
     assert not (tmp_path / "m/taxonomy.yaml").exists()

@@ -59,7 +59,7 @@ def test_a_head_is_trained_measured_on_held_out_frames_and_written(
     ("more", "named"),
     [
         (["--hold-out", "1"], "--hold-out: input should be greater than or equal to 2, got 1"),
-        (["--hold-out", "9"], "leave none to measure on"),
+        (["--hold-out", "9"], "no frame is left for evaluation"),
         (["--out", "head.bin"], "--out must end in .safetensors"),
         (["--model", "nowhere"], "nowhere has no config.json"),
     ],
@@ -78,7 +78,7 @@ def test_a_data_set_without_labels_is_named(labelled, tiny_dinov2, tmp_path, cap
     for name in ("results", "traj.txt", "cam_params.json"):
         (bare / name).symlink_to(labelled / name)
     assert main(words(bare, tiny_dinov2, tmp_path / "head.safetensors")) == 2
-    assert "has no labels to learn from" in capsys.readouterr().err
+    assert "has no labels for training" in capsys.readouterr().err
 
 
 def test_a_missing_library_is_one_line(labelled, tiny_dinov2, tmp_path, capsys, monkeypatch):

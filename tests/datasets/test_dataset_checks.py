@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from toolkit.cli import check_data
+from toolkit.cli.programs import CheckDataOptions
 from toolkit.datasets.checks import check_dataset
 from toolkit.io import images
 
@@ -116,12 +117,12 @@ def test_single_frame_is_a_fault(make_replica):
 
 def test_program_prints_the_report_and_sets_the_exit_status(make_replica, capsys):
     folder = make_replica()
-    arguments = ["--kind", "replica", "--path", str(folder), "--image-size", "16", "12"]
+    arguments = CheckDataOptions("replica", folder, image_size=(16, 12))
     assert check_data.main(arguments) == 0
     assert "16x12" in capsys.readouterr().out
     (folder / "results/depth000002.png").unlink()
     assert check_data.main(arguments) == 1
-    assert "wrong: 1 colour image(s) without depth" in capsys.readouterr().out
+    assert "error: 1 colour image(s) without depth" in capsys.readouterr().out
 
 
 def test_program_reports_a_wrong_path_in_one_line(tmp_path):

@@ -58,7 +58,7 @@ def test_sequences_of_rows_are_known() -> None:
 
 @pytest.mark.parametrize("name", recordings.ROOMS)
 def test_options_of_rooms_are_those_of_make_room(name: str) -> None:
-    from toolkit.cli.make_room import MakeRoomOptions
+    from toolkit.cli.programs import MakeRoomOptions
 
     options = tyro.cli(MakeRoomOptions, args=["--out", "room", *recordings.ROOMS[name]])
     assert options.out.name == "room"

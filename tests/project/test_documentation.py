@@ -19,7 +19,10 @@ import tyro
 from documentation import PAGES, ROOT, Block, Command
 
 import toolkit
+from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.help import option_names
 from toolkit.cli.main import JOBS
+from toolkit.cli.programs import PROGRAMS
 
 sys.path.insert(0, str(ROOT / "docs"))
 
@@ -105,6 +108,9 @@ def parse_job(words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert words[0] in JOBS, f"there is no job {words[0]}"
     if {"--help", "--help-all"} & set(words):
         return
+    if words[0] in PROGRAMS:
+        parse_arguments(PROGRAMS[words[0]], words[1:], words[0])
+        return
     module = importlib.import_module(f"toolkit.cli.{JOBS[words[0]][0]}")
     if hasattr(module, "parse_arguments"):
         monkeypatch.setattr(module, "parse_arguments", stop_after(module.parse_arguments))
@@ -146,10 +152,10 @@ def make_targets() -> set[str]:
 
 @functools.cache
 def known_options() -> set[str]:
-    """All options of all programs."""
-    actions = [action for module, _ in JOBS.values() for action in job_options(module)]
+    """All options of all jobs."""
+    options = [option for job in JOBS for option in job_options(job)]
     common = {"--help", "--help-all", "--verbose", "--version"}
-    return common.union(*(action.option_strings for action in actions))
+    return common.union(*(option_names(option) for option in options))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -205,6 +211,8 @@ def test_the_reference_lists_every_option_with_a_description():
     assert {"--tracking.dense.levels", "--dataset.path", "--min-confidence"} <= listed
     levels = next(row for row in rows if "`--tracking.dense.levels`" in row)
     assert "| `INT` [1, 7] | `4` | Number of image pyramid levels." in levels
+    confidence = next(row for row in rows if "`--min-confidence`" in row)
+    assert "| `FLOAT` [0, 1] | `0.0` | " in confidence
 
 
 def test_the_reference_describes_every_public_name():

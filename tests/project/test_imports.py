@@ -46,6 +46,29 @@ heavy = {"torch", "open3d", "scipy", "cv2", "numpy", "sklearn", "faiss", "gtsam"
 print(sorted(heavy & set(sys.modules)))
 """
 
+# Wrong arguments of a job whose module imports torch: values, combinations and file names.
+WRONG_ARGUMENTS = """
+import sys
+from toolkit.cli.main import main
+for arguments in (
+    ["run", "--out", "o", "--nothing"],
+    ["evaluate", "r", "--max-views", "0"],
+    ["render", "r", "--every", "0"],
+    ["render", "r", "--what", "labels"],
+    ["render", "r", "--trajectory", "t", "--view", "0", "0", "0", "0", "0"],
+    ["export", "r", "--to", "map.ply", "--voxel-m", "0"],
+    ["export", "r", "--to", "map.obj"],
+    ["query", "r", "--min-confidence", "2"],
+    ["query", "r", "chair", "--list"],
+    ["register", "a", "b", "--out", "."],
+    ["explain-loops", "r", "--nothing"],
+    ["train-head", "--dataset.kind", "folder", "--dataset.path", "d", "--model", "m",
+     "--out", "head.bin"],
+):
+    assert main(arguments) == 2, arguments
+print(sorted({"torch", "open3d", "sklearn", "gtsam", "faiss"} & set(sys.modules)))
+"""
+
 IMPORT_TOOLKIT = """
 import sys, toolkit, toolkit.cli.main
 assert set(toolkit.__all__) <= set(dir(toolkit))
@@ -78,6 +101,13 @@ def test_importing_the_toolkit_and_the_command_is_cheap(run_python):
     result = run_python("-c", IMPORT_TOOLKIT)
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == "[]"
+
+
+def test_wrong_arguments_are_reported_before_heavy_libraries_are_loaded(run_python):
+    result = run_python("-c", WRONG_ARGUMENTS)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.strip() == "[]"
+    assert result.stderr.count("semsplat: error: ") == 12
 
 
 def test_help_loads_no_heavy_library(run_python):

@@ -1,4 +1,4 @@
-"""Command lines: parsed by tyro into dataclasses and validated, with errors on one line."""
+"""Parse command lines into validated dataclasses with tyro; errors are one line."""
 
 from __future__ import annotations
 
@@ -21,20 +21,17 @@ Arguments = TypeVar("Arguments")
 def parse_arguments(
     kind: type[Arguments], argv: Sequence[str], job: str, **options: Any
 ) -> Arguments:
-    """The arguments of a program as a validated dataclass.
+    """Parse the arguments of a job into a validated dataclass.
 
     Args:
         kind: dataclass of the arguments.
-        argv: command line after the job's name.
+        argv: command line after the name of the job.
         job: name of the job.
         options: passed to `tyro.cli`, for instance a default.
 
-    Returns:
-        The arguments. `--help` and `--help-all` print a help page instead and end the program.
-
     Raises:
         SettingsError: an option is unknown or a value is invalid; the message is one line.
-        SystemExit: help was requested.
+        SystemExit: help was requested and printed.
     """
     if FLAGS & set(argv):
         print(help_page(kind, job, "--help-all" in argv), end="")
@@ -56,14 +53,15 @@ def _flag(key: str) -> str:
 
 
 def _first_error(box: str, kind: type) -> str:
-    """The message in the box that tyro prints, on one line; an unknown option with the nearest.
+    """Extract the message from the box that tyro prints, as one line.
 
-    The box is drawn in ASCII where stdout is ASCII.
+    The message for an unknown option proposes the most similar one. The box is drawn with ASCII
+    characters if stdout is ASCII.
     """
-    lines = [line.strip("│ ") for line in box.splitlines()][1:]  # below the title
+    lines = [line.strip("│ ") for line in box.splitlines()][1:]  # without the title
     if lines and not lines[0].strip("-"):
         del lines[0]
-    # Up to the rule above the help text.
+    # The message ends at the horizontal line above the help text.
     message = itertools.takewhile(lambda line: line.strip("─- "), lines)
     text = " ".join(" ".join(message).split()).rstrip(".")
     unknown = re.match(r"Unrecognized options: (--([\w.-]+))", text)

@@ -1,4 +1,4 @@
-"""`semsplat build-taxonomy`: sort class names into a tree, by rules or a language model."""
+"""`semsplat build-taxonomy`: build a taxonomy from class names, by rules or a language model."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from toolkit.cli.arguments import parse_arguments
+from toolkit.cli.checks import check_output
 from toolkit.cli.programs import BuildTaxonomyOptions, DatasetChoice
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
 from toolkit.io.class_names import read_class_names
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURES
+from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURE_SUFFIXES
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.taxonomy_text import tree_text
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
@@ -43,29 +43,29 @@ from toolkit.taxonomy_building.shapes import ShapeProvider, read_shape_table
 
 logger = logging.getLogger(__name__)
 
-_OF_A_MODEL = ("base_url", "model", "cache", "record", "replay", "fall_back")
+# Options that need a language model.
+_MODEL_OPTIONS = ("base_url", "model", "cache", "record", "replay", "fall_back")
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-# Frames of a scan that are measured; more hardly change a class's shape.
-_MOST_FRAMES = 100
+# Maximum number of measured frames of a scan; more have little effect on the shape of a class.
+_MAX_FRAMES = 100
 _SUFFIXES = (".yaml", ".yml", ".json")
 
 
-def main(argv: Sequence[str]) -> int:
-    """Build a tree, write it, print it.
+def main(options: BuildTaxonomyOptions) -> int:
+    """Build a taxonomy, write it and print it.
 
     Returns:
         0.
 
     Raises:
-        ToolkitError: options contradict each other, the names make no tree, the shapes or
-            the model cannot be had, or the file cannot be written.
+        ToolkitError: options contradict each other, class names are invalid, the shapes cannot be
+            read, the language model is not available, or a file cannot be written.
     """
-    options = parse_arguments(BuildTaxonomyOptions, argv, "build-taxonomy")
     _check(options)
-    taxonomy = _built(_class_names(options), options)
+    taxonomy = _build(_class_names(options), options)
     if options.review:
         print(tree_text(taxonomy))
-    print(f"{taxonomy}; {_channels(taxonomy)}")
+    print(f"{taxonomy}; {_channel_counts(taxonomy)}")
     if options.out:
         taxonomy.save(options.out)
         print(f"wrote {options.out}")
@@ -77,26 +77,26 @@ def main(argv: Sequence[str]) -> int:
 
 def _check(options: BuildTaxonomyOptions) -> None:
     if not (options.out or options.review or options.picture):
-        raise SettingsError("give --out FILE.yaml to write the tree, or --review to see it")
-    for name, suffixes in (("out", _SUFFIXES), ("picture", PICTURES)):
+        raise SettingsError("give --out FILE.yaml to write the taxonomy, or --review to print it")
+    for name, suffixes in (("out", _SUFFIXES), ("picture", PICTURE_SUFFIXES)):
         path = getattr(options, name)
-        if path and path.suffix not in suffixes:
-            raise SettingsError(f"--{name} {path} must end in {', '.join(suffixes)}")
-        if path and not path.parent.is_dir():
-            raise SettingsError(f"--{name} {path}: there is no folder {path.parent}; make it")
+        if path is not None:
+            check_output(f"--{name}", path, suffixes)
     sources = (options.classes is not None) + (options.dataset.path is not None)
     if sources == 0 or (sources == 2 and options.shapes != ("scans",)):
-        raise SettingsError("give --classes FILE or --dataset.path FOLDER, one of them")
-    given = [name for name in _OF_A_MODEL if getattr(options, name)]
+        raise SettingsError("give either --classes FILE or --dataset.path FOLDER")
+    given = [name for name in _MODEL_OPTIONS if getattr(options, name)]
     if options.grouper == "rules" and given:
-        raise SettingsError(f"{_option(given[0])} is of use with --grouper language-model alone")
+        raise SettingsError(f"{_option(given[0])} requires --grouper language-model")
     others = [name for name in given if name not in ("replay", "record")]
     if options.replay and others:
-        raise SettingsError(f"--replay answers from its file; leave {_option(others[0])} out")
+        raise SettingsError(
+            f"--replay reads all answers from a file; {_option(others[0])} cannot be used with it"
+        )
     if not 0 <= options.seed < 2**32:
-        raise SettingsError(f"--seed must lie in [0, 2^32), got {options.seed}")
+        raise SettingsError(f"--seed must be in [0, 2^32), got {options.seed}")
     if options.shapes == ("scans",) and options.dataset.path is None:
-        raise SettingsError("--shapes scans measures labelled frames: give --dataset.path")
+        raise SettingsError("--shapes scans needs labelled frames; give --dataset.path")
 
 
 def _option(name: str) -> str:
@@ -104,7 +104,7 @@ def _option(name: str) -> str:
 
 
 def _class_names(options: BuildTaxonomyOptions) -> list[str]:
-    """Names in the order of their ids, or of their lines."""
+    """Return the class names in the order of their ids or lines."""
     source = options.classes or options.dataset.path
     assert source is not None
     if options.classes and options.classes.suffix != ".json":
@@ -130,27 +130,27 @@ def _lines(path: Path) -> list[str]:
     except OSError as error:
         raise DatasetError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise DatasetError(f"{path} is no text in UTF-8; save it so") from error
+        raise DatasetError(f"{path} is not UTF-8 text; save it in this encoding") from error
     return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
 
-def _built(classes: Sequence[str], options: BuildTaxonomyOptions) -> Taxonomy:
+def _build(classes: Sequence[str], options: BuildTaxonomyOptions) -> Taxonomy:
     name = options.out.stem if options.out else "taxonomy"
     shapes = _shapes(options)
 
-    def built(grouper: Grouper) -> Taxonomy:
+    def build(grouper: Grouper) -> Taxonomy:
         return build_taxonomy(classes, grouper, shapes, BuildOptions(name=name), options.seed)
 
     if options.grouper == "rules":
-        return built(RuleGrouper())
+        return build(RuleGrouper())
     try:
         with tqdm(unit="question", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
-            return built(_Counted(LanguageModelGrouper(_model(options), options.seed), bar))
+            return build(_CountingGrouper(LanguageModelGrouper(_model(options), options.seed), bar))
     except (NoModelError, DependencyError) as error:
         if not options.fall_back:
             raise
-        logger.warning("%s; the rules build the whole tree instead", error)
-        return built(RuleGrouper())
+        logger.warning("%s; the taxonomy is built by rules instead", error)
+        return build(RuleGrouper())
 
 
 def _shapes(options: BuildTaxonomyOptions) -> ShapeProvider | None:
@@ -165,12 +165,12 @@ def _shapes(options: BuildTaxonomyOptions) -> ShapeProvider | None:
 
 
 def _scan(choice: DatasetChoice) -> LabelledScan:
-    """What the labelled frames of a data set saw, from its true poses."""
+    """Collect the labelled points of a dataset with ground-truth poses."""
     assert choice.path is not None
     dataset = open_dataset(choice.kind, choice.path)
     if dataset.ground_truth is None or not dataset.label_names:
-        raise DatasetError(f"{choice.path}: --shapes scans needs labels and true poses")
-    step = -(-len(dataset) // _MOST_FRAMES)
+        raise DatasetError(f"{choice.path}: --shapes scans needs labels and ground-truth poses")
+    step = -(-len(dataset) // _MAX_FRAMES)
     frames = tqdm(
         prefetched(dataset, range(0, len(dataset), step)),
         total=-(-len(dataset) // step),
@@ -195,8 +195,8 @@ def _model(options: BuildTaxonomyOptions) -> ChatModel:
     return RecordingModel(model, options.record) if options.record else model
 
 
-class _Counted:
-    """A grouper whose questions a progress bar counts; how many there will be nobody knows."""
+class _CountingGrouper:
+    """A grouper that counts questions in a progress bar, whose total is unknown."""
 
     def __init__(self, grouper: Grouper, bar: tqdm) -> None:
         self._grouper = grouper
@@ -207,7 +207,7 @@ class _Counted:
         return self._grouper.group(question, complaint)
 
 
-def _channels(taxonomy: Taxonomy) -> str:
+def _channel_counts(taxonomy: Taxonomy) -> str:
     one_hot = sum(taxonomy.level_widths)
     binary = sum(math.ceil(math.log2(width)) for width in taxonomy.level_widths)
     return f"{one_hot} channels one-hot, {binary} binary"

@@ -1,4 +1,4 @@
-"""`semsplat doctor`: what this machine has, and the line that mends what it lacks."""
+"""`semsplat doctor`: report missing packages and libraries and how to install them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _REQUIRED = {
     "matplotlib": "matplotlib",
 }
 
-# Import name: distribution, what it is for.
+# Import name: distribution, purpose.
 _OPTIONAL = {
     "transformers": ("transformers", "DINOv2 and segmentation models"),
     "openai": ("openai", "building a taxonomy with a language model"),
@@ -45,8 +45,8 @@ _SYSTEM_LIBRARIES = {
     "libEGL.so.1": "libegl1",
 }
 
-# To be run in the checkout.
-_MEND_NATIVE = (
+# Must be run in the repository.
+_BUILD_NATIVE = (
     "apt-get install -y g++ python3-dev && pip install --force-reinstall --no-deps --editable ."
 )
 
@@ -56,10 +56,10 @@ class Finding:
     """One line of the report.
 
     Attributes:
-        subject: what was looked at.
-        state: what was found.
-        remedy: the line that mends it; empty where nothing is missing.
-        needed: whether semsplat cannot do its main job without it.
+        subject: the checked component.
+        state: its version or state.
+        remedy: command that fixes the problem; empty without a problem.
+        needed: whether `semsplat run` needs the component.
     """
 
     subject: str
@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> int:
     """Print the report.
 
     Returns:
-        0, or 1 where something is missing that the main job needs.
+        0, or 1 if a component that `semsplat run` needs is missing.
     """
     parser = argparse.ArgumentParser(prog="semsplat doctor", description=__doc__)
     _, unknown = parser.parse_known_args(list(argv))
@@ -84,9 +84,9 @@ def main(argv: Sequence[str]) -> int:
         print(f"{finding.subject:<{width}}  {finding.state}")
         if finding.remedy:
             print(f"{'':<{width}}  fix it with: {finding.remedy}")
-    lacking = [finding.subject for finding in findings if finding.needed and finding.remedy]
-    print(f"\nmissing: {', '.join(lacking)}" if lacking else "\nall that a run needs is here")
-    return 1 if lacking else 0
+    missing = [finding.subject for finding in findings if finding.needed and finding.remedy]
+    print(f"\nmissing: {', '.join(missing)}" if missing else "\nno required component is missing")
+    return 1 if missing else 0
 
 
 def examine() -> Iterator[Finding]:
@@ -120,13 +120,13 @@ def _native_kernels() -> Finding:
     subject = "native kernels"
     built = native.built_instruction_sets()
     if not built:
-        return Finding(subject, "not built: rendering uses slow torch code", _MEND_NATIVE)
+        return Finding(subject, "not built: rendering uses slow torch code", _BUILD_NATIVE)
     try:
         chosen = native.kernels()
     except DependencyError as error:
         return Finding(subject, str(error), f"unset {native.ISA_VARIABLE}", needed=True)
     if chosen is None:
-        return Finding(subject, f"built ({', '.join(built)}), but cannot be loaded", _MEND_NATIVE)
+        return Finding(subject, f"built ({', '.join(built)}), but cannot be loaded", _BUILD_NATIVE)
     forced = f" ({native.ISA_VARIABLE})" if os.environ.get(native.ISA_VARIABLE) else ""
     return Finding(subject, f"{chosen.instruction_set}{forced}; built: {', '.join(built)}")
 
@@ -150,10 +150,10 @@ def _gpu() -> Finding:
     if shutil.which("nvidia-smi") and torch.version.cuda is None:
         return Finding(
             "gpu",
-            "NVIDIA, but this torch is built for the CPU alone",
+            "NVIDIA GPU, but the installed torch supports only the CPU",
             "pip uninstall -y torch && pip install torch",
         )
-    return Finding("gpu", "none that torch can use; the CPU does all the work")
+    return Finding("gpu", "no GPU that torch can use; computation runs on the CPU")
 
 
 def _open3d_findings() -> Iterator[Finding]:
@@ -173,7 +173,7 @@ def _system_libraries() -> Finding:
     if missing:
         remedy = f"apt-get install -y {' '.join(missing)}"
         return Finding(subject, f"missing: {', '.join(missing)}", remedy, needed=True)
-    return Finding(subject, f"all that Open3D needs ({', '.join(_SYSTEM_LIBRARIES.values())})")
+    return Finding(subject, f"complete for Open3D ({', '.join(_SYSTEM_LIBRARIES.values())})")
 
 
 def _package(module: str, distribution: str) -> Finding:
@@ -193,7 +193,7 @@ def _version(distribution: str) -> str:
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
-        return "present"  # from a sister package, as OpenCV has several
+        return "present"  # from another distribution, as OpenCV has several
 
 
 def _loads(library: str) -> bool:

@@ -1,4 +1,4 @@
-"""What a user sees when something goes wrong: one line that names the remedy."""
+"""Error messages of the command line: one line that names the remedy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 logger = logging.getLogger(__name__)
 
 USER_ERROR = 2
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+INTERRUPTED = 130  # 128 + SIGINT, as in shells
 
 _REMEDIES = {
     errno.ENOSPC: "free some space or write elsewhere",
@@ -29,17 +29,17 @@ _REMEDIES = {
 
 
 def one_line_errors(job: Callable[[], int]) -> int:
-    """Run a job; turn what the user can mend into one line and an exit status.
+    """Run a job; report errors that the user can fix in one line and return the exit status.
 
-    Faults of our own (any other exception) pass through with their traceback.
+    Other exceptions are programming errors and propagate with their traceback.
     """
     try:
         status = job()
-        sys.stdout.flush()  # here, where a failure is still caught
+        sys.stdout.flush()  # errors of flushing are caught here
         return status
     except BrokenPipeError:
-        # The reader of our output left, as in `semsplat doctor | head`. What Python
-        # still holds for it must go somewhere, or it complains once more on exit.
+        # The reader of stdout has exited, as in `semsplat doctor | head`. Redirect buffered output,
+        # or Python reports the error again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt:
@@ -49,16 +49,16 @@ def one_line_errors(job: Callable[[], int]) -> int:
         message = explain(error)
         if message is None:
             raise
-        logger.debug("the error came from here", exc_info=True)
+        logger.debug("Traceback of the error:", exc_info=True)
         print(f"semsplat: error: {message}", file=sys.stderr)
         return USER_ERROR
 
 
 def explain(error: Exception) -> str | None:
-    """One line with the remedy, or None where the fault is ours and not the user's."""
+    """Return one line with the remedy, or None for programming errors."""
     if isinstance(error, ToolkitError):
         return _one_line(str(error))
-    if isinstance(error, ModuleNotFoundError) and not _is_ours(error.name):
+    if isinstance(error, ModuleNotFoundError) and not _is_own_module(error.name):
         return f"the package {error.name!r} is missing; see: semsplat doctor"
     if isinstance(error, OSError):
         return _explain_os_error(error)
@@ -74,12 +74,12 @@ def _explain_os_error(error: OSError) -> str:
     return _one_line(f"{where}{reason}" + (f"; {remedy}" if remedy else ""))
 
 
-def _is_ours(module: str | None) -> bool:
+def _is_own_module(module: str | None) -> bool:
     return module is None or module.split(".")[0] == "toolkit"
 
 
 def _is_torch_memory_error(error: Exception) -> bool:
-    # By text: the CPU allocator raises a plain RuntimeError, and torch may not be loaded.
+    # Recognised by text: the CPU allocator raises RuntimeError, and torch may not be loaded.
     text = str(error)
     return isinstance(error, RuntimeError) and (
         "can't allocate memory" in text or "out of memory" in text

@@ -1,12 +1,10 @@
-"""`semsplat evaluate`: measure a run folder again."""
+"""`semsplat evaluate`: evaluate a finished run again."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 
-from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.programs import EvaluateOptions
 from toolkit.errors import FormatError
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
@@ -16,7 +14,7 @@ from toolkit.runs.finished import FinishedRun, load_run
 
 _log = logging.getLogger(__name__)
 
-_SHOWN = (
+_PRINTED = (
     "ate_rmse_cm",
     "rpe_rotation_deg",
     "psnr_db",
@@ -30,39 +28,36 @@ _SHOWN = (
     "frames_lost",
     "gaussians",
 )
+_PRINTED_SUBSET = ("miou_percent", "miou_subset_percent", "miou_subset_unseen_percent")
 
 
-_SHOWN_SUBSET = ("miou_percent", "miou_subset_percent", "miou_subset_unseen_percent")
-
-
-def main(argv: Sequence[str]) -> int:
+def main(options: EvaluateOptions) -> int:
     """Evaluate a run.
 
     Returns:
         0.
 
     Raises:
-        ToolkitError: there is no finished run, its data set or the weights of LPIPS cannot be
-            read, or a value is out of range.
+        ToolkitError: there is no finished run, or its dataset or the weights of LPIPS cannot be
+            read.
     """
-    options = parse_arguments(EvaluateOptions, argv, "evaluate")
     run = load_run(options.run)
     evaluation = _evaluation_settings(run, options)
-    figures = evaluate(run, options.dataset.path, options.max_views, evaluation)
-    metrics = _earlier_metrics(run) | figures
+    new_metrics = evaluate(run, options.dataset.path, options.max_views, evaluation)
+    metrics = _earlier_metrics(run) | new_metrics
     write_metrics(run.folder.metrics, metrics)
-    for key in _SHOWN + _SHOWN_SUBSET * evaluation.subset:
-        print(f"{key:<28}{_shown(metrics.get(key))}")
+    for key in _PRINTED + _PRINTED_SUBSET * evaluation.subset:
+        print(f"{key:<28}{_format(metrics.get(key))}")
     print(f"wrote {run.folder.metrics}")
     return 0
 
 
 def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> EvaluationOptions:
-    """The run's evaluation settings with the changes from the command line."""
+    """Return the run's evaluation settings with the changes from the command line."""
     weights = options.lpips_weights or run.settings.evaluation.lpips_weights
     missing = [str(file) for file in weights if not file.is_file()]
     if missing and not options.lpips_weights:
-        _log.warning("LPIPS is not computed: %s does not exist any more", missing[0])
+        _log.warning("LPIPS is not computed: %s no longer exists.", missing[0])
         weights = ()
     evaluation = run.settings.evaluation
     subset = options.subset or evaluation.subset
@@ -70,17 +65,17 @@ def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> Evaluati
 
 
 def _earlier_metrics(run: FinishedRun) -> Metrics:
-    """What metrics.json holds: times and memory cannot be measured again."""
+    """Return the content of metrics.json: times and memory cannot be measured again."""
     if not run.folder.metrics.exists():
         return {}
     try:
         return read_metrics(run.folder.metrics)
     except FormatError as error:
-        _log.warning("earlier figures are lost: %s", error)
+        _log.warning("Earlier metrics are not kept: %s.", error)
         return {}
 
 
-def _shown(value: float | int | str | None) -> str:
+def _format(value: float | int | str | None) -> str:
     if value is None:
         return "n/a"
     return f"{value:.3f}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""`semsplat explain-loops`: a picture of every suspected loop, and what became of it."""
+"""`semsplat explain-loops`: draw every loop candidate of a run and its result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.programs import ExplainLoopsOptions
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import FormatError, RunFolderError
@@ -32,15 +31,17 @@ from toolkit.runs.finished import FinishedRun, load_run
 
 _log = logging.getLogger(__name__)
 
-_TAKEN, _REFUSED, _PLAIN = (30, 140, 60), (190, 40, 40), (120, 120, 120)
+# Text colours of accepted and rejected results, and of other values.
+_ACCEPTED, _REJECTED, _NEUTRAL = (30, 140, 60), (190, 40, 40), (120, 120, 120)
+# Number of observed points for computing overlap.
 _POINTS = 1000
-# Pictures are enlarged to this many pixels, or the lines below them could not be read.
-_LEAST_WIDTH = 480
+# Images are enlarged to at least this width in pixels, so that the text below is readable.
+_MIN_WIDTH = 480
 
 Record = dict[str, Any]
 
-# Values of the records that are explained, by kind.
-_NEEDED = {
+# Required keys of the displayed records, by kind.
+_REQUIRED = {
     "candidate": (
         *("query", "match", "query_submap", "match_submap"),
         *("distance", "cosine", "landmark_distance", "accepted", "reason"),
@@ -51,158 +52,158 @@ _NEEDED = {
 }
 
 
-def main(argv: Sequence[str]) -> int:
-    """Explain the loops of a run.
+def main(options: ExplainLoopsOptions) -> int:
+    """Draw the loop candidates of a run.
 
     Raises:
-        ToolkitError: there is no finished run, its log or its data set cannot be read.
+        ToolkitError: there is no finished run, or its loop log or its dataset cannot be read.
     """
-    options = parse_arguments(ExplainLoopsOptions, list(argv), "explain-loops")
     run = load_run(options.run)
     records = read_loop_log(run.folder.loops)
     _check(records, run.folder.loops)
-    suspected = [
-        (place, record)
-        for place, record in enumerate(records)
+    candidates = [
+        (position, record)
+        for position, record in enumerate(records)
         if record["kind"] == "candidate" and (record["accepted"] or options.refused)
-        # The frames of a saved map are not in this run's data set.
+        # Frames of a loaded map are not in the dataset of this run.
         if record["match"] >= 0
     ]
     for line in summary(records):
         print(line)
-    if not suspected:
+    if not candidates:
         return 0
     out = options.out or run.folder.path / "loops"
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RunFolderError(
-            f"cannot make {out}: {error.strerror}; choose another --out"
+            f"cannot create {out}: {error.strerror}; choose another --out"
         ) from error
     dataset = run.open_dataset(options.dataset_path)
-    for place, candidate in tqdm(suspected, unit="loop"):
-        picture = explained(run, dataset, candidate, verdicts_on(candidate, records[place + 1 :]))
+    for position, candidate in tqdm(candidates, unit="loop"):
+        results = results_of(candidate, records[position + 1 :])
+        picture = candidate_picture(run, dataset, candidate, results)
         name = f"frame{candidate['query']:06d}_frame{candidate['match']:06d}.png"
         write_rgb(out / name, picture.astype(np.float32) / 255.0)
-    _log.info("%d pictures in %s", len(suspected), out)
+    _log.info("Wrote %d images to %s.", len(candidates), out)
     return 0
 
 
 def _check(records: Sequence[Record], path: Path) -> None:
-    """Check that the records have the values that are shown.
+    """Check that the records have the keys that are displayed.
 
     Raises:
-        FormatError: a value is missing.
+        FormatError: a key is missing.
     """
     for number, record in enumerate(records, start=1):
-        needed = _NEEDED.get(record.get("kind", ""), ("kind",))
-        missing = [key for key in needed if key not in record]
+        required = _REQUIRED.get(record.get("kind", ""), ("kind",))
+        missing = [key for key in required if key not in record]
         if missing:
-            raise FormatError(f"{path}:{number} lacks {', '.join(missing)}; remove the line")
+            raise FormatError(f"{path}:{number} has no {', '.join(missing)}; remove the line")
 
 
 def summary(records: Sequence[Record]) -> list[str]:
-    """The story of a run's loops, a line each."""
+    """Return a summary of a run's loop log as lines of text."""
     candidates = [r for r in records if r["kind"] == "candidate"]
     accepted = [r for r in candidates if r["accepted"]]
-    lines = [f"{len(candidates)} keyframes considered, {len(accepted)} of them suspected"]
+    lines = [f"{len(candidates)} loop candidates, {len(accepted)} of them accepted"]
     for record in records:
         if record["kind"] in ("within", "consistency") and "query" in record:
             pair = f"frames {record['query']} and {record['match']}"
             if not record["accepted"]:
-                lines.append(f"{pair}: refused, {record['reason']}")
+                lines.append(f"{pair}: rejected, {record['reason']}")
         elif record["kind"] in ("between", "consistency", "retracted"):
             pair = f"submaps {record['first']} and {record['second']}"
-            lines.append(f"{pair}: {record['reason'] or 'registered'}{_moved(record)}")
+            lines.append(f"{pair}: {record['reason'] or 'registered'}{_correction(record)}")
         elif record["kind"] == "found":
             lines.append(
-                f"submap {record['second']} begins where submap {record['first']} was found"
+                f"submap {record['second']} started at a frame relocalised in submap "
+                f"{record['first']}"
             )
         elif record["kind"].startswith("correction") and "largest_m" in record:
-            what = "anchors" if record["kind"].endswith("between") else "keyframes"
+            corrected = "anchors" if record["kind"].endswith("between") else "keyframes"
             largest = f"{100 * record['largest_m']:.1f} cm"
-            lines.append(f"{record['loops']} loops: {what} move by up to {largest}")
+            lines.append(f"{record['loops']} loops: {corrected} corrected by up to {largest}")
     return lines
 
 
-def verdicts_on(candidate: Record, later: Sequence[Record]) -> list[Record]:
-    """What later lines of the log say of a candidate: of its frames, or of its submaps."""
+def results_of(candidate: Record, later: Sequence[Record]) -> list[Record]:
+    """Return the later records of the log about a candidate's frames or submaps."""
     submaps = {candidate["query_submap"], candidate["match_submap"]}
+    frames = (candidate["query"], candidate["match"])
     if len(submaps) == 1:
-        frames = (candidate["query"], candidate["match"])
-        found = [r for r in later if (r.get("query"), r.get("match")) == frames]
-        return [r for r in found if r["kind"] in ("within", "consistency")]
-    about = [r for r in later if {r.get("first"), r.get("second")} == submaps]
-    pair = (candidate["query"], candidate["match"])
+        same_frames = [r for r in later if (r.get("query"), r.get("match")) == frames]
+        return [r for r in same_frames if r["kind"] in ("within", "consistency")]
+    same_submaps = [r for r in later if {r.get("first"), r.get("second")} == submaps]
     return [
         r
-        for r in about
+        for r in same_submaps
         if r["kind"] in ("between", "consistency", "retracted")
-        or (r["kind"] == "verified" and (r["query"], r["match"]) == pair)
+        or (r["kind"] == "verified" and (r["query"], r["match"]) == frames)
     ]
 
 
-def explained(
-    run: FinishedRun, dataset: RecordedDataset, candidate: Record, verdicts: Sequence[Record]
+def candidate_picture(
+    run: FinishedRun, dataset: RecordedDataset, candidate: Record, results: Sequence[Record]
 ) -> np.ndarray:
-    """The two views of a candidate side by side, and the numbers below."""
+    """Draw the two views of a candidate side by side, with its values below."""
     frames = [dataset[candidate[name]] for name in ("query", "match")]
     panels = [
         Panel(f"frame {frame.index}, submap {candidate[submap]}", _enlarged(frame))
         for frame, submap in zip(frames, ("query_submap", "match_submap"), strict=True)
     ]
     landmarks = candidate["landmark_distance"]
-    told = "tell nothing" if landmarks is None else f"differ by {landmarks:.3f}"
+    landmark_text = "not available" if landmarks is None else f"{landmarks:.3f}"
     entries = [
         LegendEntry(
-            f"descriptors differ by {candidate['distance']:.3f}, cosine {candidate['cosine']:.3f}; "
-            f"landmarks {told}",
-            _PLAIN,
+            f"descriptor distance {candidate['distance']:.3f}, cosine {candidate['cosine']:.3f}; "
+            f"landmark distance {landmark_text}",
+            _NEUTRAL,
         ),
-        LegendEntry(_overlap(run, frames), _PLAIN),
-        *_lines("search", candidate),
-        *(line for record in verdicts for line in _lines(record["kind"], record)),
+        LegendEntry(_overlap(run, frames), _NEUTRAL),
+        *_entries("search", candidate),
+        *(entry for record in results for entry in _entries(record["kind"], record)),
     ]
     return legend_below(strip(panels), entries, len(entries))
 
 
 def _enlarged(frame: Frame) -> Picture:
-    """A frame's picture, each pixel as many wide and high as make it wide enough."""
+    """Return the image of a frame, enlarged by an integer factor to the minimum width."""
     picture = colour_picture(frame.rgb)
-    factor = math.ceil(_LEAST_WIDTH / picture.shape[1])
+    factor = math.ceil(_MIN_WIDTH / picture.shape[1])
     return picture.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
-def _lines(stage: str, record: Record) -> list[LegendEntry]:
-    """A verdict, and below it the figures that it rests on."""
-    colour = _TAKEN if record["accepted"] else _REFUSED
-    lines = [LegendEntry(f"{stage}: {record['reason'] or 'accepted'}", colour)]
-    figures = ""
+def _entries(stage: str, record: Record) -> list[LegendEntry]:
+    """Return the result of a stage and, below it, the values on which it is based."""
+    colour = _ACCEPTED if record["accepted"] else _REJECTED
+    entries = [LegendEntry(f"{stage}: {record['reason'] or 'accepted'}", colour)]
+    values = ""
     if record.get("overlap") is not None:
-        figures = f"overlap {100 * record['overlap']:.0f} %, surfaces agree on "
-        figures += f"{100 * record['inliers']:.0f} % of it{_moved(record)}"
+        values = f"overlap {100 * record['overlap']:.0f} %, "
+        values += f"{100 * record['inliers']:.0f} % inliers{_correction(record)}"
     elif record.get("shared") is not None:
-        figures = f"{100 * record['shared']:.0f} % of the first view is in the second, "
-        figures += f"cameras {record['apart_m']:.2f} m apart"
-    return [*lines, LegendEntry(figures, _PLAIN)] if figures else lines
+        values = f"{100 * record['shared']:.0f} % of the first view is in the second, "
+        values += f"cameras {record['apart_m']:.2f} m apart"
+    return [*entries, LegendEntry(values, _NEUTRAL)] if values else entries
 
 
-def _moved(record: Record) -> str:
+def _correction(record: Record) -> str:
     if record.get("moved_m") is None:
         return ""
-    turned = np.degrees(record["turned_rad"])
-    return f", {100 * record['moved_m']:.1f} cm and {turned:.2f} degrees off the odometry"
+    rotation_deg = np.degrees(record["turned_rad"])
+    return f", {100 * record['moved_m']:.1f} cm and {rotation_deg:.2f} degrees from odometry"
 
 
 def _overlap(run: FinishedRun, frames: Sequence[Frame]) -> str:
-    """How much of the first view the second one sees, from the run's final poses."""
+    """Describe the overlap of two views at the final poses of the run."""
     poses = {f.index: f.T_map_camera for f in run.tracked}
     if any(frame.index not in poses for frame in frames):
-        return "no overlap known: a frame has no pose"
+        return "overlap unknown: a frame has no pose"
     query, match = frames
     points = observed_points(query.camera, query.depth_m, _POINTS)
     points = se3.transform_points(poses[query.index], points[np.isfinite(points).all(axis=1)])
     volume = Frustum(match.camera, poses[match.index], far_m=far_depth_m(match.depth_m))
-    share = contained_fraction(points, [volume])
-    apart = np.linalg.norm(poses[query.index][:3, 3] - poses[match.index][:3, 3])
-    return f"{100 * share:.0f} % of the first view is in the second, cameras {apart:.2f} m apart"
+    overlap = 100 * contained_fraction(points, [volume])
+    distance_m = np.linalg.norm(poses[query.index][:3, 3] - poses[match.index][:3, 3])
+    return f"{overlap:.0f} % of the first view is in the second, cameras {distance_m:.2f} m apart"

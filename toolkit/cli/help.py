@@ -1,7 +1,6 @@
-"""Help pages of the jobs, made from the declared options.
+"""Help pages of the jobs, generated from the declared options in the layout of argparse.
 
-The layout is argparse's. tyro parses the same declarations, but draws boxes of three times the
-height.
+tyro parses the same declarations, but its help is three times as long.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from toolkit.options import REQUIRED, Option, nested_options
 
 FLAGS = frozenset(("-h", "--help", "--help-all"))
 
-# Keys of the options that `--help` shows, by group; `--help-all` shows all. Jobs without an entry
-# have few options and always show all.
+# Keys of the options displayed by `--help`, by group; `--help-all` displays all. Jobs without an
+# entry have few options and always display all.
 COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
     "run": {
         "input": (
@@ -56,17 +55,17 @@ _NAMES = {int: "INT", float: "FLOAT", str: "TEXT", Path: "PATH"}
 
 
 def help_page(kind: type, job: str, everything: bool = False) -> str:
-    """The help page of a job.
+    """Return the help page of a job.
 
     Args:
         kind: dataclass of the job's arguments.
-        job: its name.
-        everything: show all options, also of a job with a short page.
+        job: name of the job.
+        everything: list all options instead of the common ones.
     """
     options = {option.key: option for option in nested_options(kind)}
     common = COMMON.get(job)
     groups = _by_prefix(options) if everything or common is None else common
-    required = [o for o in options.values() if o.default is REQUIRED or _positional(o)]
+    required = [o for o in options.values() if o.default is REQUIRED or is_positional(o)]
     usage = " ".join(["semsplat", job, *map(_usage, required), "[OPTIONS]"])
     epilogue = None
     if common is not None and not everything:
@@ -93,7 +92,7 @@ def help_page(kind: type, job: str, everything: bool = False) -> str:
 
 
 def _by_prefix(options: Mapping[str, Option]) -> dict[str, list[str]]:
-    """Keys by the dataclass that declares them; those of the job itself first."""
+    """Group keys by the dataclass that declares them, those of the job itself first."""
     groups: dict[str, list[str]] = {"options": []}
     for key in options:
         title = key.rpartition(".")[0].replace("_", "-") or "options"
@@ -102,70 +101,84 @@ def _by_prefix(options: Mapping[str, Option]) -> dict[str, list[str]]:
 
 
 def _add(group: argparse._ArgumentGroup, option: Option) -> None:
-    flag = "--" + option.key.replace("_", "-")
     text = f"{option.description}{_limits(option)}".replace("%", "%%")
-    if _positional(option):
-        group.add_argument(option.key, metavar=_name(option), help=text)
+    names = option_names(option)
+    if is_positional(option):
+        group.add_argument(option.key, metavar=names[0], help=text)
     elif isinstance(option.default, bool):
-        prefix, _, name = flag.rpartition(".")
-        opposite = f"{prefix}.no-{name}" if prefix else f"--no-{flag[2:]}"
-        group.add_argument(flag, opposite, action="store_true", help=text)
+        group.add_argument(*names, action="store_true", help=text)
     else:
-        group.add_argument(flag, metavar=_placeholder(option), help=text)
+        group.add_argument(names[0], metavar=_placeholder(option), help=text)
+
+
+def option_names(option: Option) -> list[str]:
+    """Return the names of an option on the command line.
+
+    These are the flag and, for a switch, the flag that turns it off; the placeholder of a
+    positional argument.
+    """
+    if is_positional(option):
+        return [option.key.upper()]
+    flag = "--" + option.key.replace("_", "-")
+    if not isinstance(option.default, bool):
+        return [flag]
+    prefix, _, name = flag.rpartition(".")
+    return [flag, f"{prefix}.no-{name}" if prefix else f"--no-{flag[2:]}"]
+
+
+def default_text(option: Option) -> str:
+    """Return the default value as given on the command line, empty if there is none."""
+    default = option.default
+    if default is REQUIRED or default is None:
+        return ""
+    if isinstance(default, bool):
+        return "on" if default else "off"
+    return " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
 def _limits(option: Option) -> str:
-    """Default and range of an option in parentheses, as far as there are any."""
-    parts = []
-    default = option.default
-    if default is REQUIRED:
-        parts.append("required")
-    elif isinstance(default, bool):
-        parts.append(f"default: {'on' if default else 'off'}")
-    elif isinstance(default, tuple) and default:
-        parts.append(f"default: {' '.join(map(str, default))}")
-    elif default is not None and default != ():
+    """Return default and range of an option in parentheses, as far as they exist."""
+    parts = ["required"] if option.default is REQUIRED else []
+    if default := default_text(option):
         parts.append(f"default: {default}")
     if option.range is not None:
         parts.append(f"range: {option.range}")
     return f" ({', '.join(parts)})" if parts else ""
 
 
-def _positional(option: Option) -> bool:
+def is_positional(option: Option) -> bool:
+    """Whether the option is a positional argument."""
     markers = getattr(Positional[int], "__metadata__", ())
     return any(marker in markers for marker in getattr(option.type, "__metadata__", ()))
 
 
-def _name(option: Option) -> str:
-    return option.key.upper()
-
-
 def _usage(option: Option) -> str:
-    if not _positional(option):
-        return f"--{option.key.replace('_', '-')} {_placeholder(option)}"
-    return _name(option) if option.default is REQUIRED else f"[{_name(option)} ...]"
+    name = option_names(option)[0]
+    if not is_positional(option):
+        return f"{name} {_placeholder(option)}"
+    return name if option.default is REQUIRED else f"[{name} ...]"
 
 
 def _placeholder(option: Option) -> str:
-    """Placeholder of the value; a name where the description explains all choices."""
+    """Return the placeholder of the value; a name if the description explains all choices."""
     choices = get_args(option.type) if get_origin(option.type) is Literal else ()
-    words = set(re.findall(r"[\w-]+", option.description))
-    if choices and words.issuperset(map(str, choices)):
+    described = set(re.findall(r"[\w-]+", option.description))
+    if choices and described.issuperset(map(str, choices)):
         return option.key.rpartition(".")[2].upper()
-    return _metavar(option.type)
+    return type_text(option.type)
 
 
-def _metavar(hint: Any) -> str:
-    """Placeholder of a value of a type, for instance "INT INT" or "{slam,given}"."""
+def type_text(hint: Any) -> str:
+    """Return the placeholder of a type, for instance "INT INT" or "{slam,given}"."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hasattr(hint, "__metadata__"):
-        return _metavar(arguments[0])
+        return type_text(arguments[0])
     if origin is Literal:
         return "{" + ",".join(map(str, arguments)) + "}"
     if origin in (Union, types.UnionType):
-        return "|".join(_metavar(a) for a in arguments if a is not type(None))
+        return "|".join(type_text(a) for a in arguments if a is not type(None))
     if origin is tuple and arguments[-1] is Ellipsis:
-        return f"[{_metavar(arguments[0])} ...]"
+        return f"[{type_text(arguments[0])} ...]"
     if origin is tuple:
-        return " ".join(map(_metavar, arguments))
+        return " ".join(map(type_text, arguments))
     return _NAMES[hint]

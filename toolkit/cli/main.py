@@ -1,8 +1,9 @@
-"""`semsplat JOB ...`: the one entrance to all programs.
+"""`semsplat JOB ...`: entry point of all jobs.
 
-A job is a module of this package with `main(argv) -> int`. It is imported only when
-it is asked for, so that `semsplat --help` is instant and `semsplat doctor` works on a
-machine where half of the packages are missing.
+A job is a module of this package with a function `main`, which returns the exit status. `main`
+takes the arguments declared in `programs.py`, or the command line if the job is not declared there.
+The module is imported after its arguments have been parsed, because it may load torch, which takes
+seconds. `semsplat doctor` works on machines where most packages are missing.
 """
 
 from __future__ import annotations
@@ -11,24 +12,25 @@ import importlib
 import logging
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from toolkit import __version__
 from toolkit.cli.errors import one_line_errors
 
-# Job: module of this package, what it does.
+# Job: module of this package, description.
 JOBS = {
-    "run": ("run", "track and map a data set, evaluate, leave a run folder"),
-    "evaluate": ("evaluate", "measure a run folder again"),
+    "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
+    "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG"),
     "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
-    "explain-loops": ("explain_loops", "draw each suspected loop of a run and its verdict"),
-    "register": ("register", "find where one run's map lies in another's, and merge the two"),
-    "query": ("query", "ask a labelled map what is where, how many and how large"),
-    "check-data": ("check_data", "read a data set and say what is wrong with it"),
-    "make-room": ("make_room", "make a synthetic room with known truth"),
-    "build-taxonomy": ("build_taxonomy", "sort class names into a tree of groups"),
-    "train-head": ("train_head", "train a segmentation head on a data set's labels"),
-    "doctor": ("doctor", "say what this machine has, and how to mend what it lacks"),
+    "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),
+    "register": ("register", "register the maps of two runs and merge them"),
+    "query": ("query", "query number, position and size of the objects of a labelled map"),
+    "check-data": ("check_data", "read a dataset and report its defects"),
+    "make-room": ("make_room", "create a synthetic room with ground truth"),
+    "build-taxonomy": ("build_taxonomy", "build a taxonomy from class names"),
+    "train-head": ("train_head", "train a segmentation head on the labels of a dataset"),
+    "doctor": ("doctor", "report missing packages and libraries and how to install them"),
 }
 
 _USAGE = "usage: semsplat [--help] [--version] [--verbose] JOB ..."
@@ -38,23 +40,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one job and return its exit status.
 
     Args:
-        argv: the words after the program's name; those of this process by default.
+        argv: command line without the program's name; that of this process by default.
 
     Returns:
-        0 on success, 2 where the user can mend it (one line on stderr says how),
-        130 when interrupted; a job may return others of its own.
+        0 on success, 2 for an error that the user can fix (reported in one line on stderr),
+        130 when interrupted. Jobs may return other values.
     """
-    words = list(sys.argv[1:] if argv is None else argv)
-    verbose = "--verbose" in words
-    words = [word for word in words if word != "--verbose"]
-    if not words or words[0] in ("-h", "--help"):
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    verbose = "--verbose" in arguments
+    arguments = [argument for argument in arguments if argument != "--verbose"]
+    if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
-        return 0 if words else 2
-    if words[0] == "--version":
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
         print(f"semsplat {__version__}")
         return 0
     _set_up_logging(verbose)
-    return one_line_errors(lambda: _run_job(words[0], words[1:]))
+    return one_line_errors(lambda: _run_job(arguments[0], arguments[1:]))
 
 
 def _run_job(job: str, argv: list[str]) -> int:
@@ -66,12 +68,27 @@ def _run_job(job: str, argv: list[str]) -> int:
         return 2
     if {"-h", "--help", "--help-all"} & set(argv) and _print_help(job, argv):
         return 0
+    arguments: Any = argv if job == "doctor" else _parsed(job, argv)
     module = importlib.import_module(f"toolkit.cli.{JOBS[job][0]}")
-    return int(module.main(argv))
+    return int(module.main(arguments))
+
+
+def _parsed(job: str, argv: list[str]) -> Any:
+    """Parse and check the arguments of a job; return those of undeclared jobs unchanged."""
+    # Imported here because tyro may be missing where `doctor` runs.
+    from toolkit.cli.arguments import parse_arguments
+    from toolkit.cli.checks import check_arguments
+    from toolkit.cli.programs import PROGRAMS
+
+    if job not in PROGRAMS:
+        return argv
+    arguments: Any = parse_arguments(PROGRAMS[job], argv, job)
+    check_arguments(arguments)
+    return arguments
 
 
 def _print_help(job: str, argv: list[str]) -> bool:
-    """Print the help of a job without importing what it needs to run, if it has any."""
+    """Print the help page of a job without importing its module; return whether it has one."""
     from toolkit.cli.help import help_page
     from toolkit.cli.programs import PROGRAMS
     from toolkit.cli.run import RunProgram
@@ -84,15 +101,18 @@ def _print_help(job: str, argv: list[str]) -> bool:
 
 def _help() -> str:
     width = max(map(len, JOBS))
-    jobs = "\n".join(f"  {job:<{width}}  {meaning}" for job, (_, meaning) in JOBS.items())
+    jobs = "\n".join(f"  {job:<{width}}  {description}" for job, (_, description) in JOBS.items())
     return (
         f"{_USAGE}\n\nSemantic 3D Gaussian Splatting SLAM.\n\njobs:\n{jobs}\n\n"
-        "`semsplat JOB --help` lists the options of a job. --verbose may be given anywhere.\n"
+        "`semsplat JOB --help` lists the options of a job. All jobs accept --verbose.\n"
     )
 
 
 def _set_up_logging(verbose: bool) -> None:
-    """The toolkit's messages to stderr; with `verbose` every detail, with its origin."""
+    """Log the toolkit's messages to stderr; with `verbose`, also debug messages and their origin.
+
+    Messages of other libraries are logged from level WARNING.
+    """
     layout = "%(asctime)s %(levelname)s %(name)s: %(message)s" if verbose else "%(message)s"
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=layout)
     logging.getLogger("toolkit").setLevel(logging.DEBUG if verbose else logging.INFO)

@@ -1,29 +1,26 @@
-"""`semsplat make-room`: write a synthetic room with known truth, in Replica's layout."""
+"""`semsplat make-room`: create a synthetic room with ground truth, in the layout of Replica."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from tqdm import tqdm
 
-from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.programs import MakeRoomOptions
 from toolkit.datasets.synthetic import RoomSettings, SensorModel, make_room
 from toolkit.frame import Frame
 
 
-def main(argv: Sequence[str]) -> int:
-    """Make a room.
+def main(options: MakeRoomOptions) -> int:
+    """Create a room.
 
     Returns:
         0.
 
     Raises:
-        ToolkitError: a value is out of range, or the folder holds something else or
-            cannot be written.
+        ToolkitError: the folder contains other files or cannot be written.
     """
-    options = parse_arguments(MakeRoomOptions, argv, "make-room")
     settings = RoomSettings(
         layout=options.layout,
         seed=options.seed,
@@ -35,10 +32,10 @@ def main(argv: Sequence[str]) -> int:
         unseen=options.unseen,
     )
     make_room(options.out, settings, with_progress)
-    print(f"made a room in {options.out}")
+    print(f"created a room in {options.out}")
     return 0
 
 
 def with_progress(frames: Iterable[Frame], total: int) -> Iterable[Frame]:
-    """The same frames, and a bar on a terminal that shows how many are made."""
+    """Wrap frames in a progress bar, which is only displayed in terminals."""
     return tqdm(frames, total=total, unit="frame", file=sys.stderr, disable=not sys.stderr.isatty())

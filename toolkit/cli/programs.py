@@ -1,6 +1,7 @@
-"""Arguments of the jobs, apart from what the jobs do, so that help does not load torch.
+"""Arguments of the jobs.
 
-`semsplat run` declares its arguments in `run.py`, which loads the method after they are parsed.
+They are declared apart from the implementations, so that help and parsing do not load torch.
+`semsplat run` declares its arguments in `run.py`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,11 @@ from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt
 from toolkit.registration.options import RegistrationOptions
 
 ImageSize = tuple[PositiveInt, PositiveInt]
+# A mesh of a room with smaller voxels does not fit in memory.
+VoxelSize = Annotated[float, Range(ge=0.001)]
+
+# Images of `semsplat render` that need a map with semantics.
+SEMANTIC_IMAGES = frozenset(("labels", "levels"))
 
 
 @dataclass(frozen=True)
@@ -86,29 +92,37 @@ class ExportOptions:
     """Write a mesh (.ply), fused from rendered depth and colour at the poses of the run."""
     points: bool = False
     """Write a point cloud (.ply, .pcd): the centres of opaque Gaussians."""
-    voxel_m: float = 0.015
+    voxel_m: VoxelSize = 0.015
     """Voxel size of the mesh, in metres. Memory grows with its inverse square."""
-    max_depth_m: float = 6.0
+    max_depth_m: PositiveFloat = 6.0
     """Maximum depth fused into the mesh, in metres."""
-    every: int = 3
+    every: PositiveInt = 3
     """Interval of the poses fused into the mesh: every n-th one."""
     keep: tuple[str, ...] = ()
     """Classes and groups of the taxonomy to export: names, or paths such as
-    "large items > furnishings"; "void" is what has no label. By default, all."""
+    "large items > furnishings"; "void" selects Gaussians without a label. By default, all."""
     drop: tuple[str, ...] = ()
     """Classes and groups of the taxonomy to exclude."""
+
+    @property
+    def kind(self) -> Literal["splats", "mesh", "points"]:
+        """Kind of the exported file, from the switches or the file name."""
+        name = self.to.name.lower()
+        if self.mesh or name.endswith(".mesh.ply"):
+            return "mesh"
+        return "points" if self.points or name.endswith(".pcd") else "splats"
 
 
 @dataclass(frozen=True)
 class ExplainLoopsOptions:
-    """Draw the loop candidates of a run: both views, their overlap, the measures, the verdict."""
+    """Draw each loop candidate of a run: both views, overlap, similarity and result."""
 
     run: Positional[Path]
     """Run folder."""
     out: Path | None = None
     """Folder for the images. By default, RUN/loops."""
     refused: bool = False
-    """Include the candidates that the search itself rejected."""
+    """Include the candidates that were rejected before registration."""
     dataset_path: Path | None = None
     """Folder of the dataset, if it was moved after the run."""
 
@@ -131,15 +145,15 @@ class RegisterOptions:
 
 @dataclass(frozen=True)
 class QueryProgram:
-    """Query the labelled map of a finished run: which objects, how many, where, how large."""
+    """Query the labelled map of a finished run for number, position and size of objects."""
 
     run: Positional[Path]
     """Run folder."""
     nodes: Positional[tuple[str, ...]] = ()
-    """Classes or groups of the taxonomy: a name, or a path such as "large items > furnishings"
-    that may start anywhere. By default, the tree is listed."""
+    """Classes or groups of the taxonomy: a name, or a path such as "large items > furnishings",
+    which may start at any level. By default, the taxonomy is listed."""
     list: bool = False
-    """Print the tree with the number of Gaussians of each class and group."""
+    """Print the taxonomy with the number of Gaussians of each class and group."""
     json: bool = False
     """Print JSON instead of tables."""
     cloud: Path | None = None
@@ -147,23 +161,24 @@ class QueryProgram:
     mesh: Path | None = None
     """Write the selected classes as a mesh (.ply), fused from renderings at the run's poses."""
     summary: Path | None = None
-    """Write the whole scene as JSON: the tree with counts, all objects with boxes, the room."""
+    """Write the scene as JSON: the taxonomy with counts, all objects with bounding boxes, and the
+    dimensions of the room."""
     min_confidence: Fraction = 0.0
-    """Minimum probability of the class of a Gaussian."""
+    """Minimum confidence of the class of a Gaussian."""
     link_m: PositiveFloat = 0.06
-    """Maximum distance of Gaussians of a class that belong to one object, in metres."""
+    """Maximum distance between neighbouring Gaussians of one object, in metres."""
     min_gaussians: PositiveInt = 50
     """Minimum number of Gaussians of an object."""
     floor: tuple[str, ...] = ()
-    """Classes of the floor, which determine the vertical. By default, floor, ground, rug and
-    carpet, where the taxonomy has them."""
+    """Classes of the floor, which determines the vertical direction. By default, those of floor,
+    ground, rug and carpet that the taxonomy contains."""
     distance_from: Literal["first", "last"] = "first"
     """Camera of the run from which distances are measured."""
-    voxel_m: float = 0.01
+    voxel_m: VoxelSize = 0.01
     """Voxel size of the mesh, in metres."""
-    max_depth_m: float = 6.0
+    max_depth_m: PositiveFloat = 6.0
     """Maximum depth fused into the mesh, in metres."""
-    every: int = 1
+    every: PositiveInt = 1
     """Interval of the poses fused into the mesh: every n-th one."""
 
 
@@ -204,7 +219,7 @@ class MakeRoomOptions:
 
 @dataclass(frozen=True)
 class LabelledData:
-    """Frames for training."""
+    """The labelled dataset for training."""
 
     kind: DatasetKind
     """Layout of the dataset (docs/guides/datasets.md)."""
@@ -242,7 +257,7 @@ class TrainHeadOptions:
 
 @dataclass(frozen=True)
 class DatasetChoice:
-    """A dataset, for its classes and its labelled frames."""
+    """The dataset that supplies class names and labelled frames."""
 
     kind: DatasetKind = "folder"
     """Layout of the dataset (docs/guides/datasets.md)."""
@@ -252,18 +267,18 @@ class DatasetChoice:
 
 @dataclass(frozen=True)
 class BuildTaxonomyOptions:
-    """Build the tree of classes that the semantic codes follow (docs/guides/taxonomies.md)."""
+    """Build the taxonomy from which semantic codes are derived (docs/guides/taxonomies.md)."""
 
     classes: Path | None = None
-    """Names of classes: a dataset's classes.json, or a text file with one name per line ('#'
-    starts a comment)."""
+    """Class names: a dataset's classes.json, or a text file with one name per line ('#' starts a
+    comment)."""
     dataset: DatasetChoice = DatasetChoice()
     out: Path | None = None
-    """File of the tree to write (.yaml, .json)."""
+    """File of the taxonomy to write (.yaml, .json)."""
     picture: Path | None = None
-    """Drawing of the tree to write (.png, .svg, .pdf)."""
+    """Drawing of the taxonomy to write (.png, .svg, .pdf)."""
     review: bool = False
-    """Print the tree for review."""
+    """Print the taxonomy for review."""
     grouper: Literal["rules", "language-model"] = "rules"
     """Source of the groups: built-in rules (rules) or a model behind an OpenAI-compatible endpoint
     (language-model)."""
@@ -278,14 +293,15 @@ class BuildTaxonomyOptions:
     replay: Path | None = None
     """File from which all answers are read, without network access."""
     fall_back: bool = False
-    """Build the tree by rules if no model answers."""
+    """Build the taxonomy by rules if the model is not available."""
     shapes: tuple[Literal["scans"]] | tuple[Literal["table", "meshes"], Path] | None = None
-    """Shapes by which the last level is sorted: 'scans' measures the labelled frames of --dataset;
-    'table FILE' and 'meshes DIR' read them. By default, names alone decide."""
+    """Shapes of the classes, by which the last level is grouped: 'scans' measures the labelled
+    frames of --dataset; 'table FILE' and 'meshes DIR' read them. By default, only names are
+    used."""
     mesh_up: Literal["y", "z"] = "z"
-    """Axis of the meshes that points up."""
+    """Vertical axis of the meshes."""
     seed: NonNegativeInt = 0
-    """Seed of clustering and of the model."""
+    """Seed of clustering and of the language model."""
 
 
 PROGRAMS: dict[str, type] = {

@@ -1,4 +1,4 @@
-"""`semsplat render`: draw views of a map to PNG."""
+"""`semsplat render`: render views of a map to PNG."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.programs import RenderProgram
+from toolkit.cli.programs import SEMANTIC_IMAGES, RenderProgram
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.resize import ImageGrid
 from toolkit.errors import DatasetError, SettingsError
@@ -43,19 +42,22 @@ from toolkit.semantics.palette import Palette
 
 _log = logging.getLogger(__name__)
 
-# Rendered pixels thinner than this show no surface.
+# Minimum silhouette (0-1) of pixels with a surface.
 _MIN_SILHOUETTE = 0.5
-_SEMANTIC = {"labels", "levels"}
 _LEGEND_ROWS = 8
-# Views drawn beforehand to find the depths that the colours must cover.
+# Number of views rendered in advance to determine the range of the depth colours.
 _SPAN_VIEWS = 8
-# Where nothing says more: about 60 degrees wide, as most RGB-D cameras are.
+# For splat files without a given camera: about 60 degrees wide, as most RGB-D cameras.
 _DEFAULT_CAMERA = Camera(fx=550.0, fy=550.0, cx=319.5, cy=239.5, width=640, height=480)
 
 
 @dataclass(frozen=True)
 class _Map:
-    """What is drawn, and all that the run knows about it."""
+    """The map to render, and the run that created it if known.
+
+    Attributes:
+        labels: whether labels are rendered.
+    """
 
     gaussians: GaussianCloud
     run: FinishedRun | None
@@ -64,8 +66,8 @@ class _Map:
 
 
 @dataclass(frozen=True)
-class _Shot:
-    """One view to draw: the number in its file names, and the data set's frame taken there."""
+class _View:
+    """One view to render: the number in its file names, its pose, and its frame if it has one."""
 
     number: int
     T_map_camera: NDArray[np.float64]
@@ -73,9 +75,13 @@ class _Shot:
 
 
 @dataclass(frozen=True)
-class _Drawn:
-    """Colour [H, W, 3], surface depth [H, W] in metres (0: none), silhouette [H, W], and nodes of
-    the class tree [L, H, W] where they were asked for."""
+class _RenderedView:
+    """Images of one view.
+
+    Attributes:
+        rgb: [H, W, 3]. depth_m: [H, W] surface depth, 0 where missing. silhouette: [H, W].
+        nodes: [L, H, W] nodes of the taxonomy, or None.
+    """
 
     rgb: NDArray[np.float32]
     depth_m: NDArray[np.float32]
@@ -83,54 +89,43 @@ class _Drawn:
     nodes: NDArray[np.int32] | None = None
 
 
-def main(argv: Sequence[str]) -> int:
+def main(options: RenderProgram) -> int:
     """Render views.
 
     Returns:
         0.
 
     Raises:
-        ToolkitError: the map, trajectory or data set cannot be read, a value is out of
-            range, or the folder cannot be written.
+        ToolkitError: the map, trajectory or dataset cannot be read, or the output folder cannot
+            be written.
     """
-    program = parse_arguments(RenderProgram, argv, "render")
-    _check_values(program)
-    subject = _open(program)
-    palette = _palette(subject)
-    camera = _camera(program, subject.run)
-    inputs = _Inputs.of(program, subject.run, camera)
-    shots = _shots(program, subject, camera)[:: program.every]
-    out = _prepared_folder(program)
+    map_ = _load(options)
+    palette = _palette(map_)
+    camera = _camera(options, map_.run)
+    inputs = _InputImages.open(options, map_.run, camera)
+    views = _views(options, map_, camera)[:: options.every]
+    out = _create_output_folder(options)
 
-    step = max(1, len(shots) // _SPAN_VIEWS)
-    span = DepthSpan.of(_draw(subject, camera, shot).depth_m for shot in shots[::step])
-    for shot in tqdm(shots, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
-        drawn = _draw(subject, camera, shot)
-        observed = inputs.rgb(shot) if inputs else None
+    step = max(1, len(views) // _SPAN_VIEWS)
+    span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
+    for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
+        rendered = _render(map_, camera, view)
+        observed = inputs.rgb(view) if inputs else None
         pictures: dict[str, Picture] = {
-            kind: _picture(kind, drawn, span, observed)
-            for kind in program.what
-            if kind not in _SEMANTIC
+            kind: _picture(kind, rendered, span, observed)
+            for kind in options.what
+            if kind not in SEMANTIC_IMAGES
         }
         if palette is not None:
-            pictures |= _label_pictures(program.what, palette, drawn)
+            pictures |= _label_pictures(options.what, palette, rendered)
         for name, picture in pictures.items():
-            write_png(out / f"{name}_{shot.number:06d}.png", picture)
-    print(f"drew {len(shots)} view(s) into {out}")
+            write_png(out / f"{name}_{view.number:06d}.png", picture)
+    print(f"rendered {len(views)} view(s) to {out}")
     return 0
 
 
-def _check_values(program: RenderProgram) -> None:
-    if program.trajectory is not None and program.view:
-        raise SettingsError("give --trajectory or --view, not both")
-    if not np.isfinite(np.array(program.view)).all():
-        raise SettingsError("--view must be finite numbers")
-
-
-def _open(program: RenderProgram) -> _Map:
-    path, labels = program.map, bool(_SEMANTIC & set(program.what))
-    if labels and not path.is_dir():
-        raise SettingsError(f"--what labels needs a run folder; {path} is none")
+def _load(options: RenderProgram) -> _Map:
+    path, labels = options.map, bool(SEMANTIC_IMAGES & set(options.what))
     if path.suffix in SUFFIXES and not path.is_dir():
         return _Map(read_cloud(path), None, "auto")
     if not path.exists():
@@ -140,52 +135,54 @@ def _open(program: RenderProgram) -> _Map:
     run = load_run(path)
     if labels and run.taxonomy is None:
         raise SettingsError(
-            f"{path} was mapped without semantics; run it with --semantics.code.kind"
+            f"{path} was mapped without semantics; run SLAM again with --semantics.code.kind"
         )
     return _Map(run.gaussians, run, run.settings.backend, labels)
 
 
-def _palette(subject: _Map) -> Palette | None:
-    if not subject.labels or subject.run is None or subject.run.taxonomy is None:
+def _palette(map_: _Map) -> Palette | None:
+    if not map_.labels or map_.run is None or map_.run.taxonomy is None:
         return None
-    return Palette(subject.run.taxonomy)
+    return Palette(map_.run.taxonomy)
 
 
 @dataclass(frozen=True)
-class _Inputs:
-    """The recorded images beside which strips show the rendered ones."""
+class _InputImages:
+    """The recorded images that strips show beside the rendered images."""
 
     dataset: Dataset
     grid: ImageGrid | None
 
     @classmethod
-    def of(cls, program: RenderProgram, run: FinishedRun | None, camera: Camera) -> _Inputs | None:
-        """Open the dataset of a run, None where strips need none or it is not available."""
-        if run is None or program.camera is not None or "strip" not in program.what:
+    def open(
+        cls, options: RenderProgram, run: FinishedRun | None, camera: Camera
+    ) -> _InputImages | None:
+        """Open the dataset of a run, None if no strip needs it or it is not available."""
+        if run is None or options.camera is not None or "strip" not in options.what:
             return None
         try:
             dataset = run.open_dataset()
         except DatasetError as error:
-            _log.warning("strips are drawn without the input images: %s", error)
+            _log.warning("Strips are rendered without input images: %s.", error)
             return None
         resized = camera.size != dataset.camera.size
         return cls(dataset, ImageGrid(dataset.camera, camera.size) if resized else None)
 
-    def rgb(self, shot: _Shot) -> NDArray[np.float32] | None:
-        """The image [H, W, 3] recorded at a view, None where there is none."""
-        if shot.frame_index is None:
+    def rgb(self, view: _View) -> NDArray[np.float32] | None:
+        """Return the image [H, W, 3] recorded at a view, None if there is none."""
+        if view.frame_index is None:
             return None
-        rgb = self.dataset[shot.frame_index].rgb
+        rgb = self.dataset[view.frame_index].rgb
         return self.grid.colour(rgb) if self.grid else rgb
 
 
-def _camera(program: RenderProgram, run: FinishedRun | None) -> Camera:
-    """The camera of the options, by default that of the run."""
-    size = program.image_size
-    if program.camera is not None:
-        fx, fy, cx, cy = program.camera
+def _camera(options: RenderProgram, run: FinishedRun | None) -> Camera:
+    """Return the camera of the options, by default that of the run."""
+    size = options.image_size
+    if options.camera is not None:
+        fx, fy, cx, cy = options.camera
         size = size or (run.settings.image_size if run else None)
-        # Without a size, the principal point is taken for the middle of the image.
+        # Without a size, the principal point is assumed to be the image centre.
         width, height = size or (round(2 * cx + 1), round(2 * cy + 1))
         return Camera(fx, fy, cx, cy, width, height)
     if run is not None:
@@ -195,20 +192,20 @@ def _camera(program: RenderProgram, run: FinishedRun | None) -> Camera:
     return Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
-def _shots(program: RenderProgram, subject: _Map, camera: Camera) -> list[_Shot]:
-    run = subject.run
-    if program.trajectory is not None:
-        poses = read_tum(program.trajectory).T_world_camera
-        return [_Shot(number, T) for number, T in enumerate(poses)]
-    if program.view:
+def _views(options: RenderProgram, map_: _Map, camera: Camera) -> list[_View]:
+    run = map_.run
+    if options.trajectory is not None:
+        poses = read_tum(options.trajectory).T_world_camera
+        return [_View(number, T) for number, T in enumerate(poses)]
+    if options.view:
         T_map_first = run.tracked[0].T_map_camera if run and run.tracked else np.eye(4)
         return [
-            _Shot(number, T_map_first @ _viewpoint(view).T_map_camera)
-            for number, view in enumerate(program.view)
+            _View(number, T_map_first @ _viewpoint(view).T_map_camera)
+            for number, view in enumerate(options.view)
         ]
     if run is not None:
-        return [_Shot(frame.index, frame.T_map_camera, frame.index) for frame in run.tracked]
-    return [_Shot(0, overview(subject.gaussians, camera))]
+        return [_View(frame.index, frame.T_map_camera, frame.index) for frame in run.tracked]
+    return [_View(0, overview(map_.gaussians, camera))]
 
 
 def _viewpoint(view: tuple[float, float, float, float, float]) -> Viewpoint:
@@ -216,10 +213,10 @@ def _viewpoint(view: tuple[float, float, float, float, float]) -> Viewpoint:
     return Viewpoint((x, y, z), math.radians(yaw_deg), math.radians(pitch_deg))
 
 
-def _prepared_folder(program: RenderProgram) -> Path:
-    out = program.out
+def _create_output_folder(options: RenderProgram) -> Path:
+    out = options.out
     if out is None:
-        path = program.map
+        path = options.map
         out = path / "renders" / "views" if path.is_dir() else path.with_name(f"{path.stem}_views")
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -228,43 +225,45 @@ def _prepared_folder(program: RenderProgram) -> Path:
     return out
 
 
-def _draw(subject: _Map, camera: Camera, shot: _Shot) -> _Drawn:
-    drawn = render_surface(
-        backend(subject.backend_name),
-        subject.gaussians,
+def _render(map_: _Map, camera: Camera, view: _View) -> _RenderedView:
+    surface = render_surface(
+        backend(map_.backend_name),
+        map_.gaussians,
         camera,
-        se3.inverse(shot.T_map_camera),
-        RenderOptions(_MIN_SILHOUETTE, features=subject.labels),
+        se3.inverse(view.T_map_camera),
+        RenderOptions(_MIN_SILHOUETTE, features=map_.labels),
     )
-    seen = drawn.output
+    depth_m, output = surface.depth_m.numpy(), surface.output
     nodes = None
-    if subject.labels and subject.run is not None:
-        nodes = subject.run.semantics.decode_view(drawn).nodes.T.reshape(-1, *drawn.depth_m.shape)
-    return _Drawn(seen.colour.numpy(), drawn.depth_m.numpy(), seen.silhouette.numpy(), nodes)
+    if map_.labels and map_.run is not None:
+        nodes = map_.run.semantics.decode_view(surface).nodes.T.reshape(-1, *depth_m.shape)
+    return _RenderedView(output.colour.numpy(), depth_m, output.silhouette.numpy(), nodes)
 
 
-def _label_pictures(what: Sequence[str], palette: Palette, drawn: _Drawn) -> dict[str, Picture]:
-    """Pictures of the class tree's levels by the beginning of their file's name."""
-    assert drawn.nodes is not None
+def _label_pictures(
+    what: Sequence[str], palette: Palette, rendered: _RenderedView
+) -> dict[str, Picture]:
+    """Return pictures of the taxonomy's levels by the prefix of their file name."""
+    assert rendered.nodes is not None
     pictures = {}
     if "labels" in what:
-        for level, nodes in enumerate(drawn.nodes):
+        for level, nodes in enumerate(rendered.nodes):
             picture = with_legend(palette.picture(nodes), palette.legend(nodes))
             pictures[f"labels_l{level}"] = picture
     if "levels" in what:
-        rgb = np.clip(drawn.rgb, 0.0, 1.0)
-        strip = palette.level_strip(rgb, list(drawn.nodes), legend_rows=_LEGEND_ROWS)
+        rgb = np.clip(rendered.rgb, 0.0, 1.0)
+        strip = palette.level_strip(rgb, list(rendered.nodes), legend_rows=_LEGEND_ROWS)
         pictures["levels"] = strip
     return pictures
 
 
 def _picture(
-    kind: str, drawn: _Drawn, span: DepthSpan, observed: NDArray[np.float32] | None
+    kind: str, rendered: _RenderedView, span: DepthSpan, observed: NDArray[np.float32] | None
 ) -> Picture:
     if kind == "colour":
-        return colour_picture(drawn.rgb)
+        return colour_picture(rendered.rgb)
     if kind == "depth":
-        return with_depth_scale(depth_picture(drawn.depth_m, span), span)
+        return with_depth_scale(depth_picture(rendered.depth_m, span), span)
     if kind == "silhouette":
-        return silhouette_picture(drawn.silhouette)
-    return view_strip(drawn.rgb, drawn.depth_m, drawn.silhouette, observed, span)
+        return silhouette_picture(rendered.silhouette)
+    return view_strip(rendered.rgb, rendered.depth_m, rendered.silhouette, observed, span)

@@ -1,4 +1,4 @@
-"""`semsplat run`: track and map a dataset, evaluate, write a run folder."""
+"""`semsplat run`: track and map a dataset, evaluate the result and write a run folder."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
         ToolkitError: bad settings, data or output folder.
     """
     program = _parse(list(argv))
-    # Loads torch, which takes seconds: only after the options were accepted.
+    # Imports torch, which takes seconds; wrong arguments are reported before.
     from toolkit.runs.execution import run
 
     run(program.settings, program.out, program.resume, _with_progress)
@@ -51,10 +51,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _parse(argv: list[str]) -> RunProgram:
-    start = RunSettings()
+    settings = RunSettings()
     if "--config" in argv[:-1]:
-        start = load_settings(Path(argv[argv.index("--config") + 1]))
-    default = RunProgram(out=tyro.MISSING, **vars(start))
+        settings = load_settings(Path(argv[argv.index("--config") + 1]))
+    default = RunProgram(out=tyro.MISSING, **vars(settings))
     return parse_arguments(RunProgram, argv, "run", default=default)
 
 

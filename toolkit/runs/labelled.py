@@ -1,4 +1,4 @@
-"""A finished run whose map knows what its Gaussians are."""
+"""Finished runs with labelled maps."""
 
 from __future__ import annotations
 
@@ -25,45 +25,45 @@ class LabelledRun:
     run: FinishedRun
     map: LabelledMap
 
-    def holding(self, names: Sequence[str], min_confidence: float = 0.0) -> NDArray[np.bool_]:
-        """Which Gaussians [N] are of any of these classes and groups.
+    def select(self, names: Sequence[str], min_confidence: float = 0.0) -> NDArray[np.bool_]:
+        """Return a mask [N] of the Gaussians that belong to any of some classes and groups.
 
         Raises:
-            FormatError: a name is none of the tree.
-            ToolkitError: there is no Gaussian of one of them.
+            FormatError: a name is not in the taxonomy.
+            ToolkitError: a class or group has no Gaussians.
         """
-        chosen = np.zeros(len(self.map), bool)
+        selected = np.zeros(len(self.map), bool)
         for name in names:
             mask = self.map.selected([name], min_confidence)
             if not mask.any():
-                so_sure = f" with confidence {min_confidence:g} or more" * (min_confidence > 0)
+                confidence = f" with confidence {min_confidence:g} or more" * (min_confidence > 0)
                 raise ToolkitError(
-                    f"{self.run.folder.path} holds no '{name}'{so_sure}; "
-                    "see what there is with: semsplat query RUN --list"
+                    f"{self.run.folder.path} contains no '{name}'{confidence}; "
+                    "list its classes with: semsplat query RUN --list"
                 )
-            chosen |= mask
-        return chosen
+            selected |= mask
+        return selected
 
 
 def load_labelled_run(path: Path) -> LabelledRun:
-    """Read a run with its labels and their tree.
+    """Load a finished run with its labels and taxonomy.
 
     Raises:
-        ToolkitError: there is no finished run, its map has no labels, the tree is missing or
-            is another one.
+        ToolkitError: there is no finished run, its map has no labels, or the taxonomy is missing
+            or does not match the labels.
     """
     run = load_run(path)
     labels = read_splats(run.folder.map).labels
     if labels is None:
         raise RunFolderError(
-            f"{run.folder.map} has no labels; map again with them: from a data set with label "
-            "images, or with semsplat run --semantics... (see semsplat run --help)"
+            f"{run.folder.map} has no labels; run SLAM again with semantics: on a dataset with "
+            "label images, or with a segmenter (see: semsplat run --help-all)"
         )
     file = path / TAXONOMY
     if not file.is_file():
         raise RunFolderError(
-            f"{path} has no {TAXONOMY}, without which the labels of its map mean nothing; "
-            "put the one there that the run was given"
+            f"{path} has no {TAXONOMY}, which defines the labels of the map; copy the taxonomy of "
+            "the run there"
         )
     means_m = run.gaussians.means.numpy().astype(np.float64)
     try:

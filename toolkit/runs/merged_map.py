@@ -1,4 +1,4 @@
-"""Two finished runs as one map, with labels where both mean the same by them."""
+"""Merge the maps of two finished runs, with labels if both use the same taxonomy and code."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ class MergedMap:
 
     Attributes:
         gaussians: N Gaussians.
-        submap: [N] int32, where each came from; the second map's numbers follow the first's.
-        labels: of the Gaussians, and taxonomy: their tree; None where the runs share none.
+        submap: [N] int32 submap of each Gaussian; numbers of the second map follow those of the
+            first.
+        labels: labels of the Gaussians; None if the labels of the runs cannot be merged.
+        taxonomy: taxonomy of the labels, or None.
     """
 
     gaussians: GaussianCloud
@@ -38,37 +40,37 @@ class MergedMap:
     taxonomy: Taxonomy | None
 
     def columns(self) -> dict[str, NDArray]:
-        """What lies beside the Gaussians in a file."""
+        """Return the additional columns of the map's file."""
         columns = {} if self.labels is None else self.labels.columns()
         return columns | {"submap": self.submap.numpy()}
 
 
-def not_one_tree(a: FinishedRun, b: FinishedRun) -> str:
-    """Why the labels of two runs cannot stand in one map, in plain words; empty if they can."""
+def label_conflict(a: FinishedRun, b: FinishedRun) -> str:
+    """Return why the labels of two runs cannot be merged, or an empty string if they can."""
     if a.taxonomy is None or b.taxonomy is None:
-        bare = [run.folder.path for run in (a, b) if run.taxonomy is None]
-        return f"{' and '.join(map(str, bare))} has none"
+        paths = [str(run.folder.path) for run in (a, b) if run.taxonomy is None]
+        return f"no labels in {' and '.join(paths)}"
     if a.taxonomy.digest != b.taxonomy.digest:
-        return f"{a.folder.taxonomy} and {b.folder.taxonomy} are different trees"
+        return f"the taxonomies {a.folder.taxonomy} and {b.folder.taxonomy} differ"
     if a.settings.semantics.code != b.settings.semantics.code:
         return "the runs differ in semantics.code"
     return ""
 
 
-def shared_reading(a: FinishedRun, b: FinishedRun) -> SemanticMapping | None:
-    """What reads the features of both maps, for classes that either was told of.
+def shared_semantics(a: FinishedRun, b: FinishedRun) -> SemanticMapping | None:
+    """Return a decoder for the features of both maps, for the classes observed in either run.
 
-    It reads along the code's paths: a trained network knows the map of its own run alone.
-    None where their labels cannot be compared.
+    It decodes along the paths of the code, because a trained network is only valid for the map of
+    its own run. None if the labels of the runs cannot be compared.
     """
-    if not_one_tree(a, b) or a.taxonomy is None:
+    if label_conflict(a, b) or a.taxonomy is None:
         return None
     settings = a.settings.semantics
     network = replace(settings.network, use=False)
     settings = replace(settings, reader="path", network=network)
     semantics = build_semantic_mapping(settings, build_code(settings.code, a.taxonomy), 0)
-    told = a.semantics.state()["told"] | b.semantics.state()["told"]
-    semantics.restore({"told": told})
+    observed = a.semantics.state()["told"] | b.semantics.state()["told"]
+    semantics.restore({"told": observed})
     return semantics
 
 
@@ -79,46 +81,46 @@ def merge(
     submaps_b: SavedSubmaps,
     T_a_b: NDArray[np.float64],
 ) -> MergedMap:
-    """Both maps in A's frame; what both show is told once, at A's exposure.
+    """Merge both maps in A's frame and at A's exposure, without duplicated surfaces.
 
     Raises:
         ToolkitError: a submap cannot be read.
     """
-    labelled = not not_one_tree(a, b)
-    begin_b = max(submaps_a) + 1
+    labelled = not label_conflict(a, b)
+    first_b = max(submaps_a) + 1
 
-    def submap(number: int) -> Submap:
-        if number < begin_b:
-            found = submaps_a[number]
+    def load(number: int) -> Submap:
+        if number < first_b:
+            submap = submaps_a[number]
         else:
-            found = submaps_b[number - begin_b]
-            found = replace(found, number=number, T_world_submap=T_a_b @ found.T_world_submap)
-        return found if labelled else _bare(found)
+            submap = submaps_b[number - first_b]
+            submap = replace(submap, number=number, T_world_submap=T_a_b @ submap.T_world_submap)
+        return submap if labelled else _without_features(submap)
 
-    numbers = [*sorted(submaps_a), *(begin_b + number for number in sorted(submaps_b))]
-    fused = fuse_submaps(numbers, submap)
+    numbers = [*sorted(submaps_a), *(first_b + number for number in sorted(submaps_b))]
+    fused = fuse_submaps(numbers, load)
     if not labelled:
         return MergedMap(fused.gaussians, fused.submap, None, None)
-    labels = _labels((a, b), fused.gaussians, (fused.submap >= begin_b).numpy())
+    labels = _labels((a, b), fused.gaussians, (fused.submap >= first_b).numpy())
     return MergedMap(fused.gaussians, fused.submap, labels, a.taxonomy)
 
 
-def _bare(submap: Submap) -> Submap:
-    """Without features, which another code cannot read."""
+def _without_features(submap: Submap) -> Submap:
+    """Return a submap without features, which are only valid for one code."""
     cloud = submap.gaussians
     return replace(submap, gaussians=replace(cloud, features=torch.zeros(len(cloud), 0)))
 
 
 def _labels(
-    runs: tuple[FinishedRun, FinishedRun], gaussians: GaussianCloud, of_b: NDArray[np.bool_]
+    runs: tuple[FinishedRun, FinishedRun], gaussians: GaussianCloud, from_b: NDArray[np.bool_]
 ) -> SplatLabels:
-    """Each Gaussian's labels, as the run that it comes from reads them."""
+    """Decode the labels of each Gaussian with the decoder of its run."""
     parts = []
-    for run, mine in zip(runs, (~of_b, of_b), strict=True):
-        features = gaussians.features.index_select(0, torch.from_numpy(mine.nonzero()[0]))
+    for run, mask in zip(runs, (~from_b, from_b), strict=True):
+        features = gaussians.features.index_select(0, torch.from_numpy(mask.nonzero()[0]))
         decoding = run.semantics.decode_gaussians(features)
         parts.append(splat_labels(decoding, run.settings.semantics.min_confidence))
-    # A's submaps come before B's, so their Gaussians do.
+    # The Gaussians of A precede those of B, as do the submaps.
     label, levels, confidence = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("label", "levels", "confidence")

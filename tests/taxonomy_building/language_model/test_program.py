@@ -85,7 +85,7 @@ def test_without_a_model_it_ends_or_falls_back_where_asked(build, fake, tmp_path
     assert not (tmp_path / "tree.yaml").exists()
     done = build(*words, "--fall-back")
     assert done.returncode == 0
-    assert "the rules build the whole tree instead" in done.stderr
+    assert "the taxonomy is built by rules instead" in done.stderr
     assert Taxonomy.load(tmp_path / "tree.yaml").classes == NAMES
 
 
@@ -97,7 +97,7 @@ def test_without_a_model_it_ends_or_falls_back_where_asked(build, fake, tmp_path
         (("--base-url", "localhost", "--model", "m"), "must be http://"),
         (("--replay", "none.json"), "none.json: cannot be read"),
         (("--replay", "names.txt"), "names.txt is not a recording of a language model"),
-        (("--replay", "none.json", "--cache", "c"), "leave --cache out"),
+        (("--replay", "none.json", "--cache", "c"), "--cache cannot be used with it"),
         (("--base-url", "{url}", "--model", "m", "--record", "none/r"), "cannot write none/r"),
     ],
 )

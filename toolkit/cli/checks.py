@@ -1,0 +1,103 @@
+"""Checks of arguments that concern several options or the file system.
+
+They are made before a job is imported, so that wrong arguments are reported at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from toolkit.cli.programs import (
+    SEMANTIC_IMAGES,
+    ExportOptions,
+    QueryProgram,
+    RegisterOptions,
+    RenderProgram,
+    TrainHeadOptions,
+)
+from toolkit.errors import FormatError, RunFolderError, SettingsError
+
+
+def check_arguments(arguments: Any) -> None:
+    """Check the parsed arguments of a job.
+
+    Raises:
+        ToolkitError: options contradict each other, or an output file has an invalid name.
+    """
+    check = _CHECKS.get(type(arguments))
+    if check is not None:
+        check(arguments)
+
+
+def check_output(option: str, path: Path, suffixes: Sequence[str], what: str = "the name") -> None:
+    """Check the suffix and the folder of an output file.
+
+    Args:
+        option: the option that names the file, for instance "--out".
+        what: subject of the message about the suffix.
+
+    Raises:
+        FormatError: the suffix is not supported, or the folder does not exist.
+    """
+    if path.suffix not in suffixes:
+        raise FormatError(f"{option} {path}: {what} must end in {' or '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise FormatError(f"{option} {path}: there is no folder {path.parent}; create it")
+
+
+def _check_render(options: RenderProgram) -> None:
+    if options.trajectory is not None and options.view:
+        raise SettingsError("give --trajectory or --view, not both")
+    semantic = [image for image in options.what if image in SEMANTIC_IMAGES]
+    if semantic and not options.map.is_dir():
+        raise SettingsError(
+            f"--what {semantic[0]} needs a run folder, but {options.map} is not a folder"
+        )
+
+
+def _check_export(options: ExportOptions) -> None:
+    from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
+    from toolkit.io.splats import SUFFIXES
+
+    if options.mesh and options.points:
+        raise SettingsError("give --mesh or --points, not both")
+    suffixes = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}[options.kind]
+    check_output("--to", options.to, suffixes, f"a file of {options.kind}")
+
+
+def _check_query(options: QueryProgram) -> None:
+    from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
+
+    if options.nodes and options.list:
+        raise SettingsError("give names or --list, not both")
+    if not options.nodes and (options.cloud or options.mesh):
+        raise SettingsError("--cloud and --mesh need the names of the classes to write")
+    for option, path, suffixes in (
+        ("--cloud", options.cloud, POINT_SUFFIXES),
+        ("--mesh", options.mesh, MESH_SUFFIXES),
+        ("--summary", options.summary, (".json",)),
+    ):
+        if path is not None:
+            check_output(option, path, suffixes)
+
+
+def _check_register(options: RegisterOptions) -> None:
+    out = options.out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RunFolderError(f"{out} is not an empty folder; choose another --out")
+
+
+def _check_train_head(options: TrainHeadOptions) -> None:
+    if options.out.suffix != ".safetensors":
+        raise SettingsError(f"--out must end in .safetensors, got {options.out}")
+
+
+_CHECKS: dict[type, Callable[[Any], None]] = {
+    RenderProgram: _check_render,
+    ExportOptions: _check_export,
+    QueryProgram: _check_query,
+    RegisterOptions: _check_register,
+    TrainHeadOptions: _check_train_head,
+}
