@@ -63,10 +63,10 @@ def test_the_coarser_image_says_how_far_matches_may_be_off(submaps: Scene):
     first, second = seen_by(keyframe, large), keyframe
     matched = match_features(first, second, MatchingOptions())
     assert matched is not None
-    assert matched.pixel == pytest.approx(3.0)
+    assert matched.pixel_size == pytest.approx(3.0)
     strict = MatchingOptions(tolerance_rad=0.0, tolerance_depth=1.0)
     inliers = matched.inliers(np.eye(4)[None], strict)[0]
-    closer = replace(matched, pixel=1.0).inliers(np.eye(4)[None], strict)[0]
+    closer = replace(matched, pixel_size=1.0).inliers(np.eye(4)[None], strict)[0]
     assert inliers.mean() > 0.9 > closer.mean()
 
 

@@ -41,7 +41,7 @@ def test_parts_are_byte_identical_to_the_whole_map(tmp_path):
 
 
 def test_map_without_gaussians_raises(tmp_path):
-    with pytest.raises(RunFolderError, match=r"map\.ply: the map holds no Gaussian"):
+    with pytest.raises(RunFolderError, match=r"map\.ply: the map contains no Gaussians"):
         write_splat_parts(tmp_path / "map.ply", [(cloud(0, 0), {})])
     assert list(tmp_path.iterdir()) == []
 

@@ -1,7 +1,7 @@
-"""What computes alignment, selected by where the images are.
+"""Backends of alignment, selected by the device of the images.
 
-Images on the CPU go to the C++ kernels, or to the same equations in numpy if none were compiled;
-images on a GPU to torch and Triton. The backends are tested against each other.
+Images on the CPU are processed by the C++ kernels, or by NumPy if these are not compiled; images on
+a GPU by torch and Triton. The backends are tested against each other.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from toolkit.native import kernels_for
 
 
 class AlignmentBackend(Protocol):
-    """Computes pyramids, models and normal equations of images on one kind of device."""
+    """Computes pyramids, models and normal equations of images on a type of device."""
 
     def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:
         """Intensity [H, W] of a rendering [5, H, W], 0 where its silhouette is below a minimum.
 
         The intensity is not divided by the silhouette: mapping fits colours as composited, and
-        the difference would turn into an exposure that grows with every keyframe.
+        the difference would cause an exposure that grows with every keyframe.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""The values of dense alignment: pyramid levels, residual scales, normal equations, estimates."""
+"""Data types of dense alignment: pyramid levels, residual scales, normal equations, estimates."""
 
 from __future__ import annotations
 
@@ -172,11 +172,11 @@ class GaussNewtonOptions:
             fraction of depth; doubled at every coarser level.
         photometric_weight: weight of the photometric term relative to the geometric term.
         exposure: exposure of the previous frame, or None to keep the exposure fixed. Only
-            the finest level adjusts it: a coarse view may be far from the frame, and its pose is
-            fitted at the previous exposure.
+            the finest level adjusts it: at coarser levels the estimate may be far from the
+            solution, and the pose is fitted at the previous exposure.
         min_pixels: minimum number of residuals.
-        min_translation_m, min_rotation_rad: a step below both ends the finest level; four times
-            as much ends each coarser level.
+        min_translation_m, min_rotation_rad: a smaller step ends the finest level. The thresholds
+            are four times as large at every coarser level.
     """
 
     iterations: int
@@ -197,7 +197,7 @@ class Alignment:
         scales: of the residuals.
         exposure: of the frame against the view.
         iterations: number of iterations so far.
-        converged: the last step at the finest level was small.
+        converged: whether the last step at the finest level was small.
         last: normal equations of the last iteration, or None before the first.
     """
 

@@ -1,11 +1,11 @@
 """Exposure of one image relative to another, from the mean and deviation of their intensities.
 
-Gain and bias are also part of the alignment's normal equations, but least squares biases them:
-a map is slightly smoother than the camera's image and the image is noisy, so the gain comes out
-too low and the bias too high. This does not harm the pose. Stored with the next keyframe it
-accumulates: after 900 frames of a ring of rooms a fifth of the contrast was left. The exposure
-that is stored with a keyframe therefore comes from mean and standard deviation, which are
-symmetric in the two images.
+Gain and bias are also part of the alignment's normal equations, but their least-squares estimates
+are biased: a map is slightly smoother than the camera's image and the image is noisy, so that the
+gain is too low and the bias too high. This does not affect the pose. If it were stored with the
+keyframes, it would accumulate: after 900 frames of a ring of rooms only a fifth of the contrast
+remained. The exposure that is stored with a keyframe is therefore computed from mean and standard
+deviation, which are symmetric in the two images.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from toolkit.alignment.data import FrameLevel, ModelLevel, ResidualScales
 from toolkit.alignment.normal_equations import BIAS, GAIN
 from toolkit.exposure import IDENTITY, Exposure
 
-# Contrasts that differ by less count as equal, since noise and smoothness cause a difference too.
-# Automatic exposure causes more: 16 % on RedKitchen and on fr1_rpy.
+# Smaller changes of contrast are ignored, because noise and smoothness change the contrast too.
+# Automatic exposure causes larger ones: 16 % on RedKitchen and on fr1_rpy.
 _MIN_CONTRAST_CHANGE = 0.05
 # Smaller changes of brightness are ignored: in 300 frames of a room with constant light the
 # estimates vary by 1.4 %.
@@ -44,7 +44,7 @@ class IntensityStatistics:
 def exposure_between(frame: IntensityStatistics, model: IntensityStatistics) -> Exposure:
     """Exposure of a frame against a model of the same surface.
 
-    The ratio of the means is the gain, without a bias, unless the contrasts say otherwise.
+    The gain is the ratio of the means and the bias is 0, unless the contrasts differ significantly.
     """
     if min(frame.mean, model.mean) < _MIN_MEAN:
         return IDENTITY
@@ -66,14 +66,14 @@ def intensity_statistics(
         H: [8, 8], g: [8] at some pose and exposure.
         squares: sum of the weighted squared residuals, view - (gain * frame + bias), weighted as
             in H.
-        exposure: at which the equations were linearised.
+        exposure: exposure at which the equations were linearised.
     """
     gain, bias, weight = exposure.gain, exposure.bias, float(H[BIAS, BIAS])
     if weight <= 0.0:
         return IntensityStatistics(0.0, 0.0), IntensityStatistics(0.0, 0.0)
     mean = float(H[GAIN, BIAS]) / weight
     variance = float(H[GAIN, GAIN]) / weight - mean**2
-    # The residual's derivatives by gain and bias are -intensity and -1.
+    # The residual's derivatives with respect to gain and bias are -intensity and -1.
     residual = -float(g[BIAS]) / weight
     covariance = -float(g[GAIN]) / weight - mean * residual
     view_variance = gain**2 * variance + 2.0 * gain * covariance + squares / weight - residual**2
@@ -91,8 +91,8 @@ def estimate_exposure(
 ) -> Exposure:
     """Exposure of an aligned frame, from the coarsest level with enough pixels.
 
-    Noise and smoothness matter least there. The robust weights depend on the exposure, so it is
-    estimated twice.
+    Noise and smoothness have the smallest influence there. The robust weights depend on the
+    exposure, so it is estimated twice.
 
     Args:
         levels: view and frame, from fine to coarse.
@@ -120,7 +120,7 @@ def _statistics_at(
     exposure: Exposure,
     max_distance: float,
 ) -> tuple[IntensityStatistics, IntensityStatistics] | None:
-    """Statistics of frame and view on one level, None if too few pixels have both."""
+    """Statistics of frame and view at one level; None if too few pixels correspond."""
     linear = linearise(*levels[level], T_view_camera, scales, exposure, max_distance * 2**level)
     if linear.intensity_pixels < _MIN_PIXELS:
         return None

@@ -1,6 +1,6 @@
 """Gauss-Newton on the CPU, from coarse to fine: pose and exposure of a frame against a view.
 
-A GPU launches all steps before the host reads anything, see `cuda/aligner`.
+On a GPU, all steps are launched before the host reads a result, see `cuda/aligner`.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _solved(
         fix_exposure(H, g)
     else:
         pixels = linear.intensity_pixels / estimate.scales.intensity**2
-        own, previous = estimate.exposure, options.exposure
-        change = np.array([own.gain - previous.gain, own.bias - previous.bias])
+        current, previous = estimate.exposure, options.exposure
+        change = np.array([current.gain - previous.gain, current.bias - previous.bias])
         add_exposure_prior(H, g, options.photometric_weight * pixels, change)
     return damped_step(H, g)

@@ -19,7 +19,7 @@ def failure_reason(
     """Why an alignment is not reliable; empty if it is.
 
     Args:
-        scales: of the residuals.
+        scales: scales of the residuals.
         visible_fraction: fraction of the frame's measured pixels that the model explains.
         information: [6, 6] information matrix of the pose.
         measured: number of frame pixels with depth.

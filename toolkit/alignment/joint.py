@@ -41,7 +41,7 @@ class Pair:
     Attributes:
         model: levels of the target's view, from fine to coarse.
         frame: levels of the source's view, from fine to coarse.
-        T_model_target: [4, 4] the target's coordinates in those of the model view's camera.
+        T_model_target: [4, 4] target to camera of the model view.
         T_source_frame: [4, 4] pose of the source view's camera.
     """
 
@@ -62,7 +62,7 @@ class Estimate:
         information: [6, 6] of x in T_target_source exp(x).
         pixels: [K] number of depth residuals of each pair.
         iterations: number of iterations so far.
-        converged: the last step was small.
+        converged: whether the last step was small.
     """
 
     T_target_source: Array
@@ -167,7 +167,7 @@ class _Eliminated:
         H, g = linear.H.copy(), linear.g.copy()
         if with_exposure and linear.intensity_pixels > 0:
             information = linear.intensity_pixels / estimate.scales.intensity**2
-            # The exposure of two maps may differ by any amount: the prior holds only the step.
+            # The exposures of two maps may differ by any amount: the prior applies to the step.
             add_exposure_prior(H, g, information, np.zeros(2))
         else:
             fix_exposure(H, g)
@@ -190,12 +190,12 @@ class _Eliminated:
 
 def _limited(step: Array, options: JointOptions) -> Array:
     """The step, scaled down if its translation or its rotation is too large."""
-    longest = max(
+    excess = max(
         float(np.linalg.norm(step[:3])) / options.max_translation_m,
         float(np.linalg.norm(step[3:])) / options.max_rotation_rad,
         1.0,
     )
-    return step / longest
+    return step / excess
 
 
 def _rescaled(scales: ResidualScales, linears: Sequence[Linearisation]) -> ResidualScales:
@@ -204,11 +204,11 @@ def _rescaled(scales: ResidualScales, linears: Sequence[Linearisation]) -> Resid
     depths = np.array([n.depth_pixels for n in linears])
     intensity_squares = intensities @ [n.intensity_variance for n in linears]
     depth_squares = depths @ [n.depth_variance for n in linears]
-    together = replace(
+    combined = replace(
         linears[0],
         intensity_pixels=float(intensities.sum()),
         depth_pixels=float(depths.sum()),
         intensity_variance=float(intensity_squares / max(intensities.sum(), 1.0)),
         depth_variance=float(depth_squares / max(depths.sum(), 1.0)),
     )
-    return rescaled(scales, together)
+    return rescaled(scales, combined)

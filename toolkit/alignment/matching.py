@@ -22,10 +22,11 @@ from toolkit.keyframe import Keyframe
 
 Array = NDArray[np.float64]
 
-_NEAREST_M = 0.05
-# Maximum correction of the initial pose by dense alignment, as a fraction of the image's width, but
-# at least this number of the coarser camera's pixels. After a larger one, one of the two is wrong.
-_MOST_CORRECTION, _MOST_CORRECTION_PIXELS = 0.02, 3.0
+_MIN_DEPTH_M = 0.05
+# Maximum correction of the initial pose by dense alignment: as a fraction of the image's width, or
+# in pixels of the coarser camera if that is larger. After a larger one, one of the two poses is
+# wrong.
+_MAX_CORRECTION, _MAX_CORRECTION_PIXELS = 0.02, 3.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Offset:
     Attributes:
         T_first_second: [4, 4] float64.
         matches: number of inlier matches before dense alignment.
-        visible: fraction of the second image's measured pixels that the first explains.
+        visible: fraction of the second image's measured pixels explained by the first image.
         residual: robust scales of intensity and of depth at 1 m (m).
         information: [6, 6] inverse covariance of x in T_first_second exp(x), translation
             first.
@@ -106,26 +107,28 @@ def _refined(
 
 
 def correction_too_large(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
-    """Whether dense alignment moved a keyframe farther than features can be wrong.
+    """Whether dense alignment moved a keyframe by more than the error of an initial pose.
 
     Args:
-        start, end: T_first_second [4, 4]. camera: of the first keyframe.
+        start, end: T_first_second [4, 4] before and after dense alignment.
+        camera: camera of the first keyframe.
+        second: the second keyframe.
     """
     points = second.points.astype(np.float64)
     if len(points) == 0:
         return True
     before, after = se3.transform_points(start, points), se3.transform_points(end, points)
-    ahead = (before[:, 2] > _NEAREST_M) & (after[:, 2] > _NEAREST_M)
+    ahead = (before[:, 2] > _MIN_DEPTH_M) & (after[:, 2] > _MIN_DEPTH_M)
     if not ahead.any():
         return True
     shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
-    pixels = _MOST_CORRECTION_PIXELS * _coarseness(camera, second.camera)
-    most = max(_MOST_CORRECTION * camera.width, pixels)
-    return bool(np.median(shift) > most)
+    pixels = _MAX_CORRECTION_PIXELS * _pixel_size(camera, second.camera)
+    max_shift = max(_MAX_CORRECTION * camera.width, pixels)
+    return bool(np.median(shift) > max_shift)
 
 
-def _coarseness(first: Camera, second: Camera) -> float:
-    """Size of the coarser camera's pixels in pixels of the first."""
+def _pixel_size(first: Camera, second: Camera) -> float:
+    """Size of the coarser camera's pixels in pixels of the first camera."""
     return max(1.0, first.focal / second.focal)
 
 
@@ -142,9 +145,9 @@ def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) 
     measured = (points_a[:, 2] > 0) & (points_b[:, 2] > 0)
     if not measured.any():
         return None
-    pixel = _coarseness(first.camera, second.camera)
+    pixel_size = _pixel_size(first.camera, second.camera)
     points_a, points_b, pixels_a = points_a[measured], points_b[measured], pixels_a[measured]
-    return Matched(points_a, points_b, pixels_a, first.camera, pixel)
+    return Matched(points_a, points_b, pixels_a, first.camera, pixel_size)
 
 
 def _by_features(
@@ -153,7 +156,7 @@ def _by_features(
     options: MatchingOptions,
     generator: np.random.Generator,
 ) -> tuple[Array, int] | None:
-    """T_first_second and how many matches agree with it; None below `min_matches`."""
+    """T_first_second and its number of inlier matches; None below `min_matches`."""
     matched = match_features(first, second, options)
     if matched is None or len(matched.first) < options.min_matches:
         return None
@@ -207,21 +210,22 @@ class Matched:
     """n matched features of two keyframes, whose cameras may differ.
 
     Attributes:
-        first, second: points [n, 3] in the coordinates of either camera (m).
-        pixels: [n, 2] in the first image. camera: of the first image.
-        pixel: size of the coarser camera's pixels, in pixels of the first image.
+        first, second: points [n, 3] in the coordinates of the first and of the second camera (m).
+        pixels: [n, 2] pixels in the first image.
+        camera: camera of the first image.
+        pixel_size: size of the coarser camera's pixels, in pixels of the first image.
     """
 
     first: Array
     second: Array
     pixels: Array
     camera: Camera
-    pixel: float = 1.0
+    pixel_size: float = 1.0
 
     def motion(
         self, options: MatchingOptions, generator: np.random.Generator
     ) -> tuple[Array, int] | None:
-        """The motion with most inliers, fitted to them, and their number; None if too few."""
+        """The motion with the most inliers, and their number; None if there are too few."""
         n = len(self.first)
         triples = np.argsort(generator.random((options.hypotheses, n)), axis=1)[:, :3]
         motions = rigid_fits(self.first[triples], self.second[triples])
@@ -237,15 +241,15 @@ class Matched:
         return (T, count) if count >= options.min_matches else None
 
     def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
-        """Which matches are inliers [H, n] of which motions [H, 4, 4]."""
+        """Mask [H, n] of the matches that are inliers of motions [H, 4, 4]."""
         moved = np.einsum("hij,nj->hni", motions[:, :3, :3], self.second)
         moved += motions[:, None, :3, 3]
         depth = moved[..., 2]
-        safe = np.where((depth > _NEAREST_M)[..., None], moved, [0.0, 0.0, 1.0])
+        safe = np.where((depth > _MIN_DEPTH_M)[..., None], moved, [0.0, 0.0, 1.0])
         error = np.linalg.norm(self.camera.project(safe) - self.pixels, axis=-1)
-        tolerance = max(options.tolerance_rad * self.camera.focal, 1.5 * self.pixel)
+        tolerance = max(options.tolerance_rad * self.camera.focal, 1.5 * self.pixel_size)
         near = np.abs(depth - self.first[:, 2]) < options.tolerance_depth * self.first[:, 2]
-        return (depth > _NEAREST_M) & (error < tolerance) & near
+        return (depth > _MIN_DEPTH_M) & (error < tolerance) & near
 
 
 def rigid_fits(first: Array, second: Array) -> Array:

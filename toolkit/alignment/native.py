@@ -1,4 +1,4 @@
-"""Alignment on the CPU by the C++ kernels."""
+"""Alignment on the CPU with the C++ kernels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class NativeBackend(HostGaussNewton):
     """See AlignmentBackend.
 
     Args:
-        module: compiled kernels, as `toolkit.native` loads them.
+        module: compiled kernels, loaded by `toolkit.native`.
     """
 
     def __init__(self, module: ModuleType) -> None:

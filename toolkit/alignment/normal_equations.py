@@ -19,12 +19,12 @@ def add_exposure_prior(
 ) -> None:
     """Add a prior on the change of exposure since the previous frame to H [8, 8] and g [8].
 
-    Exposure changes little between frames. Without the prior, a gain of 0 would explain any
-    misalignment: on motions of 5 to 17 degrees it moved the pose by 70 cm.
+    Exposure changes little between frames. Without the prior, a gain of 0 would minimise the
+    residuals of any misalignment: on motions of 5 to 17 degrees it moved the pose by 70 cm.
 
     Args:
-        information: of all pixels about the bias, number of pixels / variance.
-        change: [2] gain and bias less those of the previous frame.
+        information: information of all pixels about the bias, number of pixels / variance.
+        change: [2] change of gain and bias since the previous frame.
     """
     prior = EXPOSURE_PRIOR * information
     for index, difference in zip((GAIN, BIAS), change, strict=True):

@@ -71,6 +71,7 @@ class MatchingOptions:
     # Matches are accurate to one or two pixels, so that few levels suffice.
     dense: JointOptions = JointOptions(levels=3)
     limits: HealthLimits = HealthLimits()
-    # Taken one by one, squared errors were 2 to 13 times the expected ones in synthetic rooms.
+    # Residuals are not independent: with independent residuals, the squared pose errors were 2 to
+    # 13 times the expected ones in synthetic rooms.
     redundancy: Annotated[float, Range(ge=1)] = 5.0
     """Number of residuals that count as one in the information matrix."""

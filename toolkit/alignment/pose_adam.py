@@ -11,25 +11,26 @@ MOMENTS = 13  # first and second moments of six coordinates, and the number of s
 
 
 def pose_gradient(
-    by_matrix: NDArray[np.float64], T_camera_map: NDArray[np.float64]
+    matrix_gradient: NDArray[np.float64], T_camera_map: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Derivative [6] by the tangent xi of exp(xi) @ T_camera_map.
+    """Derivative [6] with respect to the tangent xi of exp(xi) @ T_camera_map.
 
     A rotation phi changes each column c of the matrix by phi x c, which contributes
     phi . (c x g) to the derivative. A translation changes the last column only.
 
     Args:
-        by_matrix: [3, 4] derivative g by the matrix entries.
+        matrix_gradient: [3, 4] derivative g with respect to the matrix entries.
     """
-    by_rotation = np.cross(T_camera_map[:3], by_matrix, axis=0).sum(axis=1)
-    return np.concatenate([by_matrix[:, 3], by_rotation])
+    rotation_gradient = np.cross(T_camera_map[:3], matrix_gradient, axis=0).sum(axis=1)
+    return np.concatenate([matrix_gradient[:, 3], rotation_gradient])
 
 
 class PoseAdam:
     """Adam over the six tangent coordinates.
 
     Args:
-        translation_rate: learning rate in metres. rotation_rate: learning rate in radians.
+        translation_rate: learning rate in metres.
+        rotation_rate: learning rate in radians.
         moments: [13] state of an earlier optimiser to continue from; changed in place.
     """
 
@@ -50,5 +51,5 @@ class PoseAdam:
         self.moments[12] += 1
         steps = self.moments[12]
         mean = first / (1.0 - _BETA1**steps)
-        spread = np.sqrt(second / (1.0 - _BETA2**steps))
-        return -self._rates * mean / (spread + _EPSILON)
+        deviation = np.sqrt(second / (1.0 - _BETA2**steps))
+        return -self._rates * mean / (deviation + _EPSILON)

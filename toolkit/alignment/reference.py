@@ -1,4 +1,4 @@
-"""The equations of alignment in numpy: the reference of all backends, and the CPU fallback."""
+"""Alignment in NumPy: the reference of all backends, and the fallback on the CPU."""
 
 from __future__ import annotations
 
@@ -122,10 +122,10 @@ def model(camera: Camera, intensity: Image, depth: Image) -> tuple[Image, Image]
 
 
 def _same_surface(a: Image, z: Image, b: Image) -> NDArray[np.bool_]:
-    """Whether neighbours a and b on both sides of a pixel with depth z lie on its surface.
+    """Check whether a pixel of depth z and its neighbours a and b belong to one surface.
 
-    They do if their depths are close, or if all three lie on one plane: inverse depth is linear
-    in the image of a plane, however steep it is.
+    They do if their depths are similar, or if they lie on a plane of any slope: inverse depth is
+    linear in the image coordinates of a plane.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = abs(z / a + z / b - 2.0)
@@ -139,10 +139,11 @@ def accumulate(
     T_model_frame: NDArray[np.float64],
     scalars: tuple[float, float, float, float, float, float],
 ) -> NDArray[np.float64]:
-    """The 49 sums of the native kernel.
+    """Compute the 49 sums of the native kernel; see `Linearisation.from_sums`.
 
     Args:
-        model_images: texture and surface [H, W, 4]. frame_images: intensity and depth [H, W].
+        model_images: texture and surface [H, W, 4].
+        frame_images: intensity and depth [H, W].
         cameras: of the model view and of the frame.
         T_model_frame: [4, 4].
         scalars: gain, bias, intensity scale, depth scale, depth gate, photometric weight.
@@ -153,45 +154,52 @@ def accumulate(
     gain, bias, sigma_intensity, sigma_depth, gate, weight = scalars
     rows, columns = np.nonzero(depth > 0)
     z = depth[rows, columns].astype(np.float64)
-    own = intensity[rows, columns].astype(np.float64)
+    frame_intensity = intensity[rows, columns].astype(np.float64)
     X = frame_camera.rays()[rows, columns] * z[:, None]
     Y = X @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
     ahead = Y[:, 2] > NEAR_M
     uv = model_camera.project(np.where(ahead[:, None], Y, [0.0, 0.0, 1.0]))
     inside = ahead & (uv >= 0).all(axis=1)
     inside &= (uv[:, 0] < model_camera.width - 1) & (uv[:, 1] < model_camera.height - 1)
-    Y, uv, own = Y[inside], uv[inside], own[inside]
+    Y, uv, frame_intensity = Y[inside], uv[inside], frame_intensity[inside]
     nearest = (uv + 0.5).astype(int)
     plane = surface[nearest[:, 1], nearest[:, 0]].astype(np.float64)
-    seen = texture[nearest[:, 1], nearest[:, 0], 3]
-    close = (seen > 0) & (abs(seen - Y[:, 2]) < gate * seen)
+    model_depth = texture[nearest[:, 1], nearest[:, 0], 3]
+    close = (model_depth > 0) & (abs(model_depth - Y[:, 2]) < gate * model_depth)
 
     H, g, tail = np.zeros((8, 8)), np.zeros(8), np.zeros(5)
     tail[4] = len(Y)
     flat = close & plane[:, :3].any(axis=1)
     n = plane[flat, :3]
-    # Weight and lever arm come from the model's depth. With the frame's depth they would follow
-    # its noise, nearer points would weigh more, and the pose would be biased.
-    scale = 1.0 / (sigma_depth * np.maximum(seen[flat] ** 2, MIN_NOISE_DEPTH_M**2))
-    X = Y[flat] * (seen[flat] / Y[flat, 2])[:, None]
+    # Weight and lever arm are computed from the model's depth. With the frame's depth they would
+    # depend on its noise, nearer points would have a larger weight, and the pose would be biased.
+    scale = 1.0 / (sigma_depth * np.maximum(model_depth[flat] ** 2, MIN_NOISE_DEPTH_M**2))
+    X = Y[flat] * (model_depth[flat] / Y[flat, 2])[:, None]
     residual = (n * Y[flat]).sum(axis=1) - plane[flat, 3]
     _add(H, g, tail, 1, (_jacobian(n, X), residual, scale), 1.0)
 
     value, usable = _bilinear(texture, surface[..., 3] != 0, uv[close])
-    Y, own, value = Y[close][usable], own[close][usable], value[usable]
+    Y, value = Y[close][usable], value[usable]
+    frame_intensity = frame_intensity[close][usable]
     a = value[:, 1] * model_camera.fx / Y[:, 2]
     b = value[:, 2] * model_camera.fy / Y[:, 2]
     slope = np.stack([a, b, -(a * Y[:, 0] + b * Y[:, 1]) / Y[:, 2]], axis=1)
     J = np.concatenate(
-        [_jacobian(slope, Y)[:, :6], -own[:, None], -np.ones_like(own)[:, None]], axis=1
+        [
+            _jacobian(slope, Y)[:, :6],
+            -frame_intensity[:, None],
+            -np.ones_like(frame_intensity)[:, None],
+        ],
+        axis=1,
     )
-    residual = value[:, 0] - (gain * own + bias)
-    _add(H, g, tail, 0, (J, residual, np.full(len(own), 1.0 / sigma_intensity)), weight)
+    residual = value[:, 0] - (gain * frame_intensity + bias)
+    scale = np.full(len(frame_intensity), 1.0 / sigma_intensity)
+    _add(H, g, tail, 0, (J, residual, scale), weight)
     return np.concatenate([H[np.triu_indices(8)], g, tail])
 
 
 def _jacobian(direction: NDArray, Y: NDArray) -> NDArray:
-    """Derivative [n, 8] of direction . Y by a left tangent; the exposure's columns are 0."""
+    """Derivative [n, 8] of direction . Y with respect to a left tangent; 0 for the exposure."""
     return np.concatenate([direction, np.cross(Y, direction), np.zeros((len(Y), 2))], axis=1)
 
 
@@ -201,13 +209,13 @@ def _add(
     tail: NDArray,
     kind: int,
     residuals: tuple[NDArray, ...],
-    share: float,
+    term_weight: float,
 ) -> None:
     """Add weighted residuals (J, r, 1 / scale) to the sums, in place."""
     J, r, inverse = residuals
     q2 = (r * inverse) ** 2
     robust = (STUDENT_T_DOF + 1.0) / (STUDENT_T_DOF + q2)
-    weight = share * robust * inverse**2
+    weight = term_weight * robust * inverse**2
     H += (J * weight[:, None]).T @ J
     g += J.T @ (weight * r)
     tail[kind] += len(r)
@@ -217,18 +225,18 @@ def _add(
 def _bilinear(
     texture: Image, smooth: NDArray[np.bool_], uv: NDArray
 ) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Interpolated texture [n, 4], and whether the four taps lie on one surface [n].
+    """Interpolated texture [n, 4], and whether the four taps belong to one surface [n].
 
     Args:
-        smooth: [H, W] pixels that lie on planes with their neighbours. Two opposite ones among
-            the taps put all four on one surface.
+        smooth: [H, W] pixels that belong to one plane with all their neighbours. If two opposite
+            taps do, all four belong to one surface.
     """
     x, y = uv[:, 0].astype(int), uv[:, 1].astype(int)
     a, b = (uv[:, 0] - x)[:, None], (uv[:, 1] - y)[:, None]
     taps = [texture[y, x], texture[y, x + 1], texture[y + 1, x], texture[y + 1, x + 1]]
     depths = np.stack([t[:, 3] for t in taps])
     nearest, farthest = depths.min(axis=0), depths.max(axis=0)
-    joined = smooth[y, x] & smooth[y + 1, x + 1]
-    usable = (nearest > 0) & (joined | (farthest - nearest <= MAX_DEPTH_STEP * nearest))
+    connected = smooth[y, x] & smooth[y + 1, x + 1]
+    usable = (nearest > 0) & (connected | (farthest - nearest <= MAX_DEPTH_STEP * nearest))
     weights = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
     return sum(w * t for w, t in zip(weights, taps, strict=True)), usable

@@ -1,1 +1,1 @@
-"""The map: isotropic Gaussians, where they come from and how they go."""
+"""The map of isotropic Gaussians: storage, seeding and allocation."""

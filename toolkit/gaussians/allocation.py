@@ -24,8 +24,8 @@ def pixels_per_class(areas: NDArray[np.integer], total: int) -> NDArray[np.int64
     left = min(int(total), int(areas.sum()))
     while left > 0:
         open_classes = np.flatnonzero(counts < areas)
-        share = np.sqrt(areas[open_classes])
-        wanted = left * share / share.sum()
+        weight = np.sqrt(areas[open_classes])
+        wanted = left * weight / weight.sum()
         room = areas[open_classes] - counts[open_classes]
         full = wanted >= room
         if full.any():  # these classes are complete; distribute the remainder over the others
@@ -63,16 +63,16 @@ def choose_pixels(
     pixels = np.flatnonzero(mask)
     total = int(np.ceil(share * len(pixels)))
     ids = np.zeros(len(pixels), np.int64) if class_ids is None else class_ids.reshape(-1)[pixels]
-    classes, place, areas = np.unique(ids, return_inverse=True, return_counts=True)
+    classes, class_index, areas = np.unique(ids, return_inverse=True, return_counts=True)
     counts = pixels_per_class(areas, total)
     chosen = np.zeros(mask.size, bool)
     area = np.ones(mask.size, np.float32)
     shuffled = generator.permutation(len(pixels))
     # The first pixels of each class in the shuffled order.
-    by_class = shuffled[np.argsort(place[shuffled], kind="stable")]
+    by_class = shuffled[np.argsort(class_index[shuffled], kind="stable")]
     begin = np.cumsum(areas) - areas
     for k in range(len(classes)):
-        taken = pixels[by_class[begin[k] : begin[k] + counts[k]]]
-        chosen[taken] = True
-        area[taken] = areas[k] / max(int(counts[k]), 1)
+        subset = pixels[by_class[begin[k] : begin[k] + counts[k]]]
+        chosen[subset] = True
+        area[subset] = areas[k] / max(int(counts[k]), 1)
     return chosen.reshape(mask.shape), area.reshape(mask.shape)

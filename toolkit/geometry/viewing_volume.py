@@ -43,7 +43,7 @@ class ViewingVolume:
     depth_m: NDArray[np.float32]
 
     def in_front(self, points_camera_m: NDArray) -> NDArray[np.bool_]:
-        """Which points [P, 3] that project into the image lie in front of the surface, [P].
+        """Mask [P] of the points [P, 3] inside the image that lie in front of the surface.
 
         Raises:
             DependencyError: Open3D cannot be loaded.
@@ -78,7 +78,7 @@ def inside_union(
     volumes: Sequence[ViewingVolume],
     T_world_cameras: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Which of the points [P, 3] lie in at least one of K viewing volumes, [P].
+    """Mask [P] of the points [P, 3] that lie in at least one of K viewing volumes.
 
     Args:
         T_world_cameras: [K, 4, 4] poses of the volumes' cameras.

@@ -63,7 +63,7 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
     """Return the one-line error for a file or folder that could not be written."""
     return RunFolderError(
         f"cannot write {path}: {error.strerror or error}; free space there, "
-        f"allow writing, or choose another place"
+        f"allow writing, or choose another folder"
     )
 
 

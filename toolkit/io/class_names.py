@@ -62,7 +62,9 @@ def _content(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unique)
     except OSError as error:
-        raise DatasetError(f"cannot read {path}: {error.strerror}; it must hold {_FORM}") from error
+        raise DatasetError(
+            f"cannot read {path}: {error.strerror}; it must contain {_FORM}"
+        ) from error
     except ValueError as error:
         raise DatasetError(f"{path} is not of the form {_FORM}: {error}") from error
     if not isinstance(content, dict):

@@ -143,8 +143,8 @@ def check_whole(path: PathLike) -> None:
         fault = _png_fault(content)
     elif content.startswith(_JPEG_START):
         # Within scan data 0xFF is always escaped, so an end marker after the last scan is valid.
-        whole = content.rfind(_JPEG_END) > content.rfind(_JPEG_SCAN)
-        fault = None if whole else "is truncated"
+        complete = content.rfind(_JPEG_END) > content.rfind(_JPEG_SCAN)
+        fault = None if complete else "is truncated"
     else:
         fault = "is empty" if not content else "is neither PNG nor JPEG"
     if fault:

@@ -77,8 +77,8 @@ def depth_picture(depth_m: NDArray[np.floating], span: DepthSpan | None = None) 
     """
     span = span or DepthSpan.of([depth_m])
     valid = np.isfinite(depth_m) & (depth_m > 0)
-    share = (np.where(valid, depth_m, span.near_m) - span.near_m) / (span.far_m - span.near_m)
-    picture = _viridis(share)
+    relative = (np.where(valid, depth_m, span.near_m) - span.near_m) / (span.far_m - span.near_m)
+    picture = _viridis(relative)
     picture[~valid] = MISSING
     return picture
 
@@ -115,8 +115,8 @@ def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
         np.linspace(1.0, 0.0, length)[:, None]
     )
     for tick, label in zip(ticks, labels, strict=True):
-        share = (tick - span.near_m) / (span.far_m - span.near_m)
-        y = margin + round((1.0 - share) * (length - 1))
+        relative = (tick - span.near_m) / (span.far_m - span.near_m)
+        y = margin + round((1.0 - relative) * (length - 1))
         side[y : y + 1, gap + bar : gap + bar + gap] = _INK
         _write(side, label, (2 * gap + bar + gap // 2, y + text_height // 2), scale)
     return np.concatenate([picture, side], axis=1)
@@ -221,10 +221,10 @@ def view_strip(
     return strip(panels)
 
 
-def _viridis(share: NDArray[np.floating]) -> Picture:
+def _viridis(values: NDArray[np.floating]) -> Picture:
     """Return viridis colours [H, W, 3] of values [H, W] from 0 (dark) to 1 (bright)."""
-    values = np.rint(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return cv2.cvtColor(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
+    levels = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
 
 
 def _tick_step(length_m: float) -> float:

@@ -1,4 +1,4 @@
-"""Incremental writing of a splat PLY, so that the whole map need not be in memory at once."""
+"""Incremental writing of a splat PLY, so that the map need not fit in memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROWS = b"element vertex %d\n"
 def write_splat_parts(
     path: PathLike, parts: Iterable[tuple[SplatLike, Mapping[str, NDArray]]]
 ) -> None:
-    """Write the parts of a map as one PLY, byte-identical to `write_splat_ply` of the whole map.
+    """Write the parts of a map as one PLY, byte-identical to `write_splat_ply` of all Gaussians.
 
     Args:
         path: the file, ending in `.ply`.
@@ -48,7 +48,7 @@ def write_splat_parts(
                         shutil.copyfileobj(file, body)
                     total += count
         if not headers:
-            raise RunFolderError(f"cannot write {path}: the map holds no Gaussian")
+            raise RunFolderError(f"cannot write {path}: the map contains no Gaussians")
         if len(headers) > 1:
             raise ValueError("the parts of a map must have the same columns")
         with rows.open("rb") as body, temporary.open("wb") as file:

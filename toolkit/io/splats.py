@@ -253,7 +253,7 @@ def _open3d_cloud(path: PathLike, splats: SplatLike) -> Any:
     """Convert splats to an Open3D tensor point cloud."""
     means = _array(splats.means)
     if len(means) == 0:
-        raise RunFolderError(f"cannot write {path}: the map holds no Gaussian")
+        raise RunFolderError(f"cannot write {path}: the map contains no Gaussians")
     o3d = open3d()
     radii_m = np.exp(_array(splats.log_radii))[:, None]
     colours = np.clip(_array(splats.colours), 0.0, 1.0)

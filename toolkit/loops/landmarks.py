@@ -1,6 +1,6 @@
 """Semantic landmark vectors: class frequencies of a view, weighted by rarity (G-7).
 
-The vector of a view has one entry per class c: the share of the class in the view times its
+The vector of a view has one entry per class c: the fraction of the class in the view times its
 inverse frequency. The paper prints M / M_c * log(N / (1 + N_c)), where M_c of the M observed
 Gaussians and N_c of the N Gaussians in the map have class c. This divides by zero for classes
 out of view, lets a single stray Gaussian dominate, and counts rarity twice. We use tf-idf as in
@@ -45,10 +45,10 @@ def landmark_vectors(
         vectors = _paper_vectors(counts, options.min_count, map_counts)
     else:
         counts = np.where(counts >= max(1, options.min_count), counts, 0)
-        shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        frequencies = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         if options.weighting == "sqrt":
-            shares = np.sqrt(shares)
-        vectors = shares * keyframe_idf(counts)
+            frequencies = np.sqrt(frequencies)
+        vectors = frequencies * keyframe_idf(counts)
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 

@@ -53,8 +53,8 @@ class LandmarkOptions:
     """Landmark vectors: the weighted class counts of a view."""
 
     weighting: Weighting = "sqrt"
-    """Weight of a class: the square root of its share of the view (sqrt), the share (linear), or
-    equation 7 of GauSem-SLAM as printed (paper)."""
+    """Weight of a class: the square root of its fraction of the view (sqrt), the fraction (linear),
+    or equation 7 of GauSem-SLAM as printed (paper)."""
     min_count: NonNegativeInt = 10
     """Minimum count for a class to be seen by a keyframe; the floor on M_c in the weighting
     paper."""

@@ -1,4 +1,4 @@
-"""Constants that the C++ kernels share with their counterparts in Python and Triton.
+"""Constants of the C++ kernels and their counterparts in Python and Triton.
 
 This module is their only definition. `setup.py` executes it and passes each value to the compiler
 as the macro SEMSPLAT_NAME, which `src/common/constants.hpp` turns into a C++ constant. Variants
@@ -21,8 +21,8 @@ MIN_SIGMA_PX = 1e-6  # smaller Gaussians are ignored; their squares would underf
 # The surface of a rendered view: planes through the mean centre of each pixel's Gaussians.
 MAX_DEPTH_STEP = 0.05  # larger relative differences are an edge unless on one plane
 MAX_SURFACE_CORRECTION = 0.1  # of the mean depth, relative; steep walls need more than 0.02
-# Normals shorter than this share of a pixel's footprint are rounding: wide Gaussians, whose mean
-# centre hardly changes from pixel to pixel, span no plane.
+# Normals shorter than this fraction of a pixel's footprint are rounding errors: the mean centre of
+# wide Gaussians hardly changes from pixel to pixel.
 MIN_NORMAL = 0.01
 MAX_CENTRE_OFFSET_PX = 1.0  # between a pixel and its mean centre; farther away is an edge
 MIN_CENTRE_DEPTH_M = 0.05
@@ -42,7 +42,7 @@ SSIM_K2 = 0.03
 
 # Depth.
 MIN_NOISE_DEPTH_M = 0.5  # depth noise grows with the squared depth from here on
-MIN_PLANE_DETERMINANT = 1e-6  # of a plane fit, as a share of its diagonal's product
+MIN_PLANE_DETERMINANT = 1e-6  # of a plane fit, as a fraction of the product of its diagonal
 
 
 def values() -> dict[str, float]:

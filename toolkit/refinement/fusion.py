@@ -164,8 +164,8 @@ def fuse_submaps(
     exposures = estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
     kept: dict[int, Tensor | None] = {}
     for number in numbers:
-        place = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
-        kept[number] = torch.from_numpy(owners.submap[place] == number)
+        index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
+        kept[number] = torch.from_numpy(owners.submap[index] == number)
     return FusedMap(submap, kept, exposures)
 
 

@@ -25,13 +25,13 @@ NEAR_M = tl.constexpr(constants.NEAR_M)
 
 @triton.jit
 def _column(columns, place: tl.constexpr, values):
-    """Values [pixels] in one column of a matrix [pixels, 16]."""
+    """Place values [pixels] in one column of a matrix [pixels, 16]."""
     return tl.where(columns == place, values[:, None], 0.0)
 
 
 @triton.jit
 def _pose_columns(columns, direction, point):
-    """Derivative of n . Y by a motion that multiplies from the left, in columns 0 to 5."""
+    """Derivative of n . Y with respect to a left tangent, in columns 0 to 5."""
     nx, ny, nz = direction
     x, y, z = point
     return (
@@ -64,13 +64,13 @@ def _row(state, row: tl.constexpr):
 
 @triton.jit
 def _coordinate(row, depth, rx, ry):
-    """One coordinate of points with these depths on the rays (rx, ry, 1), moved by the pose."""
+    """One coordinate of points at given depths on the rays (rx, ry, 1), transformed by the pose."""
     return depth * (row[0] * rx + row[1] * ry + row[2]) + row[3]
 
 
 @triton.jit
 def _weights(residual, inverse_scale, counted):
-    """Student's t: roots of the residuals' weights, and their weighted squares."""
+    """Student's t: square roots of the residuals' weights, and their weighted squares."""
     square = residual * inverse_scale * residual * inverse_scale
     robust = tl.where(counted, 1.0 / (square + STUDENT_T_DOF) * (STUDENT_T_DOF + 1.0), 0.0)
     return tl.sqrt(robust) * inverse_scale, robust * square
@@ -78,17 +78,17 @@ def _weights(residual, inverse_scale, counted):
 
 @triton.jit
 def _counted(place, kind: tl.constexpr, counted, squares):
-    """Number and weighted squares of one kind of residual, in their places of the tail [16]."""
+    """Tail [16] with the number and the weighted squares of one type of residual."""
     number = tl.where(place == kind, tl.sum(counted.to(tl.float32), axis=0), 0.0)
     return number + tl.where(place == 2 + kind, tl.sum(squares, axis=0), 0.0)
 
 
 @triton.jit
 def _point_to_plane(columns, surface, at, close, point, seen, inverse_z, inverse_sigma):
-    """Rows of the Jacobian with their residuals [pixels, 16], which of them count, and squares.
+    """Jacobian rows with residuals [pixels, 16], mask of valid residuals, and weighted squares.
 
-    Weight and lever are taken from the depth that was seen: with the frame's own they would go
-    with its noise.
+    Weight and lever arm are computed from the model's depth: with the frame's depth they would
+    depend on its noise.
     """
     nx = tl.load(surface + 4 * at, mask=close, other=0.0)
     ny = tl.load(surface + 4 * at + 1, mask=close, other=0.0)
@@ -108,7 +108,7 @@ def _point_to_plane(columns, surface, at, close, point, seen, inverse_z, inverse
 
 @triton.jit
 def _interpolated(texture, surface, width, u, v, close):
-    """Intensity and its derivatives [pixels] between texels, and where they lie on one surface."""
+    """Interpolated intensity and derivatives [pixels], and whether the taps are on one surface."""
     left, top = u.to(tl.int32), v.to(tl.int32)
     a, b = u - left.to(tl.float32), v - top.to(tl.float32)
     at = top * width + left
@@ -132,7 +132,7 @@ def _interpolated(texture, surface, width, u, v, close):
 
 @triton.jit
 def _photometric(columns, sampled, own, exposure, point, focal, inverse_z, root_weight):
-    """As `_point_to_plane`, of the sampled view against the frame's own intensities, exposed."""
+    """See `_point_to_plane`; residuals of the sampled view and the frame's exposed intensities."""
     value, along_x, along_y, bright = sampled
     gain, bias, inverse_scale = exposure
     x, y, _ = point
@@ -164,9 +164,9 @@ def accumulate(
     chunks,
     BLOCK: tl.constexpr,
 ):
-    """One partial result [16, 16] a program, of every so many chunks of the frame's pixels.
+    """Compute one partial sum [16, 16] per program, from every n-th chunk of the frame's pixels.
 
-    `cameras` holds fx, fy, cx, cy of the model view and then of the frame; `root_weight` is the
+    `cameras` contains fx, fy, cx, cy of the model view and then of the frame; `root_weight` is the
     square root of the photometric term's weight.
     """
     if tl.load(state + PHASE) > 0.5:
@@ -207,7 +207,7 @@ def accumulate(
         J, flat, squares = _point_to_plane(
             columns, surface, at, close, (x, y, z), seen, inverse_z, inverse_depth
         )
-        # The tensor cores' three products a float32 product: the normal equations are stiff.
+        # Three tensor-core products per float32 product: the normal equations are ill-conditioned.
         total = tl.dot(tl.trans(J), J, total, input_precision="tf32x3")
         tail += _counted(place, 1, flat, squares)
 

@@ -34,7 +34,7 @@ def _taps(image: Tensor) -> Tensor:
     """The four pixels [4, H / 2, W / 2] under each pixel of the next level."""
     height, width = image.shape
     rows, columns = max(1, height // 2), max(1, width // 2)
-    # In an image of one row or column, that one is its own neighbour.
+    # The row or column of an image of size 1 is repeated.
     right, below = min(1, width - 1), min(1, height - 1)
     return torch.stack([image[y::2, x::2][:rows, :columns] for y in (0, below) for x in (0, right)])
 

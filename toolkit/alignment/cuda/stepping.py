@@ -79,7 +79,7 @@ def _move(state, shift, turn, squared, angle):
     p = tl.where(tiny, 1.0 - squared / 6.0, tl.sin(safe) / safe)
     q = tl.where(tiny, 0.5 - squared / 24.0, (1.0 - tl.cos(safe)) / (safe * safe))
     c = tl.where(tiny, 1.0 / 6.0 - squared / 120.0, (safe - tl.sin(safe)) / (safe * safe * safe))
-    # exp of the rotation, and the left Jacobian that turns the translation's tangent.
+    # exp of the rotation, and the left Jacobian that is applied to the translation's tangent.
     e00, e01, e02 = 1.0 - q * (s4 * s4 + s5 * s5), q * s3 * s4 - p * s5, q * s3 * s5 + p * s4
     e10, e11, e12 = q * s3 * s4 + p * s5, 1.0 - q * (s3 * s3 + s5 * s5), q * s4 * s5 - p * s3
     e20, e21, e22 = q * s3 * s5 - p * s4, q * s4 * s5 + p * s3, 1.0 - q * (s3 * s3 + s4 * s4)
