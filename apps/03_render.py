@@ -18,7 +18,7 @@ import toolkit
 from toolkit.cli.errors import one_line_errors
 from toolkit.geometry import se3
 from toolkit.io.images import write_png
-from toolkit.io.pictures import DepthSpan, colour_picture, depth_picture, with_depth_scale
+from toolkit.io.visualisation import DepthSpan, colour_image, depth_image, with_depth_scale
 from toolkit.rendering.viewpoints import Viewpoint
 
 # One depth range for all views, so that a surface keeps its colour while the camera turns.
@@ -37,8 +37,8 @@ def main(run_folder: Path, out: Path, views: int = 12) -> int:
             view = toolkit.render(run.gaussians, run.camera, T_camera_map)
         # Depth is undefined where no Gaussian covers a pixel.
         depth_m = torch.where(view.silhouette > 0.5, view.depth_m, torch.zeros(()))
-        depth = with_depth_scale(depth_picture(depth_m.numpy(), SPAN), SPAN)
-        write_png(out / f"colour_{number:02d}.png", colour_picture(view.colour.numpy()))
+        depth = with_depth_scale(depth_image(depth_m.numpy(), SPAN), SPAN)
+        write_png(out / f"colour_{number:02d}.png", colour_image(view.colour.numpy()))
         write_png(out / f"depth_{number:02d}.png", depth)
     print(f"rendered {views} views of {run.gaussians} to {out}")
     return 0

@@ -22,7 +22,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.io.images import write_png
-from toolkit.io.pictures import Panel, colour_picture, strip
+from toolkit.io.visualisation import Panel, colour_image, strip
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 
 FLOOR, WALL, CEILING, SURFACE, OBJECT = 1, 2, 3, 4, 5
@@ -230,7 +230,7 @@ def _draw(
     path: Path, frame: Frame, labels: NDArray[np.int32], true: NDArray[np.int64] | None
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    panels = [Panel("frame", colour_picture(frame.rgb)), Panel("found", COLOURS[labels])]
+    panels = [Panel("frame", colour_image(frame.rgb)), Panel("found", COLOURS[labels])]
     if true is not None:
         panels.append(Panel("true", COLOURS[true]))
     write_png(path, strip(panels))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from toolkit.io.pictures import LegendEntry, legend_below, with_legend
+from toolkit.io.visualisation import LegendEntry, legend_below, with_legend
 from toolkit.semantics import palette as palette_module
 from toolkit.semantics.palette import _CONES_FROM_RGB, _LAB_FROM_CONES, Palette
 from toolkit.semantics.taxonomy import Taxonomy
@@ -145,11 +145,11 @@ def test_a_picture_has_the_colour_of_each_node_and_black_for_void():
     labels = np.array([[0, 1, 2], [3, 4, 6]])
     for level in range(ROOM.depth):
         node_ids = ROOM.level_ids(labels, level)
-        picture = palette.picture(node_ids)
+        picture = palette.class_image(node_ids)
         assert (picture[0, 0] == 0).all()
         np.testing.assert_array_equal(picture[1, 2], palette.nodes[ROOM.node_ids[5, level]])
     np.testing.assert_array_equal(
-        palette.picture(ROOM.level_ids(labels, 3)), palette.classes[labels]
+        palette.class_image(ROOM.level_ids(labels, 3)), palette.classes[labels]
     )
 
 

@@ -18,11 +18,11 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import Frustum, contained_fraction, far_depth_m, observed_points
 from toolkit.io.images import write_rgb
-from toolkit.io.pictures import (
+from toolkit.io.visualisation import (
     LegendEntry,
     Panel,
-    Picture,
-    colour_picture,
+    RgbImage,
+    colour_image,
     legend_below,
     strip,
 )
@@ -167,9 +167,9 @@ def candidate_picture(
     return legend_below(strip(panels), entries, len(entries))
 
 
-def _enlarged(frame: Frame) -> Picture:
+def _enlarged(frame: Frame) -> RgbImage:
     """Return the image of a frame, enlarged by an integer factor to the minimum width."""
-    picture = colour_picture(frame.rgb)
+    picture = colour_image(frame.rgb)
     factor = math.ceil(_MIN_WIDTH / picture.shape[1])
     return picture.repeat(factor, axis=0).repeat(factor, axis=1)
 

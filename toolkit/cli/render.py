@@ -22,18 +22,18 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import cannot_write
 from toolkit.io.images import write_png
-from toolkit.io.pictures import (
+from toolkit.io.splats import SUFFIXES
+from toolkit.io.trajectories import read_tum
+from toolkit.io.visualisation import (
     DepthSpan,
-    Picture,
-    colour_picture,
-    depth_picture,
-    silhouette_picture,
+    RgbImage,
+    colour_image,
+    depth_image,
+    silhouette_image,
     view_strip,
     with_depth_scale,
     with_legend,
 )
-from toolkit.io.splats import SUFFIXES
-from toolkit.io.trajectories import read_tum
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.runs.finished import FinishedRun, load_run
@@ -111,7 +111,7 @@ def main(options: RenderProgram) -> int:
     for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
         rendered = _render(map_, camera, view)
         observed = inputs.rgb(view) if inputs else None
-        pictures: dict[str, Picture] = {
+        pictures: dict[str, RgbImage] = {
             kind: _picture(kind, rendered, span, observed)
             for kind in options.what
             if kind not in SEMANTIC_IMAGES
@@ -242,13 +242,13 @@ def _render(map_: _Map, camera: Camera, view: _View) -> _RenderedView:
 
 def _label_pictures(
     what: Sequence[str], palette: Palette, rendered: _RenderedView
-) -> dict[str, Picture]:
+) -> dict[str, RgbImage]:
     """Return pictures of the taxonomy's levels by the prefix of their file name."""
     assert rendered.nodes is not None
     pictures = {}
     if "labels" in what:
         for level, nodes in enumerate(rendered.nodes):
-            picture = with_legend(palette.picture(nodes), palette.legend(nodes))
+            picture = with_legend(palette.class_image(nodes), palette.legend(nodes))
             pictures[f"labels_l{level}"] = picture
     if "levels" in what:
         rgb = np.clip(rendered.rgb, 0.0, 1.0)
@@ -259,11 +259,11 @@ def _label_pictures(
 
 def _picture(
     kind: str, rendered: _RenderedView, span: DepthSpan, observed: NDArray[np.float32] | None
-) -> Picture:
+) -> RgbImage:
     if kind == "colour":
-        return colour_picture(rendered.rgb)
+        return colour_image(rendered.rgb)
     if kind == "depth":
-        return with_depth_scale(depth_picture(rendered.depth_m, span), span)
+        return with_depth_scale(depth_image(rendered.depth_m, span), span)
     if kind == "silhouette":
-        return silhouette_picture(rendered.silhouette)
+        return silhouette_image(rendered.silhouette)
     return view_strip(rendered.rgb, rendered.depth_m, rendered.silhouette, observed, span)

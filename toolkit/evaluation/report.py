@@ -26,7 +26,7 @@ from toolkit.evaluation.trajectory import (
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
-from toolkit.io.pictures import DepthSpan, colour_picture, depth_picture
+from toolkit.io.visualisation import DepthSpan, colour_image, depth_image
 
 # Limits the size of a report with six views to about 10 MB.
 _MAX_IMAGE_WIDTH = 640
@@ -219,10 +219,10 @@ def _embedded(view: ReportView) -> dict[str, str]:
         "score": score,
         "near": f"{span.near_m:g}",
         "far": f"{span.far_m:g}",
-        "observed": _data_url(colour_picture(view.observed_rgb)),
-        "rendered": _data_url(colour_picture(view.rendered_rgb)),
-        "observed_depth": _data_url(depth_picture(view.observed_depth_m, span)),
-        "rendered_depth": _data_url(depth_picture(view.rendered_depth_m, span)),
+        "observed": _data_url(colour_image(view.observed_rgb)),
+        "rendered": _data_url(colour_image(view.rendered_rgb)),
+        "observed_depth": _data_url(depth_image(view.observed_depth_m, span)),
+        "rendered_depth": _data_url(depth_image(view.rendered_depth_m, span)),
     }
 
 

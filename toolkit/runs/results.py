@@ -28,8 +28,8 @@ from toolkit.gaussians.scene import GaussianScene, RoundedScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_rgb
-from toolkit.io.pictures import view_strip
 from toolkit.io.splats import SplatLabels
+from toolkit.io.visualisation import view_strip
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.refinement.fusion import FusedMap

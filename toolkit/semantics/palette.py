@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.io.pictures import LegendEntry, Panel, Picture, colour_picture, legend_below, strip
+from toolkit.io.visualisation import LegendEntry, Panel, RgbImage, colour_image, legend_below, strip
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_parsing import VOID_NAME
 
@@ -67,7 +67,7 @@ class Palette:
         leaves = self.nodes[taxonomy.node_ids[:, -1]]
         self.classes = np.concatenate([np.array([VOID_COLOUR], np.uint8), leaves])
 
-    def picture(self, node_ids: NDArray[np.integer]) -> Picture:
+    def class_image(self, node_ids: NDArray[np.integer]) -> RgbImage:
         """Return the colours of node indices [H, W] of any level; -1 (void) is black.
 
         `taxonomy.level_ids` converts class ids to node indices.
@@ -86,7 +86,7 @@ class Palette:
         order = sorted(
             range(len(found)), key=lambda k: (found[k] == _VOID, -counts[k], int(found[k]))
         )
-        colours = self.picture(found)
+        colours = self.class_image(found)
         return [
             LegendEntry(
                 f"{names[int(found[k])]} {_percent(counts[k] / node_ids.size)}",
@@ -101,7 +101,7 @@ class Palette:
         levels: Sequence[NDArray[np.integer]],
         overlay: float = 1.0,
         legend_rows: int = 0,
-    ) -> Picture:
+    ) -> RgbImage:
         """Return the colour image and the labels at every level side by side.
 
         Args:
@@ -110,12 +110,12 @@ class Palette:
             overlay: opacity of the semantic colours over the image, in [0, 1].
             legend_rows: number of legend entries below each panel.
         """
-        photo = colour_picture(rgb)
-        panels = [Panel("colour", legend_below(photo, [], legend_rows))]
+        colours = colour_image(rgb)
+        panels = [Panel("colour", legend_below(colours, [], legend_rows))]
         for name, node_ids in zip(self.taxonomy.levels, levels, strict=True):
-            mixed = overlay * self.picture(node_ids) + (1.0 - overlay) * photo
-            picture = np.rint(mixed).astype(np.uint8)
-            panels.append(Panel(name, legend_below(picture, self.legend(node_ids), legend_rows)))
+            mixed = overlay * self.class_image(node_ids) + (1.0 - overlay) * colours
+            image = np.rint(mixed).astype(np.uint8)
+            panels.append(Panel(name, legend_below(image, self.legend(node_ids), legend_rows)))
         return strip(panels)
 
 

@@ -1,6 +1,6 @@
 """Visualisation of images: colour-mapped depth with a scale bar, legends, captioned panels.
 
-All pictures are [H, W, 3] uint8 RGB; `toolkit.io.images.write_png` saves them.
+All images are [H, W, 3] uint8 RGB; `toolkit.io.images.write_png` saves them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Picture = NDArray[np.uint8]
+RgbImage = NDArray[np.uint8]
 
 # Differs from every colour of the depth scale, so that holes are not mistaken for surfaces.
 MISSING = (45, 45, 45)
@@ -63,12 +63,12 @@ class DepthSpan:
         return cls(near_m, max(step * math.ceil(high / step), near_m + step))
 
 
-def colour_picture(rgb: NDArray[np.floating]) -> Picture:
-    """Convert RGB [H, W, 3] in [0, 1] (clamped) to a picture."""
+def colour_image(rgb: NDArray[np.floating]) -> RgbImage:
+    """Convert RGB [H, W, 3] in [0, 1] (clamped) to an image."""
     return np.rint(np.clip(rgb, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def depth_picture(depth_m: NDArray[np.floating], span: DepthSpan | None = None) -> Picture:
+def depth_image(depth_m: NDArray[np.floating], span: DepthSpan | None = None) -> RgbImage:
     """Apply the viridis colour map to a depth image: near dark, far bright, missing dark grey.
 
     Args:
@@ -78,12 +78,12 @@ def depth_picture(depth_m: NDArray[np.floating], span: DepthSpan | None = None) 
     span = span or DepthSpan.of([depth_m])
     valid = np.isfinite(depth_m) & (depth_m > 0)
     relative = (np.where(valid, depth_m, span.near_m) - span.near_m) / (span.far_m - span.near_m)
-    picture = _viridis(relative)
-    picture[~valid] = MISSING
-    return picture
+    image = _viridis(relative)
+    image[~valid] = MISSING
+    return image
 
 
-def silhouette_picture(silhouette: NDArray[np.floating]) -> Picture:
+def silhouette_image(silhouette: NDArray[np.floating]) -> RgbImage:
     """Colour-map accumulated opacity [H, W] in [0, 1].
 
     Opaque pixels are white, translucent pixels orange to red, and empty pixels dark grey.
@@ -94,9 +94,9 @@ def silhouette_picture(silhouette: NDArray[np.floating]) -> Picture:
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 
-def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
-    """Append a scale bar in metres to the right of a depth picture."""
-    height = picture.shape[0]
+def with_depth_scale(image: RgbImage, span: DepthSpan) -> RgbImage:
+    """Append a scale bar in metres to the right of a depth image."""
+    height = image.shape[0]
     scale = _font_scale(height)
     text_height = round(_FONT_HEIGHT * scale)
     gap, bar = max(3, text_height // 2), max(6, round(text_height * 1.2))
@@ -119,7 +119,7 @@ def with_depth_scale(picture: Picture, span: DepthSpan) -> Picture:
         y = margin + round((1.0 - relative) * (length - 1))
         side[y : y + 1, gap + bar : gap + bar + gap] = _INK
         _write(side, label, (2 * gap + bar + gap // 2, y + text_height // 2), scale)
-    return np.concatenate([picture, side], axis=1)
+    return np.concatenate([image, side], axis=1)
 
 
 @dataclass(frozen=True)
@@ -130,21 +130,21 @@ class LegendEntry:
     colour: tuple[int, int, int]
 
 
-def with_legend(picture: Picture, entries: Sequence[LegendEntry], columns: int = 3) -> Picture:
-    """Append a legend to the right of a picture.
+def with_legend(image: RgbImage, entries: Sequence[LegendEntry], columns: int = 3) -> RgbImage:
+    """Append a legend to the right of an image.
 
     Args:
-        picture: [H, W, 3].
+        image: [H, W, 3].
         entries: in descending order of importance; the last line counts entries that do not fit.
         columns: maximum number of columns.
     """
     if not entries:
-        return picture
-    height = picture.shape[0]
+        return image
+    height = image.shape[0]
     scale = _font_scale(height)
     rows = max(1, height // _line_height(scale))
     entries = _shortened(entries, rows * columns)
-    parts = [picture]
+    parts = [image]
     for first in range(0, len(entries), rows):
         column = entries[first : first + rows]
         width = max(_text_size(entry.text, scale)[0] for entry in column)
@@ -153,41 +153,41 @@ def with_legend(picture: Picture, entries: Sequence[LegendEntry], columns: int =
     return np.concatenate(parts, axis=1)
 
 
-def legend_below(picture: Picture, entries: Sequence[LegendEntry], rows: int) -> Picture:
-    """Append a legend of `rows` lines below a picture, without changing its width."""
-    height, width = picture.shape[:2]
+def legend_below(image: RgbImage, entries: Sequence[LegendEntry], rows: int) -> RgbImage:
+    """Append a legend of `rows` lines below an image, without changing its width."""
+    height, width = image.shape[:2]
     scale = _font_scale(height)
     block = _legend_block(_shortened(entries, rows), (rows * _line_height(scale), width), scale)
-    return np.concatenate([picture, block], axis=0)
+    return np.concatenate([image, block], axis=0)
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of a strip and its caption."""
+    """One image of a strip and its caption."""
 
     caption: str
-    picture: Picture
+    image: RgbImage
 
 
-def strip(panels: Sequence[Panel]) -> Picture:
+def strip(panels: Sequence[Panel]) -> RgbImage:
     """Place panels of one height side by side on white, each below its caption.
 
     Raises:
         ValueError: there are no panels, or their heights differ.
     """
-    heights = {panel.picture.shape[0] for panel in panels}
+    heights = {panel.image.shape[0] for panel in panels}
     if len(heights) != 1:
         raise ValueError(f"a strip needs panels of one height, got {sorted(heights)}")
     height = heights.pop()
     scale = _font_scale(height)
     text_height = round(_FONT_HEIGHT * scale)
     gap, head = max(4, text_height // 2), 2 * text_height
-    width = sum(panel.picture.shape[1] for panel in panels) + gap * (len(panels) + 1)
+    width = sum(panel.image.shape[1] for panel in panels) + gap * (len(panels) + 1)
     page = np.full((head + height + gap, width, 3), _PAPER, np.uint8)
     left = gap
     for panel in panels:
-        panel_width = panel.picture.shape[1]
-        page[head : head + height, left : left + panel_width] = panel.picture
+        panel_width = panel.image.shape[1]
+        page[head : head + height, left : left + panel_width] = panel.image
         fitting = scale * min(1.0, panel_width / max(_text_size(panel.caption, scale)[0], 1))
         _write(page, panel.caption, (left, head - text_height // 2), fitting)
         left += panel_width + gap
@@ -200,7 +200,7 @@ def view_strip(
     silhouette: NDArray[np.floating],
     observed: NDArray[np.floating] | None = None,
     span: DepthSpan | None = None,
-) -> Picture:
+) -> RgbImage:
     """Show a rendered view as a strip: input (if given), render, depth, silhouette.
 
     Args:
@@ -211,17 +211,17 @@ def view_strip(
         span: depth range of the colour map; by default the range of this view.
     """
     span = span or DepthSpan.of([depth_m])
-    panels = [] if observed is None else [Panel("input", colour_picture(observed))]
-    depth = with_depth_scale(depth_picture(depth_m, span), span)
+    panels = [] if observed is None else [Panel("input", colour_image(observed))]
+    depth = with_depth_scale(depth_image(depth_m, span), span)
     panels += [
-        Panel("render", colour_picture(rgb)),
+        Panel("render", colour_image(rgb)),
         Panel("depth", depth),
-        Panel("silhouette", silhouette_picture(silhouette)),
+        Panel("silhouette", silhouette_image(silhouette)),
     ]
     return strip(panels)
 
 
-def _viridis(values: NDArray[np.floating]) -> Picture:
+def _viridis(values: NDArray[np.floating]) -> RgbImage:
     """Return viridis colours [H, W, 3] of values [H, W] from 0 (dark) to 1 (bright)."""
     levels = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
     return cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
@@ -240,7 +240,7 @@ def _ticks(span: DepthSpan, max_count: int) -> list[float]:
     return [step * i for i in range(first, last + 1)] or [span.far_m]
 
 
-def _legend_block(entries: Sequence[LegendEntry], size: tuple[int, int], scale: float) -> Picture:
+def _legend_block(entries: Sequence[LegendEntry], size: tuple[int, int], scale: float) -> RgbImage:
     """Draw legend entries on a block of a size (height, width); long text is scaled down."""
     block = np.full((*size, 3), _PAPER, np.uint8)
     letter, line = round(_FONT_HEIGHT * scale), _line_height(scale)
@@ -267,7 +267,7 @@ def _line_height(scale: float) -> int:
 
 
 def _font_scale(height: int) -> float:
-    """Return the font scale for letters of about 1/25 of the picture's height, 8 to 24 pixels."""
+    """Return the font scale for letters of about 1/25 of the image's height, 8 to 24 pixels."""
     return float(np.clip(height / 25.0, 8.0, 24.0)) / _FONT_HEIGHT
 
 
@@ -276,6 +276,6 @@ def _text_size(text: str, scale: float) -> tuple[int, int]:
     return width, height
 
 
-def _write(picture: Picture, text: str, origin: tuple[int, int], scale: float) -> None:
-    """Draw text into a picture; the origin is the lower left corner of the text."""
-    cv2.putText(picture, text, origin, _FONT, scale, _INK, 1, cv2.LINE_AA)
+def _write(image: RgbImage, text: str, origin: tuple[int, int], scale: float) -> None:
+    """Draw text into an image; the origin is the lower left corner of the text."""
+    cv2.putText(image, text, origin, _FONT, scale, _INK, 1, cv2.LINE_AA)

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.io.pictures import (
+from toolkit.io.visualisation import (
     MISSING,
     DepthSpan,
     Panel,
-    colour_picture,
-    depth_picture,
-    silhouette_picture,
+    colour_image,
+    depth_image,
+    silhouette_image,
     strip,
     view_strip,
     with_depth_scale,
@@ -22,12 +22,12 @@ from toolkit.io.pictures import (
 
 def test_colours_are_clamped_and_rounded():
     rgb = np.array([[[-1.0, 0.5, 2.0]]])
-    assert colour_picture(rgb).tolist() == [[[0, 128, 255]]]
+    assert colour_image(rgb).tolist() == [[[0, 128, 255]]]
 
 
 def test_missing_depth_is_grey_and_far_depth_is_bright():
     depth_m = np.array([[0.0, np.nan, 1.0, 2.0, 3.0]])
-    picture = depth_picture(depth_m, DepthSpan(1.0, 3.0))
+    picture = depth_image(depth_m, DepthSpan(1.0, 3.0))
     assert (picture[0, :2] == MISSING).all()
     brightness = picture[0, 2:].astype(int).sum(axis=1)
     assert (np.diff(brightness) > 50).all()
@@ -35,8 +35,8 @@ def test_missing_depth_is_grey_and_far_depth_is_bright():
 
 def test_with_one_span_the_colour_of_a_depth_is_the_same_in_all_frames():
     span = DepthSpan.of([np.full((2, 2), 1.0), np.full((2, 2), 4.0)])
-    alone = depth_picture(np.array([[2.0]]), span)
-    among_others = depth_picture(np.array([[2.0, 3.7]]), span)
+    alone = depth_image(np.array([[2.0]]), span)
+    among_others = depth_image(np.array([[2.0, 3.7]]), span)
     assert (alone[0, 0] == among_others[0, 0]).all()
 
 
@@ -60,7 +60,7 @@ def test_invalid_span_raises():
 
 
 def test_silhouette_colours_differ_between_empty_and_opaque():
-    empty, thin, solid = silhouette_picture(np.array([[0.0, 0.5, 1.0]]))[0].astype(int)
+    empty, thin, solid = silhouette_image(np.array([[0.0, 0.5, 1.0]]))[0].astype(int)
     assert tuple(empty) == MISSING
     assert thin[0] > 2 * thin[2]
     assert solid.min() > 250
