@@ -111,15 +111,15 @@ def main(options: RenderProgram) -> int:
     for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
         rendered = _render(map_, camera, view)
         observed = inputs.rgb(view) if inputs else None
-        pictures: dict[str, RgbImage] = {
-            kind: _picture(kind, rendered, span, observed)
+        images: dict[str, RgbImage] = {
+            kind: _image_of(kind, rendered, span, observed)
             for kind in options.what
             if kind not in SEMANTIC_IMAGES
         }
         if palette is not None:
-            pictures |= _label_pictures(options.what, palette, rendered)
-        for name, picture in pictures.items():
-            write_png(out / f"{name}_{view.number:06d}.png", picture)
+            images |= _label_images(options.what, palette, rendered)
+        for name, image in images.items():
+            write_png(out / f"{name}_{view.number:06d}.png", image)
     print(f"rendered {len(views)} view(s) to {out}")
     return 0
 
@@ -240,24 +240,24 @@ def _render(map_: _Map, camera: Camera, view: _View) -> _RenderedView:
     return _RenderedView(output.colour.numpy(), depth_m, output.silhouette.numpy(), nodes)
 
 
-def _label_pictures(
+def _label_images(
     what: Sequence[str], palette: Palette, rendered: _RenderedView
 ) -> dict[str, RgbImage]:
-    """Return pictures of the taxonomy's levels by the prefix of their file name."""
+    """Return images of the taxonomy's levels by the prefix of their file name."""
     assert rendered.nodes is not None
-    pictures = {}
+    images = {}
     if "labels" in what:
         for level, nodes in enumerate(rendered.nodes):
-            picture = with_legend(palette.class_image(nodes), palette.legend(nodes))
-            pictures[f"labels_l{level}"] = picture
+            image = with_legend(palette.class_image(nodes), palette.legend(nodes))
+            images[f"labels_l{level}"] = image
     if "levels" in what:
         rgb = np.clip(rendered.rgb, 0.0, 1.0)
         strip = palette.level_strip(rgb, list(rendered.nodes), legend_rows=_LEGEND_ROWS)
-        pictures["levels"] = strip
-    return pictures
+        images["levels"] = strip
+    return images
 
 
-def _picture(
+def _image_of(
     kind: str, rendered: _RenderedView, span: DepthSpan, observed: NDArray[np.float32] | None
 ) -> RgbImage:
     if kind == "colour":
