@@ -1,4 +1,4 @@
-"""C++ kernels for the CPU: sources in `src/`, one folder per stage, and how they are loaded.
+"""C++ kernels for the CPU: sources in `src/` with one folder per stage, and their loading.
 
 Importing this package needs neither torch nor the compiled kernels.
 """

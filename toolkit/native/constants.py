@@ -11,20 +11,20 @@ SILHOUETTE = 4
 BASE_CHANNELS = 5
 
 # Compositing.
-TILE = 16  # pixels per side of a tile; regions are masks of tiles
+TILE = 16  # side length of a tile in pixels; regions are masks of tiles
 NEAR_M = 0.01  # nearer Gaussians and points are ignored
 MIN_ALPHA = 1.0 / 255.0  # smaller contributions are ignored
 MAX_ALPHA = 0.999  # keeps 1 / (1 - alpha) finite
-MIN_TRANSMITTANCE = 1e-4  # compositing of a block of pixels stops below
+MIN_TRANSMITTANCE = 1e-4  # compositing of a block of pixels stops below this value
 MIN_SIGMA_PX = 1e-6  # smaller Gaussians are ignored; their squares would underflow
 
 # The surface of a rendered view: planes through the mean centre of each pixel's Gaussians.
-MAX_DEPTH_STEP = 0.05  # larger relative differences are an edge unless on one plane
-MAX_SURFACE_CORRECTION = 0.1  # of the mean depth, relative; steep walls need more than 0.02
-# Normals shorter than this fraction of a pixel's footprint are rounding errors: the mean centre of
-# wide Gaussians hardly changes from pixel to pixel.
+MAX_DEPTH_STEP = 0.05  # larger relative depth differences are edges, except on one plane
+MAX_SURFACE_CORRECTION = 0.1  # relative correction of the mean depth; steep walls need above 0.02
+# Minimum length of a normal as a fraction of a pixel's footprint. The mean centre of large
+# Gaussians is nearly constant over neighbouring pixels and does not define a plane.
 MIN_NORMAL = 0.01
-MAX_CENTRE_OFFSET_PX = 1.0  # between a pixel and its mean centre; farther away is an edge
+MAX_CENTRE_OFFSET_PX = 1.0  # between a pixel and its mean centre; larger offsets are edges
 MIN_CENTRE_DEPTH_M = 0.05
 
 # Dense alignment.
@@ -42,7 +42,7 @@ SSIM_K2 = 0.03
 
 # Depth.
 MIN_NOISE_DEPTH_M = 0.5  # depth noise grows with the squared depth from here on
-MIN_PLANE_DETERMINANT = 1e-6  # of a plane fit, as a fraction of the product of its diagonal
+MIN_PLANE_DETERMINANT = 1e-6  # of a plane fit, relative to the product of the matrix diagonal
 
 
 def values() -> dict[str, float]:

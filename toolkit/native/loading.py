@@ -1,10 +1,9 @@
-"""Load the compiled kernels: one variant per instruction set, chosen by what the CPU supports.
+"""Load the compiled kernels: one variant per instruction set, selected by CPU support.
 
-Loading a variant that the CPU cannot run kills the interpreter, because the library's static
-constructors run before any check inside it. Therefore the variants belong to no package, their
-file names contain a dot that no import statement can resolve, and a variant is loaded by path
-only after the `base` variant, compiled without extensions, has reported that CPU and operating
-system support it.
+Loading a variant that the CPU does not support terminates the interpreter, because static
+constructors of the library run before any check. Variants therefore cannot be imported by name:
+their file names contain a dot. A variant is loaded by path after the `base` variant, which is
+compiled without extensions, has reported that CPU and operating system support it.
 
 This module needs only the standard library.
 """
@@ -132,7 +131,7 @@ def kernels() -> ModuleType | None:
             raise DependencyError(f"{ISA_VARIABLE}={forced}: {error}") from error
     available = available_instruction_sets()
     if not available:
-        _logger.warning("native kernels not found: slow torch code is used; %s", _REBUILD)
+        _logger.warning("Native kernels not found, using the slower torch code; %s", _REBUILD)
         return None
     return load_variant(available[-1])
 

@@ -1,4 +1,4 @@
-"""What callers of the kernels need to pass tensors: a device check and data addresses."""
+"""Helpers to pass tensors to the kernels: device check and data addresses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def kernels_for(tensor: Tensor) -> ModuleType | None:
-    """The kernels if a tensor is in CPU memory and kernels were built, else None.
+    """Return the kernels if a tensor is in CPU memory and kernels were built, else None.
 
     Raises:
         DependencyError: see `kernels`.
@@ -21,5 +21,5 @@ def kernels_for(tensor: Tensor) -> ModuleType | None:
 
 
 def address(tensor: Tensor | None) -> int:
-    """Address of a contiguous tensor's data, 0 for None."""
+    """Return the address of a contiguous tensor's data, 0 for None."""
     return 0 if tensor is None else tensor.data_ptr()

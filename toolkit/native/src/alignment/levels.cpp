@@ -60,7 +60,7 @@ void halve(int width, int height, const float* intensity, const float* depth, fl
                 sum += intensity[tap];
                 if (depth[tap] > 0) nearest = std::min(nearest, depth[tap]);
             }
-            // Average the nearest surface only, never across an edge or with a hole.
+            // Average the nearest surface only, without pixels across an edge or without depth.
             for (size_t tap : taps) {
                 if (depth[tap] > 0 && depth[tap] - nearest <= max_difference * nearest) {
                     surface_sum += intensity[tap];

@@ -1,4 +1,4 @@
-// Pyramid levels of frames and of the views that they are aligned to.
+// Pyramid levels of frames and of the model views that frames are aligned to.
 #pragma once
 
 #include "common/camera.hpp"
@@ -6,8 +6,8 @@
 namespace semsplat {
 
 // One pyramid level of the model view.
-//   texture: [H, W, 4] intensity, its x and y derivative, depth (m), 0 where unusable
-//   surface: [H, W, 4] unit normal (camera frame) and plane offset n . vertex, 0 where unusable
+//   texture: [H, W, 4] intensity, its x and y derivatives, depth (m); 0 where invalid
+//   surface: [H, W, 4] unit normal (camera frame) and plane offset n . vertex; 0 where invalid
 struct ModelLevel {
     Pinhole camera;
     const float* texture;

@@ -1,7 +1,8 @@
 // Dense frame-to-model alignment: photometric and point-to-plane residuals (mission section 7).
 //
-// A frame pixel's point Y = T_model_frame P is projected into the model view. Photometric residual:
-// model intensity there minus the frame's. Geometric residual: distance of Y from the model's plane.
+// The point Y = T_model_frame P of a frame pixel is projected into the model view. Photometric
+// residual: interpolated model intensity minus the frame's intensity. Geometric residual: distance of
+// Y from the model's plane.
 // Derivatives come from the model, which is smoother than a camera image. Weights follow
 // Student's t distribution (STUDENT_T_DOF), whose scales the caller re-estimates from the sums.
 #include "alignment/normal_equations.hpp"
@@ -16,7 +17,7 @@
 namespace semsplat {
 namespace {
 
-enum { ROWS = 4 };  // rows summed in single precision before doubles take over
+enum { ROWS = 4 };  // rows per group; a group is summed in single, groups in double precision
 
 static_assert(sizeof(NormalEquations) == ALIGNMENT_SUMS * sizeof(double), "Python allocates the sums");
 
@@ -36,7 +37,7 @@ inline void add_outer(Sums& s, const float* J, float weight, float residual) {
     }
 }
 
-// Bilinear intensity, derivatives and depth; false if a tap is unusable or the taps cross an edge.
+// Bilinear intensity, derivatives and depth; false if a tap is invalid or the taps cross an edge.
 inline bool look_up(const ModelLevel& model, float u, float v, float* value) {
     const int x = (int)u, y = (int)v, W = model.camera.width;
     const float a = u - x, b = v - y;
@@ -48,7 +49,7 @@ inline bool look_up(const ModelLevel& model, float u, float v, float* value) {
     const float farthest = std::max(std::max(p00[3], p01[3]), std::max(p10[3], p11[3]));
     if (!(nearest > 0)) return false;
     if (farthest - nearest > MAX_DEPTH_STEP * nearest) {
-        // Two opposite taps that lie on planes with their neighbours put all four on one surface.
+        // If both pairs of opposite taps are on a plane with their neighbours, all are on one surface.
         const float* plane = model.surface + 4 * ((size_t)y * W + x);
         if (plane[3] == 0 || plane[4 * (W + 1) + 3] == 0) return false;
     }
@@ -80,7 +81,7 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
             if (!(u >= 0 && v >= 0 && u < mc.width - 1 && v < mc.height - 1)) continue;
             sums.frame_pixels += 1;
 
-            // Geometry: the plane of the nearest model pixel.
+            // Geometric term: plane of the nearest model pixel.
             const float* plane = model.surface + 4 * ((size_t)(v + 0.5f) * mc.width + (size_t)(u + 0.5f));
             const float* texel = model.texture + 4 * ((size_t)(v + 0.5f) * mc.width + (size_t)(u + 0.5f));
             const float seen = texel[3];
@@ -89,9 +90,9 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
             if (plane[0] != 0 || plane[1] != 0 || plane[2] != 0) {
                 const float* n = plane;
                 const float r = n[0] * Y[0] + n[1] * Y[1] + n[2] * Y[2] - plane[3];
-                // The sensor's noise grows with the squared depth. Weight and lever arm come from the
-                // model's depth: with the frame's depth they would follow its noise, nearer points
-                // would weigh more, and the pose would be biased.
+                // The sensor's noise grows with the squared depth. Weight and Jacobian use the model's
+                // depth: the frame's depth would correlate them with its noise, give nearer points
+                // more weight, and bias the pose.
                 const float scale = inverse_sd / std::max(seen * seen, MIN_NOISE_DEPTH_M * MIN_NOISE_DEPTH_M);
                 const float to_view = seen * inverse_z;
                 const float X[3] = {Y[0] * to_view, Y[1] * to_view, seen};
@@ -143,7 +144,7 @@ void accumulate_rows(const ModelLevel& model, const FrameLevel& frame, const Ali
 void add(const Sums& s, NormalEquations& out) {
     int from = 0;
     for (int i = 0; i < 6; ++i) {
-        // Row i of the 8x8 upper triangle starts here.
+        // Start of row i of the 8x8 upper triangle.
         double* row = out.H + i * PARAMETERS - i * (i - 1) / 2;
         for (int j = i; j < 6; ++j) row[j - i] += s.pose[from++];
         row[6 - i] += s.pose_gain[i];

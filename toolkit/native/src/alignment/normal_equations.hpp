@@ -11,7 +11,7 @@ struct AlignmentSettings {
     double sigma_intensity;     // scale of the photometric residual
     double sigma_depth;         // scale of the point-to-plane residual at 1 m, in m
     double max_distance;        // maximum depth difference, as a fraction of depth
-    double photometric_weight;  // of the photometric relative to the geometric term
+    double photometric_weight;  // weight of the photometric relative to the geometric term
 };
 
 enum { PARAMETERS = 8, NORMAL_SIZE = 36 };  // translation, rotation, gain, bias
@@ -24,7 +24,7 @@ struct NormalEquations {
     double frame_pixels;                      // frame pixels with depth that project into the model's image
 };
 
-// The cameras of model and frame may differ.
+// Accumulates the normal equations. The cameras of model and frame can differ.
 void accumulate(const ModelLevel& model, const FrameLevel& frame, const AlignmentSettings& settings,
                 NormalEquations& out);
 

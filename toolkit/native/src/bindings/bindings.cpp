@@ -50,7 +50,7 @@ Pinhole pinhole(const Intrinsics& intrinsics, const Size& size) {
             size[0], size[1]};
 }
 
-// Sorts, bins and composites; `state` is what backward needs.
+// Projects, bins and composites; `state` is the input of backward.
 void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays, int feature_channels,
              const Intrinsics& intrinsics, const Size& size,
              const std::array<double, 12>& T_camera_map, Address region, bool centres, Address images) {
@@ -68,7 +68,7 @@ void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& 
     composite(map, at<const uint8_t>(region), state, at<float>(images));
 }
 
-// sinks: means, log radii, opacity logits, colours (or 0), features, T_camera_map (float64).
+// sinks: gradients of means, log radii, opacity logits, colours (or 0), features, T_camera_map (float64).
 void backward(const Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays,
               int feature_channels, Address region, Address image_gradients, bool detached,
               const std::array<Address, 6>& sinks) {
@@ -84,7 +84,7 @@ void copy_visible(const Rasterisation& state, Address ids) {
     for (size_t i = 0; i < state.splats.size(); ++i) out[i] = state.splats[i].id;
 }
 
-// images, centres: [5, H, W] and [3, H, W] of a rendering; depth: [H, W].
+// images, centres: rendered [5, H, W] and [3, H, W]; depth: [H, W].
 void depth_of_surface(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
                       Address images, Address centres, double min_silhouette, Address depth) {
     const py::gil_scoped_release release;
@@ -92,14 +92,14 @@ void depth_of_surface(const Intrinsics& intrinsics, const Size& size, const std:
                   at<const float>(centres), (float)min_silhouette, at<float>(depth));
 }
 
-// images: [5 + S, H, W] of a rendering; intensity: [H, W].
+// images: rendered [5 + S, H, W]; intensity: [H, W].
 void align_intensity(const Size& size, Address images, double min_silhouette, Address intensity) {
     const py::gil_scoped_release release;
     intensity_of(pinhole({1, 1, 0, 0}, size), at<const float>(images), (float)min_silhouette,
                  at<float>(intensity));
 }
 
-// As depth_of_surface; intensity: [H, W].
+// images, centres: see depth_of_surface; intensity: [H, W].
 void intensity_at_centres(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
                           Address images, Address centres, double min_silhouette, Address intensity) {
     const py::gil_scoped_release release;
@@ -129,7 +129,7 @@ void align_halve(const Size& size, Address intensity, Address depth, double max_
           at<float>(half_intensity), at<float>(half_depth));
 }
 
-// intrinsics, sizes: of the model view's camera, then of the frame's.
+// intrinsics, sizes: those of the model view's camera, then of the frame's camera.
 // arrays: the model's texture and surface, the frame's intensity and depth.
 // scalars: gain, bias, sigma_intensity, sigma_depth, max_distance, photometric_weight. out: 49 doubles.
 void align_accumulate(const std::array<Intrinsics, 2>& intrinsics, const std::array<Size, 2>& sizes,
@@ -166,11 +166,11 @@ void adam(Address ids, int64_t count, Address steps,
               {(float)settings[0], (float)settings[1], (float)settings[2], (float)settings[3]});
 }
 
-// inverse, out: [H, W]. limits: noise, slack, least share, edge.
-void smoothed(const Size& size, Address inverse, const std::vector<int>& radii, int reach,
+// inverse, out: [H, W]. limits: noise, slack, minimum fraction, edge.
+void smoothed(const Size& size, Address inverse, const std::vector<int>& radii, int radius,
               const std::array<double, 4>& limits, Address out) {
     const py::gil_scoped_release release;
-    const DepthFilter filter = {radii.data(), (int)radii.size(), limits[0], limits[1], limits[2], reach, limits[3]};
+    const DepthFilter filter = {radii.data(), (int)radii.size(), limits[0], limits[1], limits[2], radius, limits[3]};
     smooth_inverse_depth(at<const float>(inverse), size[0], size[1], filter, at<float>(out));
 }
 
@@ -181,7 +181,7 @@ double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double w
 }
 
 // images: rendered, observed colour, observed depth, surface depth.
-// weights: colour, depth, silhouette, structure, colour scale, depth scale, least silhouette.
+// weights: colour, depth, silhouette, structure, colour scale, depth scale, minimum silhouette.
 double loss_of_rgbd(const Size& size, const std::array<Address, 4>& images, const std::array<double, 7>& weights,
                     Address gradient) {
     const RgbdLoss loss = {(float)weights[0], (float)weights[1], (float)weights[2], (float)weights[3],
@@ -192,24 +192,24 @@ double loss_of_rgbd(const Size& size, const std::array<Address, 4>& images, cons
 }
 
 // images: features [S, H, W], silhouette, labels. heads: first channels, widths, weights, targets.
-// gradients: by the features, and by the silhouette or 0.
+// gradients: with respect to the features, and to the silhouette or 0.
 double loss_of_semantics(const Size& size, const std::array<Address, 3>& images, int count,
-                         const std::array<Address, 4>& heads, bool bits, double least_silhouette,
+                         const std::array<Address, 4>& heads, bool bits, double min_silhouette,
                          const std::array<Address, 2>& gradients) {
     const SemanticHeads code = {count, at<const int32_t>(heads[0]), at<const int32_t>(heads[1]),
                                 at<const float>(heads[2]), at<const int32_t>(heads[3]), bits};
     const py::gil_scoped_release release;
     return semantic_loss(at<const float>(images[0]), at<const float>(images[1]), at<const int32_t>(images[2]),
-                         size[1], size[0], code, (float)least_silhouette, at<float>(gradients[0]),
+                         size[1], size[0], code, (float)min_silhouette, at<float>(gradients[0]),
                          at<float>(gradients[1]));
 }
 
-// The instruction sets that this CPU and its operating system support, ascending. The features
+// The instruction sets supported by the CPU and the operating system, ascending. The tested features
 // are those that setup.py compiles each variant for.
 std::vector<std::string> supported_instruction_sets() {
     std::vector<std::string> names = {"base"};
 #if defined(__x86_64__)
-    // The compiler's run-time also checks that the operating system saves the wider registers.
+    // These functions also check that the operating system saves the wider registers.
     __builtin_cpu_init();
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
         names.push_back("avx2");
@@ -232,7 +232,7 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     using namespace semsplat;
     m.doc() = "Native kernels: splat rasterisation, dense alignment, optimisation.";
     // Local to the module: the variants for other instruction sets register their own.
-    py::class_<Rasterisation>(m, "Rasterisation", py::module_local(), "What forward leaves for backward.")
+    py::class_<Rasterisation>(m, "Rasterisation", py::module_local(), "State of forward for backward.")
         .def(py::init<>())
         .def_property_readonly("visible", [](const Rasterisation& s) { return s.splats.size(); })
         .def_property_readonly("pairs", [](const Rasterisation& s) { return s.pair_splat.size(); });

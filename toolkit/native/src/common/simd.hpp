@@ -1,7 +1,7 @@
-// Sixteen floats at a time, on whatever vectors the machine has.
+// Vectors of sixteen floats for all instruction sets.
 //
-// AVX-512 gets one register and real masks through intrinsics; everything else (AVX2,
-// SSE2, NEON) gets 16 / N vectors of N floats through the compiler's vector extension.
+// AVX-512 uses one register and mask registers through intrinsics. Other instruction sets (AVX2, SSE2,
+// NEON) use 16 / N vectors of N floats through the compiler's vector extension.
 #pragma once
 
 #include <cstdint>
@@ -28,11 +28,11 @@ typedef __mmask16 M16;
 SEMSPLAT_INLINE F16 load(const float* p) { return {_mm512_loadu_ps(p)}; }
 SEMSPLAT_INLINE void store(float* p, F16 a) { _mm512_storeu_ps(p, a.v); }
 SEMSPLAT_INLINE F16 all(float x) { return {_mm512_set1_ps(x)}; }
-// Four floats repeated: lane i holds p[i % 4].
+// Four floats repeated: lane i is p[i % 4].
 SEMSPLAT_INLINE F16 load_columns(const float* p) {
     return {_mm512_broadcast_f32x4(_mm_loadu_ps(p))};
 }
-// Four floats spread: lane i holds p[i / 4].
+// Four floats spread: lane i is p[i / 4].
 SEMSPLAT_INLINE F16 load_rows(const float* p) {
     const __m512i index = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
     return {_mm512_permutexvar_ps(index, _mm512_broadcast_f32x4(_mm_loadu_ps(p)))};
@@ -51,7 +51,7 @@ SEMSPLAT_INLINE M16 lt(F16 a, F16 b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_
 SEMSPLAT_INLINE M16 both(M16 a, M16 b) { return _kand_mask16(a, b); }
 SEMSPLAT_INLINE F16 keep(M16 m, F16 a) { return {_mm512_maskz_mov_ps(m, a.v)}; }
 SEMSPLAT_INLINE uint32_t bits(M16 m) { return m; }
-// 1 / a to full single precision for a in a sane range.
+// 1 / a in full single precision, for a whose reciprocal neither overflows nor underflows.
 SEMSPLAT_INLINE F16 reciprocal(F16 a) {
     const __m512 r = _mm512_rcp14_ps(a.v);
     return {_mm512_mul_ps(r, _mm512_fnmadd_ps(a.v, r, _mm512_set1_ps(2.0f)))};
@@ -62,7 +62,7 @@ SEMSPLAT_INLINE F16 round_nearest(F16 a) {
 SEMSPLAT_INLINE F16 times_power_of_two(F16 a, F16 whole) {
     return {_mm512_scalef_ps(a.v, whole.v)};
 }
-// Folds two vectors of sums: lanes 0-7 then belong to a, lanes 8-15 to b (and so on, by halves).
+// Folds two vectors of sums: lanes 0-7 of the result belong to a, lanes 8-15 to b (and so on, by halves).
 SEMSPLAT_INLINE F16 fold8(F16 a, F16 b) {
     return {_mm512_add_ps(_mm512_shuffle_f32x4(a.v, b.v, 0x44), _mm512_shuffle_f32x4(a.v, b.v, 0xee))};
 }
@@ -77,8 +77,8 @@ SEMSPLAT_INLINE F16 fold1(F16 a, F16 b) {
 }
 // Sums of sixteen vectors, written in order.
 SEMSPLAT_INLINE void sum16(const F16* x, float* out) {
-    // After fold8 and fold4 each 128-bit lane holds four partial sums of one vector; the
-    // last two folds work inside lanes, so vectors are fed in the order that undoes both.
+    // After fold8 and fold4, each 128-bit lane contains four partial sums of one vector. The last two
+    // folds work within lanes, so the order of the input vectors compensates for both.
     F16 q[4];
     for (int i = 0; i < 4; ++i) {
         q[i] = fold4(fold8(x[i], x[4 + i]), fold8(x[8 + i], x[12 + i]));
@@ -196,7 +196,7 @@ SEMSPLAT_INLINE F16 reciprocal(F16 a) {
     return a;
 }
 SEMSPLAT_INLINE F16 round_nearest(F16 a) {
-    // Valid for |a| < 2^22, far beyond any exponent.
+    // Valid for |a| < 2^22, which exceeds any exponent.
     SEMSPLAT_EACH {
         const IN negative = a.v[i] < 0;
         const FN half = (FN)(((IN)(0.5f - FN{})) | (negative & INT32_MIN));

@@ -11,17 +11,17 @@ namespace {
 
 enum { LANES = 8 };
 
-// Sums over the rows of a window: of ones, v, v v, d, v d and d d, where v counts rows from the middle.
+// Sums of 1, v, v^2, d, v d and d^2 over the rows of a window, where v is the row relative to the centre.
 enum { N, V, VV, D, VD, DD, ROW_SUMS };
 
-// Sums over the whole window; u counts columns from the middle.
+// Sums over all pixels of the window; u is the column relative to the centre.
 struct WindowSums {
     double n[LANES] = {}, u[LANES] = {}, v[LANES] = {}, uu[LANES] = {}, uv[LANES] = {}, vv[LANES] = {};
     double d[LANES] = {}, ud[LANES] = {}, vd[LANES] = {}, dd[LANES] = {};
 };
 
 struct Image {
-    const float *inverse, *ones;  // where there is depth
+    const float *inverse, *ones;  // inverse depth; 1 where there is depth
     int width, height;
     size_t at(int y) const { return (size_t)y * width; }
     const float* row(int y) const { return inverse + at(y); }
@@ -98,10 +98,10 @@ private:
     std::vector<double> sums_[ROW_SUMS];
 };
 
-// Value at the middle of the plane through a window, 0 where it is none.
+// Value at the centre of the plane fitted to a window, 0 if the window is not planar.
 float plane(const WindowSums& w, int l, int radius, const DepthFilter& filter) {
     const double n = w.n[l], side = 2 * radius + 1;
-    if (n < filter.least_share * side * side) return 0.0f;
+    if (n < filter.min_fraction * side * side) return 0.0f;
     const double u = w.u[l] / n, v = w.v[l] / n, d = w.d[l] / n;
     const double uu = w.uu[l] - n * u * u, uv = w.uv[l] - n * u * v, vv = w.vv[l] - n * v * v;
     const double ud = w.ud[l] - n * u * d, vd = w.vd[l] - n * v * d, dd = w.dd[l] - n * d * d;
@@ -115,13 +115,13 @@ float plane(const WindowSums& w, int l, int radius, const DepthFilter& filter) {
 
 float mean_of_like(const Image& image, int x, int y, const DepthFilter& filter) {
     const float middle = image.row(y)[x], by_edge = (float)(1.0 / (filter.edge * filter.edge));
-    const float by_reach = 1.0f / ((filter.reach + 1) * (filter.reach + 1));
+    const float by_radius = 1.0f / ((filter.radius + 1) * (filter.radius + 1));
     float total = 0, weights = 0;
-    for (int j = std::max(0, y - filter.reach); j <= std::min(image.height - 1, y + filter.reach); ++j) {
+    for (int j = std::max(0, y - filter.radius); j <= std::min(image.height - 1, y + filter.radius); ++j) {
         const float* row = image.row(j);
-        for (int i = std::max(0, x - filter.reach); i <= std::min(image.width - 1, x + filter.reach); ++i) {
+        for (int i = std::max(0, x - filter.radius); i <= std::min(image.width - 1, x + filter.radius); ++i) {
             const float difference = row[i] - middle;
-            const float far = ((i - x) * (i - x) + (j - y) * (j - y)) * by_reach;
+            const float far = ((i - x) * (i - x) + (j - y) * (j - y)) * by_radius;
             const float near = std::max(0.0f, 1.0f - far);
             const float like = std::max(0.0f, 1.0f - difference * difference * by_edge);
             const float weight = row[i] > 0.0f ? near * like * like : 0.0f;

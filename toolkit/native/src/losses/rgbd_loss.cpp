@@ -10,7 +10,7 @@
 namespace semsplat {
 namespace {
 
-// Charbonnier: scale * (sqrt(1 + (e / scale)^2) - 1); returns the derivative by e.
+// Charbonnier loss scale * (sqrt(1 + (e / scale)^2) - 1); returns its derivative with respect to e.
 inline float robust(float error, float scale, float* value) {
     const float q = error / scale, root = std::sqrt(1.0f + q * q);
     *value = scale * (root - 1.0f);
@@ -34,10 +34,10 @@ double rgbd_loss(const float* images, const float* rgb, const float* depth, cons
                 sum += flat * value;
             }
             const float silhouette = images[SILHOUETTE * n + i], measured = depth[i];
-            const bool seen = measured > 0, solid = seen && surface[i] > 0 && silhouette > loss.least_silhouette;
+            const bool seen = measured > 0, solid = seen && surface[i] > 0 && silhouette > loss.min_silhouette;
             const float inverse = solid ? 1.0f / silhouette : 0.0f;
             const float mean = images[DEPTH_SUM * n + i] * inverse;
-            // The sensor's noise grows with the square of the depth, and so does the scale.
+            // The sensor's noise, and therefore the scale, grows with the square of the depth.
             const float scale = loss.depth_scale * std::max(measured * measured, MIN_NOISE_DEPTH_M * MIN_NOISE_DEPTH_M);
             const float slope = solid ? loss.depth * robust(surface[i] - measured, scale, &value) : 0.0f;
             if (solid) sum += loss.depth * value;

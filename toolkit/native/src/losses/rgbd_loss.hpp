@@ -1,4 +1,4 @@
-// The image losses of mapping with their derivatives.
+// Colour, depth and silhouette losses of mapping and their derivatives.
 #pragma once
 
 #include <cstdint>
@@ -7,12 +7,12 @@ namespace semsplat {
 
 struct RgbdLoss {
     float colour, depth, silhouette;     // weights of the three terms
-    float structure;                     // share of SSIM in the colour term
-    float colour_scale, depth_scale;     // errors well below are quadratic, above linear
-    float least_silhouette;              // depth counts where the map is at least this opaque
+    float structure;                     // fraction of SSIM in the colour term
+    float colour_scale, depth_scale;     // the loss is quadratic for smaller errors, linear for larger
+    float min_silhouette;                // minimum silhouette of pixels in the depth term
 };
 
-// Value of the loss and its derivative by the rendered images, summed over pixels.
+// Value of the loss and its derivative with respect to the rendered images, summed over pixels.
 //   images, gradient: [5 + S, H, W]; the gradient's first five channels are written.
 //   rgb: [3, H, W]; depth: [H, W] m, 0 where missing; surface: [H, W] m, see surface_depth. Its
 //   difference from the mean depth is held constant.

@@ -12,13 +12,13 @@ namespace {
 
 enum { LANE = 16, CHUNK = 64 };
 
-// Natural logarithm of normal positive numbers, relative error below 1e-6; the compiler
-// turns the loop over lanes into vectors.
+// Natural logarithm of normal positive numbers, relative error below 1e-6; the compiler vectorises
+// the loop over lanes.
 inline void log_lanes(const float* x, float* out) {
     for (int i = 0; i < LANE; ++i) {
         int32_t raw;
         std::memcpy(&raw, x + i, 4);
-        const int32_t shifted = raw - 0x3f3504f3;  // sqrt(1/2): the mantissa then lies around 1
+        const int32_t shifted = raw - 0x3f3504f3;  // sqrt(1/2): the mantissa is then near 1
         const int32_t exponent = shifted >> 23;
         const int32_t mantissa_bits = raw - (exponent << 23);
         float m;
@@ -30,13 +30,13 @@ inline void log_lanes(const float* x, float* out) {
 }
 
 struct Lanes {
-    alignas(64) float inverse[LANE];   // 1 / silhouette, 0 where the pixel says nothing
+    alignas(64) float inverse[LANE];   // 1 / silhouette, 0 for inactive pixels
     alignas(64) float active[LANE];    // 1 or 0
-    alignas(64) float pull[LANE];      // sum of gradient times value: what the silhouette feels
+    alignas(64) float pull[LANE];      // sum of gradient * value, for the gradient of the silhouette
     int32_t target[LANE];
 };
 
-// One head of sixteen pixels (H-10): writes its gradient, adds each pixel's loss to `value`.
+// Softmax head of sixteen pixels (H-10): writes its gradient, adds each pixel's loss to `value`.
 void softmax_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float* scratch,
                   float* gradient, float* value) {
     const F16 inverse = load(lanes.inverse);
@@ -67,7 +67,7 @@ void softmax_head(const float* features, size_t plane, int channels, float weigh
     }
 }
 
-// The same for bits (H-11).
+// Binary head of sixteen pixels (H-11).
 void bits_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float*,
                float* gradient, float* value) {
     for (int c = 0; c < channels; ++c) {
@@ -88,31 +88,31 @@ void bits_head(const float* features, size_t plane, int channels, float weight, 
     }
 }
 
-// Sixteen neighbouring pixels: their channels lie `apart` floats from each other.
+// Sixteen neighbouring pixels; `stride` is the distance between their channels in floats.
 struct Patch {
     const float* features;
     const float* silhouette;
     const int32_t* labels;
-    size_t apart;
+    size_t stride;
     float* gradient;
-    float* silhouette_gradient;  // or null
+    float* silhouette_gradient;  // can be null
 };
 
-// Loss of a patch; fills its gradients.
-double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, float least_silhouette,
+// Computes the loss of a patch and writes its gradients.
+double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, float min_silhouette,
                   float* scratch) {
     Lanes lanes;
     alignas(64) float value[LANE] = {0};
     bool any = false;
     for (int i = 0; i < LANE; ++i) {
-        const bool active = patch.labels[i] > 0 && patch.silhouette[i] >= least_silhouette;
+        const bool active = patch.labels[i] > 0 && patch.silhouette[i] >= min_silhouette;
         lanes.active[i] = active ? 1.0f : 0.0f;
         lanes.inverse[i] = active ? 1.0f / patch.silhouette[i] : 0.0f;
         lanes.pull[i] = 0;
         any |= active;
     }
     if (!any) {
-        for (int c = 0; c < channels; ++c) std::fill_n(patch.gradient + c * patch.apart, (int)LANE, 0.0f);
+        for (int c = 0; c < channels; ++c) std::fill_n(patch.gradient + c * patch.stride, (int)LANE, 0.0f);
         return 0.0;
     }
     const auto head = heads.bits ? bits_head : softmax_head;
@@ -121,8 +121,8 @@ double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, 
             const int32_t label = patch.labels[i];
             lanes.target[i] = label > 0 ? heads.targets[(label - 1) * heads.count + h] : 0;
         }
-        const size_t at = heads.first[h] * patch.apart;
-        head(patch.features + at, patch.apart, heads.width[h], heads.weight[h], lanes, scratch,
+        const size_t at = heads.first[h] * patch.stride;
+        head(patch.features + at, patch.stride, heads.width[h], heads.weight[h], lanes, scratch,
              patch.gradient + at, value);
     }
     double total = 0;
@@ -133,21 +133,21 @@ double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, 
     return total;
 }
 
-// The last pixels of an image whose number is no multiple of sixteen, padded with void ones.
+// The last pixels of an image, padded with void pixels to a multiple of sixteen.
 double rest_loss(const Patch& image, int64_t rest, const SemanticHeads& heads, int channels,
-                 float least_silhouette, float* scratch) {
+                 float min_silhouette, float* scratch) {
     std::vector<float> features((size_t)channels * LANE, 0.0f), gradient(features.size(), 0.0f);
     float silhouette[LANE] = {0}, pull[LANE] = {0};
     int32_t labels[LANE] = {0};
     std::copy_n(image.silhouette, rest, silhouette);
     std::copy_n(image.labels, rest, labels);
     for (int c = 0; c < channels; ++c) {
-        std::copy_n(image.features + c * image.apart, rest, features.data() + c * LANE);
+        std::copy_n(image.features + c * image.stride, rest, features.data() + c * LANE);
     }
     const Patch padded = {features.data(), silhouette, labels, LANE, gradient.data(), pull};
-    const double total = patch_loss(padded, heads, channels, least_silhouette, scratch);
+    const double total = patch_loss(padded, heads, channels, min_silhouette, scratch);
     for (int c = 0; c < channels; ++c) {
-        std::copy_n(gradient.data() + c * LANE, rest, image.gradient + c * image.apart);
+        std::copy_n(gradient.data() + c * LANE, rest, image.gradient + c * image.stride);
     }
     for (int64_t i = 0; image.silhouette_gradient && i < rest; ++i) image.silhouette_gradient[i] += pull[i];
     return total;
@@ -156,7 +156,7 @@ double rest_loss(const Patch& image, int64_t rest, const SemanticHeads& heads, i
 }  // namespace
 
 double semantic_loss(const float* features, const float* silhouette, const int32_t* labels, int height, int width,
-                     const SemanticHeads& heads, float least_silhouette, float* gradient,
+                     const SemanticHeads& heads, float min_silhouette, float* gradient,
                      float* silhouette_gradient) {
     const int64_t plane = (int64_t)height * width, patches = plane / LANE, rest = plane - patches * LANE;
     const int64_t chunks = (patches + CHUNK - 1) / CHUNK;
@@ -169,7 +169,7 @@ double semantic_loss(const float* features, const float* silhouette, const int32
         return Patch{features + p, silhouette + p, labels + p, (size_t)plane, gradient + p,
                      silhouette_gradient ? silhouette_gradient + p : nullptr};
     };
-    // Added up in order, whatever the number of threads.
+    // Summed in a fixed order, independent of the number of threads.
     std::vector<double> by_chunk((size_t)chunks + 1, 0.0);
 #pragma omp parallel
     {
@@ -177,13 +177,13 @@ double semantic_loss(const float* features, const float* silhouette, const int32
 #pragma omp for schedule(static)
         for (int64_t k = 0; k < chunks; ++k) {
             for (int64_t at = k * CHUNK; at < std::min(patches, (k + 1) * CHUNK); ++at) {
-                by_chunk[k] += patch_loss(patch_at(at * LANE), heads, channels, least_silhouette, scratch.data());
+                by_chunk[k] += patch_loss(patch_at(at * LANE), heads, channels, min_silhouette, scratch.data());
             }
         }
     }
     if (rest) {
         std::vector<float> scratch((size_t)widest * LANE);
-        by_chunk[chunks] = rest_loss(patch_at(patches * LANE), rest, heads, channels, least_silhouette, scratch.data());
+        by_chunk[chunks] = rest_loss(patch_at(patches * LANE), rest, heads, channels, min_silhouette, scratch.data());
     }
     double total = 0;
     for (double value : by_chunk) total += value;

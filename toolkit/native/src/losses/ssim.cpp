@@ -22,7 +22,7 @@ struct GaussianWindow {
 };
 const GaussianWindow WINDOW_WEIGHTS;
 
-// Rows of an image that a strip needs: its own and HALF more on both sides.
+// Rows of an image that a strip needs: its own rows and HALF additional ones on both sides.
 struct Strip {
     int begin, end;   // rows written
     int first, last;  // rows read
@@ -33,7 +33,7 @@ struct Strip {
           last(std::min(height, end + HALF)) {}
 };
 
-// Rows are kept in whole vectors with MARGIN zeros before and after.
+// Rows are padded to full vectors, with MARGIN zeros before and after.
 struct Layout {
     int width, blocks;
     explicit Layout(int w) : width(w), blocks((w + 15) / 16) {}
@@ -41,7 +41,7 @@ struct Layout {
     int lanes(int block) const { return std::min(16, width - 16 * block); }
 };
 
-// Local sums of x, y, xx, yy and xy; on the way back, of three derivatives.
+// Local sums of x, y, x^2, y^2 and x y; in the backward pass, of three derivatives.
 enum { X, Y, XX, YY, XY, MAPS };
 enum { BY_MEAN, BY_SQUARE, BY_PRODUCT, DERIVATIVES };
 
@@ -64,7 +64,7 @@ float sum_of(F16 a) {
     return total;
 }
 
-// Rows of x and y through the window, in all products that SSIM asks for.
+// Filters the rows of x, y and of their products.
 void blur_rows(const float* x, const float* y, const Strip& strip, const Layout& layout, Scratch& s) {
     const float* w = WINDOW_WEIGHTS.w;
     for (int row = strip.first; row < strip.last; ++row) {
@@ -87,7 +87,7 @@ void blur_rows(const float* x, const float* y, const Strip& strip, const Layout&
     }
 }
 
-// Sixteen pixels of row y through the window, from rows that went through it already.
+// Filters sixteen pixels of row y vertically, from filtered rows.
 template <int COUNT>
 SEMSPLAT_INLINE void blur_column(const Scratch& s, const Strip& strip, int y, int block, int blocks, F16* sums) {
     for (int map = 0; map < COUNT; ++map) sums[map] = all(0);
@@ -99,8 +99,8 @@ SEMSPLAT_INLINE void blur_column(const Scratch& s, const Strip& strip, int y, in
     }
 }
 
-// SSIM of one strip of one channel; its derivatives by the local mean, square and product of x
-// go to `by`, in padded rows. Returns the sum over the strip's pixels.
+// SSIM of one strip of one channel. Its derivatives with respect to the local mean, square and product
+// of x are written to `by` in padded rows. Returns the sum over the strip's pixels.
 double compare(const Strip& strip, const Layout& layout, const Scratch& s, float* const by[DERIVATIVES]) {
     const F16 c1 = all(SSIM_K1 * SSIM_K1), c2 = all(SSIM_K2 * SSIM_K2), two = all(2.0f);
     double total = 0;
@@ -135,7 +135,7 @@ double compare(const Strip& strip, const Layout& layout, const Scratch& s, float
     return total;
 }
 
-// Chain rule back through the windows (symmetric, so their own adjoints) for one strip.
+// Chain rule through the windows, which are symmetric and therefore self-adjoint, for one strip.
 void spread(const float* x, const float* y, float* const by[DERIVATIVES], const Strip& strip, const Layout& layout,
             float weight, Scratch& s, float* gradient) {
     const float* w = WINDOW_WEIGHTS.w;

@@ -1,4 +1,4 @@
-// Adam on the Gaussians that a view shows, and on no others.
+// Adam for the visible Gaussians of a view only.
 #include "optimisation/adam.hpp"
 
 #include <cmath>
@@ -24,7 +24,7 @@ void adam_step(const int64_t* ids, int64_t count, int32_t* steps, const AdamGrou
             float* m = group.first + id * group.width;
             float* v = group.second + id * group.width;
             for (int j = 0; j < group.width; ++j) {
-                // The gradient by the parameter in its own unit, so that epsilon means the same.
+                // Gradient with respect to the parameter in its unit, so that epsilon has the same scale.
                 const float gradient = g[j] * unit;
                 m[j] += (1 - beta1) * (gradient - m[j]);
                 v[j] += (1 - beta2) * (gradient * gradient - v[j]);

@@ -5,7 +5,7 @@
 
 namespace semsplat {
 
-// Adam on the rows `ids` of a parameter [N, width] with compact gradients [V, width].
+// Adam step for the rows `ids` of a parameter [N, width] with compact gradients [V, width].
 struct AdamGroup {
     float* parameter;
     float* first;            // running mean of gradients, [N, width]
@@ -18,8 +18,8 @@ struct AdamGroup {
 
 struct AdamSettings {
     float beta1, beta2;
-    float epsilon;           // gradients well below it hardly move anything
-    float settle_steps;      // learning rates fall as 1 / (1 + steps / settle_steps); 0: they do not
+    float epsilon;           // added to the root of the second moment
+    float settle_steps;      // learning rates decay as 1 / (1 + steps / settle_steps); 0: no decay
 };
 
 void adam_step(const int64_t* ids, int64_t count, int32_t* steps, const AdamGroup* groups, int group_count,

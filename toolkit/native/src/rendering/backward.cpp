@@ -1,9 +1,9 @@
 // Gradients of the compositing, back to front, in one pass over the tiles.
 //
 // With w_k = alpha_k T_k and d = dL/d(pixel), dL/dalpha_k = T_k <f_k, d> - S_k / (1 - alpha_k),
-// where S_k sums w_j <f_j, d> over all j behind k, and starts with what the silhouette asks.
-// Every (splat, tile) pair has one place for its sums: nothing races, and a splat's sums are
-// added in the order of its tiles, whatever the number of threads.
+// where S_k sums w_j <f_j, d> over all j behind k, and is initialised by the silhouette's gradient.
+// Every (splat, tile) pair has its own memory for its sums. There are no data races, and the sums of a
+// splat are added in the order of its tiles for any number of threads.
 #include <algorithm>
 #include <cstring>
 
@@ -16,7 +16,7 @@ enum { SUMS = 8, POSE_CHUNK = 4096 };
 // Sums of one pair: e = alpha dL/dalpha, its moments, and the base channels' gradients.
 enum { E, E_DX, E_DY, E_SQUARE, GRAD_Z, GRAD_R, GRAD_G, GRAD_B };
 
-// What the feature channels' gradients reach: nothing, the features, or the whole Gaussian.
+// Propagation of the feature channels' gradients: none, to the features, or to all parameters.
 enum class Features { NONE, ALONE, MOVE };
 
 struct BackwardScratch {
@@ -27,7 +27,7 @@ struct BackwardScratch {
     alignas(64) float weight[BLOCKS][16], dot[BLOCKS][16];
 };
 
-// The alpha of an entry on a block and where it follows the Gaussian (neither cut nor clamped).
+// Alpha of an entry on a block, and the mask where it is differentiable (neither cut nor clamped).
 struct Alpha {
     F16 value;
     M16 free;
@@ -70,7 +70,7 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     }
 }
 
-// dL/df of N feature channels; where they move the Gaussian too, adds <f, d> to each block's
+// dL/df of N feature channels; if they are propagated to all parameters, adds <f, d> to each block's
 // dot product.
 template <int N, bool MOVE>
 SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, const float* f, int first,
@@ -109,7 +109,7 @@ void feature_steps(BackwardScratch& scratch, uint32_t blocks, const float* f, in
     for (; c < S; ++c) feature_step<1, MOVE>(scratch, blocks, f, c, gradient);
 }
 
-// One pair: all its blocks, back to front state in `scratch`, sums into `out` (SUMS floats).
+// Processes all blocks of one pair: back-to-front state in `scratch`, sums in `out` (SUMS floats).
 template <bool COLOUR, Features FEATURES>
 SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntry& e, uint32_t blocks,
                                         const float* f, int S, float* out, float* d_features) {
@@ -156,7 +156,7 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
     sum8(acc, out);
 }
 
-// Where the sums of pairs go: a splat of one tile has its own row, others a row per tile.
+// Storage of the sums of pairs: a splat on a single tile has one row, others have a row per tile.
 struct PairSums {
     Buffer<float> own, shared;                    // [V, SUMS], [slots, SUMS]
     Buffer<float> shared_features;                // [slots, S]
@@ -176,13 +176,13 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
     const int32_t* ends = state.block_end.data() + (size_t)tile * BLOCKS;
     const int S = map.feature_channels;
     const int last = *std::max_element(ends, ends + BLOCKS);
-    // Pairs behind everything that was drawn still own a row, and it must read zero.
+    // Rows of pairs that were not composited must be zero.
     for (int k = last; k < count; ++k) {
         const int splat = state.pair_splat[begin + k], slot = state.pair_slot[begin + k];
         std::fill_n(sums.row(splat, slot), (int)SUMS, 0.0f);
         if (FEATURES != Features::NONE) std::fill_n(sums.feature_row(d_features, splat, slot, S), S, 0.0f);
     }
-    uint32_t open = 0;  // blocks that have met their last pair
+    uint32_t open = 0;  // mask of blocks whose last pair was reached
     for (int end = last; end > 0;) {
         const int start = (end - 1) / BATCH * BATCH;
         for (int j = 0; j < end - start; ++j) {
@@ -207,7 +207,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
     }
 }
 
-// Chain rule from the sums of one splat to its parameters; adds its share of the pose's.
+// Chain rule from the sums of one splat to its parameters; adds its contribution to the pose.
 void finish_splat(const Gaussians& map, const Rasterisation& state, int64_t i, const float* s,
                   const GradientSinks& out, double* pose) {
     const Splat& p = state.splats[i];
@@ -289,7 +289,7 @@ void differentiate_tiles_of(const Gaussians& map, const uint8_t* region, const R
 
 void differentiate(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                    const float* d_images, bool detached, const GradientSinks& out) {
-    // Kept from call to call: fresh pages cost more than the sums.
+    // Reused by later calls: allocating pages takes longer than computing the sums.
     static thread_local PairSums sums;
     sums.own.resize(state.splats.size() * SUMS);
     sums.shared.resize((size_t)state.slots * SUMS);

@@ -1,4 +1,4 @@
-// Which splats touch which tile, front to back: count, fill, radix sort within each tile.
+// Assigns splats to tiles, front to back: count, fill, radix sort within each tile.
 #include <algorithm>
 #include <cstring>
 
@@ -9,7 +9,7 @@ namespace {
 
 enum { MAX_CHUNKS = 32, MIN_CHUNK = 2048 };
 
-// Whether the splat's disc reaches a pixel centre of the tile's rectangle.
+// Whether the splat's disc contains a pixel centre of the tile.
 inline bool touches(const Splat& s, int tx, int ty) {
     const float left = (float)(tx * TILE), top = (float)(ty * TILE);
     const float dx = std::max({left - s.u, s.u - (left + TILE - 1), 0.0f});
@@ -32,8 +32,8 @@ struct SortScratch {
     std::vector<int32_t> splat, slot;
 };
 
-// Stable least-significant-digit radix sort of the upper 32 bits; bytes that all keys share
-// are skipped. Returns where the sorted keys are.
+// Stable least-significant-digit radix sort of the upper 32 bits; bytes that are equal in all keys are
+// skipped. Returns the buffer with the sorted keys.
 uint64_t* radix_sort(uint64_t* keys, uint64_t* other, int n) {
     uint32_t counts[4][256];
     std::memset(counts, 0, sizeof counts);
@@ -65,7 +65,7 @@ void sort_tile(Rasterisation& state, int tile, SortScratch& scratch) {
     scratch.splat.assign(state.pair_splat.data() + begin, state.pair_splat.data() + begin + n);
     scratch.slot.assign(state.pair_slot.data() + begin, state.pair_slot.data() + begin + n);
     for (int i = 0; i < n; ++i) {
-        uint32_t depth_bits;  // depths are positive: their bits order like the numbers
+        uint32_t depth_bits;  // the bits of positive floats sort like their values
         std::memcpy(&depth_bits, &state.splats[scratch.splat[i]].z, 4);
         scratch.a[i] = (uint64_t)depth_bits << 32 | (uint32_t)i;
     }
@@ -84,7 +84,7 @@ void bin(const uint8_t* region, Rasterisation& out) {
     const int64_t visible = (int64_t)out.splats.size();
     const int64_t chunk = std::max<int64_t>(MIN_CHUNK, (visible + MAX_CHUNKS - 1) / MAX_CHUNKS);
     const int chunks = (int)((visible + chunk - 1) / chunk);
-    // cursor[c][t]: first how many pairs of chunk c fall on tile t, then where they go.
+    // cursor[c][t]: first the number of pairs of chunk c on tile t, then their write position.
     std::vector<int32_t> cursor((size_t)chunks * tiles, 0);
     std::vector<int64_t> chunk_slots((size_t)chunks + 1, 0);
 #pragma omp parallel for schedule(dynamic, 1)

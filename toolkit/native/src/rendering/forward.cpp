@@ -15,12 +15,12 @@ struct ForwardScratch {
     TileEntry entries[BATCH];
     BlockList lists[BLOCKS];
     alignas(64) float base[BLOCKS][SILHOUETTE][16];  // red, green, blue, depth of each block
-    alignas(64) float weights[BATCH][16];   // of one block, for its feature channels
-    uint8_t weighted[BATCH];                // the entries those weights belong to
+    alignas(64) float weights[BATCH][16];   // blending weights of one block for its feature channels
+    uint8_t weighted[BATCH];                // entries of these weights
     std::vector<float> features;            // [BLOCKS, S, 16]
 };
 
-// Adds `N` feature channels of one block's splats.
+// Composites `N` feature channels of one block.
 template <int N>
 void add_features(const ForwardScratch& scratch, int count, const float* features, int channels,
                   int first, float* sums) {
@@ -45,8 +45,8 @@ void add_all_features(const ForwardScratch& scratch, int count, const Gaussians&
     if (map.centres) add_features<3>(scratch, count, map.means, 3, 0, sums + 16 * S);
 }
 
-// Composites one batch into one block. Returns how many of the block's list it used; fewer
-// than all means that the block has gone dark.
+// Composites one batch into one block. Returns the number of entries used; it is smaller than the
+// length of the list if the block became opaque.
 template <bool FEATURES>
 int composite_block(ForwardScratch& scratch, int block, float* transmittance, int* weighted) {
     const BlockList& list = scratch.lists[block];
@@ -61,7 +61,7 @@ int composite_block(ForwardScratch& scratch, int block, float* transmittance, in
         const F16 raw = load_columns(columns_of(e, block)) * load_rows(rows_of(e, block));
         const F16 alpha = keep(ge(raw, cut), minimum(raw, most));
         const F16 w = alpha * T;
-        T = fnma(alpha, T, T);  // one rounding: T - w loses digits where alpha is near 1
+        T = fnma(alpha, T, T);  // a single rounding; T - w is inaccurate for alpha near 1
         r = fma(w, all(e.r), r);
         g = fma(w, all(e.g), g);
         b = fma(w, all(e.b), b);

@@ -1,4 +1,4 @@
-// Centres and radii of the Gaussians in pixels, and which of them can be seen at all.
+// Projects the Gaussians to centres and radii in pixels, and culls invisible ones.
 #include <algorithm>
 #include <cmath>
 
@@ -7,13 +7,13 @@
 namespace semsplat {
 namespace {
 
-// The chunks, and with them the order of all sums, do not depend on the number of threads.
+// The chunks, and therefore the order of all sums, do not depend on the number of threads.
 enum { CHUNK = 4096 };
 
 // Largest support in standard deviations, at opacity 1: sqrt(2 ln (1 / MIN_ALPHA)).
 constexpr float MAX_SUPPORT = 3.3291f;
 
-// Splats of one chunk of the map; returns how many were written.
+// Writes the splats of one chunk of the map; returns their number.
 int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begin, int64_t end,
                   Splat* out) {
     const Pinhole& cam = state.camera;
@@ -38,7 +38,7 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
         }
         const float opacity = 1.0f / (1.0f + std::exp(-map.opacity_logits[i]));
         if (!(opacity > MIN_ALPHA) || !(sigma > MIN_SIGMA_PX)) continue;
-        // A hair wider than exact, so that rounding never cuts what the alpha test keeps.
+        // Slightly too large, so that rounding never removes a pixel that passes the alpha test.
         const float support_squared =
             2.0f * sigma * sigma * std::log(opacity / MIN_ALPHA) * 1.0001f + 1e-6f;
         const float support = std::sqrt(support_squared);
@@ -71,8 +71,8 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
 
 void project(const Gaussians& map, Rasterisation& out) {
     const int64_t chunks = (map.count + CHUNK - 1) / CHUNK;
-    // Each chunk writes at its own place in a buffer for the worst case, then the gaps are
-    // closed. Untouched pages of the buffer cost nothing.
+    // Each chunk writes to its own part of a buffer of maximum size, which is then compacted. Unused
+    // pages of the buffer are never allocated.
     static thread_local Buffer<Splat> loose;
     loose.resize((size_t)map.count);
     std::vector<int64_t> first((size_t)chunks + 1, 0);

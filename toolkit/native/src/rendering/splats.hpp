@@ -1,4 +1,4 @@
-// State of one rasterisation: projected Gaussians, their tiles, and what backward needs.
+// State of one rasterisation: projected Gaussians, their tiles, and data for the backward pass.
 #pragma once
 
 #include <cstddef>
@@ -14,7 +14,7 @@ namespace semsplat {
 enum { BLOCK = 4, BLOCKS = 16, TILE_PIXELS = TILE * TILE };
 static_assert(TILE * TILE == BLOCKS * BLOCK * BLOCK, "a tile consists of 16 blocks of 4x4 pixels");
 
-// Uninitialised storage: a vector would spend time on writing zeros.
+// Uninitialised storage; std::vector would initialise the memory.
 template <class T>
 class Buffer {
   public:
@@ -36,18 +36,18 @@ class Buffer {
     size_t size_ = 0, capacity_ = 0;
 };
 
-// One Gaussian as the tiles see it: one cache line.
+// One projected Gaussian; the size of a cache line.
 struct alignas(64) Splat {
     float u, v, z;           // pixel centre and camera depth (m)
     float sigma;             // standard deviation in pixels
     float exponent;          // -0.5 / sigma^2
     float opacity;
-    float support_squared;   // squared pixel distance at which alpha falls under the cut
+    float support_squared;   // squared distance in pixels at which alpha falls below MIN_ALPHA
     float r, g, b;
     int32_t id;              // index in the map
-    int32_t slot;            // first gradient slot, or -1: it touches one tile only
+    int32_t slot;            // first gradient slot, or -1 if it overlaps a single tile
     int16_t tile_x0, tile_y0, tile_x1, tile_y1;
-    int32_t pairs;           // tiles touched
+    int32_t pairs;           // number of overlapped tiles
     int32_t padding;
 };
 static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
@@ -60,11 +60,11 @@ struct Gaussians {
     const float* colours;        // [N, 3]
     const float* features;       // [N, S] or null
     int feature_channels;        // S
-    bool centres;                // composite the means as three more channels, after the features
+    bool centres;                // composite the means as three additional channels after the features
     int extra_channels() const { return feature_channels + (centres ? 3 : 0); }
 };
 
-// Everything that forward leaves for backward.
+// Results of the forward pass that the backward pass needs.
 struct Rasterisation {
     Pinhole camera;
     float R[9], t[3];
@@ -72,9 +72,9 @@ struct Rasterisation {
     Buffer<Splat> splats;              // visible Gaussians, by index in the map
     Buffer<int32_t> tile_begin;        // [tiles + 1] into the pairs
     Buffer<int32_t> pair_splat;        // by tile, front to back
-    Buffer<int32_t> pair_slot;         // where the pair's gradient goes, -1: the splat's own
-    Buffer<int32_t> block_end;         // [tiles, 16] pairs (from the tile's begin) each block used
-    Buffer<float> transmittance;       // [tiles, 256] what is left, blocks of 4x4 pixels
+    Buffer<int32_t> pair_slot;         // gradient slot of the pair, or -1 for the row of the splat
+    Buffer<int32_t> block_end;         // [tiles, 16] number of the tile's pairs each block used
+    Buffer<float> transmittance;       // [tiles, 256] final transmittance, in blocks of 4x4 pixels
     int64_t slots = 0;
     int tiles() const { return tiles_x * tiles_y; }
 };
@@ -91,11 +91,11 @@ struct GradientSinks {
 
 void project(const Gaussians& gaussians, Rasterisation& out);
 void bin(const uint8_t* region, Rasterisation& out);
-// images: [5 + S (+ 3), H, W]: red, green, blue, depth (m, times weight), silhouette, features,
-// and the centres where they are asked for.
+// images: [5 + S (+ 3), H, W]: red, green, blue, weighted depth (m), silhouette, features, and
+// the centres if requested.
 void composite(const Gaussians& gaussians, const uint8_t* region, Rasterisation& state, float* images);
-// image_gradients: [5 + S, H, W]. `detached`: what the feature channels ask for goes to the
-// features alone, and leaves geometry, opacity and pose as they are.
+// image_gradients: [5 + S, H, W]. `detached`: gradients of the feature channels are propagated to
+// the features only, not to geometry, opacity and pose.
 void differentiate(const Gaussians& gaussians, const uint8_t* region, const Rasterisation& state,
                    const float* image_gradients, bool detached, const GradientSinks& sinks);
 

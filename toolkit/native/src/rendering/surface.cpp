@@ -1,4 +1,4 @@
-// The depth of the surface that a rendered view shows.
+// Depth of the surface in a rendered view.
 #include "rendering/surface.hpp"
 
 #include <algorithm>
@@ -7,9 +7,10 @@
 
 namespace semsplat {
 
-// Front-to-back compositing weighs the nearer of two overlapping Gaussians more, so on a slanted
-// surface the mean depth belongs to a point up to half a pixel off the ray. The mean of the
-// centres lies on the surface: the depth is where the ray meets the plane through it.
+// Front-to-back compositing gives the nearer of two overlapping Gaussians more weight. On a slanted
+// surface, the mean depth is therefore that of a point up to half a pixel away from the ray. The mean
+// of the centres is on the surface, so the depth is computed by intersecting the ray with the plane
+// through it.
 void surface_depth(const Pinhole& camera, const double* T, const float* images, const float* centres,
                    float min_silhouette, float* depth) {
     const int W = camera.width, H = camera.height;
@@ -20,7 +21,7 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
         t[i] = (float)T[4 * i + 3];
     }
     std::vector<float> points(3 * plane);
-    // Neighbours lie two pixels apart in both directions; times z^2 this is the shortest normal.
+    // The neighbours are two pixels apart in both directions; times z^2 this is the shortest normal.
     const float footprint = 4.0f * MIN_NORMAL / (camera.fx * camera.fy);
 #pragma omp parallel
     {
@@ -53,7 +54,7 @@ void surface_depth(const Pinhole& camera, const double* T, const float* images, 
                 if (nx * nx + ny * ny + nz * nz < shortest * shortest) continue;
                 const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
                 const float z = (nx * p[0] + ny * p[1] + nz * p[2]) / (nx * rx + ny * ry + nz);
-                // The intersection with a plane seen edge-on is not reliable.
+                // The intersection with a plane nearly parallel to the ray is not reliable.
                 if (std::fabs(z - p[2]) < MAX_SURFACE_CORRECTION * p[2]) depth[i] = z;
             }
         }

@@ -1,4 +1,4 @@
-// The colours of a rendered view at the projections of the mean centres of their Gaussians.
+// Colours of a rendered view at the projections of the mean centres of the Gaussians.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -13,8 +13,8 @@ void intensity_of(const Pinhole& camera, const float* images, float min_silhouet
     const float *r = images, *g = images + plane, *b = images + 2 * plane, *s = images + SILHOUETTE * plane;
 #pragma omp parallel for schedule(static)
     for (int64_t i = 0; i < plane; ++i) {
-        // As composited, not divided by the silhouette: mapping fits colours like that, and the
-        // difference would turn into an exposure that grows with every keyframe.
+        // Not divided by the silhouette, because mapping fits composited colours. Otherwise, the
+        // difference would accumulate in the exposure of successive keyframes.
         const float luma = LUMA_RED * r[i] + LUMA_GREEN * g[i] + LUMA_BLUE * b[i];
         intensity[i] = s[i] >= min_silhouette ? luma : 0.0f;
     }
@@ -22,7 +22,7 @@ void intensity_of(const Pinhole& camera, const float* images, float min_silhouet
 
 namespace {
 
-// Offsets from pixels to the projections of the mean centres of their Gaussians.
+// Offsets from pixels to the projections of the mean centres of the Gaussians.
 class CentreOffsets {
 public:
     CentreOffsets(const Pinhole& camera, const double* T, const float* images, const float* centres,
@@ -37,7 +37,7 @@ public:
 
     bool solid(size_t i) const { return images_[SILHOUETTE * plane_ + i] >= min_silhouette_; }
 
-    // Zero where the silhouette is below the minimum and where the offset is so large that there is an edge.
+    // Zero where the silhouette is below the minimum, and at edges, where the offset is large.
     void at(int x, int y, float& across, float& down) const {
         across = down = 0.0f;
         const size_t i = (size_t)y * camera_.width + x;
@@ -75,7 +75,7 @@ void centred_intensity(const Pinhole& camera, const double* T, const float* imag
             const size_t i = (size_t)y * W + x;
             intensity[i] = drawn[i];
             if (x == 0 || y == 0 || x == W - 1 || y == H - 1 || !offsets.solid(i)) continue;
-            // Next to a hole the derivatives would be those of its border.
+            // Next to a hole, the derivatives would be those of its border.
             if (!(offsets.solid(i - 1) && offsets.solid(i + 1) && offsets.solid(i - W) && offsets.solid(i + W)))
                 continue;
             float across, down;

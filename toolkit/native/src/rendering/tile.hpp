@@ -1,6 +1,6 @@
-// What forward and backward share: a batch of a tile's splats, ready for blocks of pixels.
+// Shared by the forward and backward pass: a batch of a tile's splats.
 //
-// A tile is 16x16 pixels in 16 blocks of 4x4; a block is one F16. The Gaussian is separable,
+// A tile of 16x16 pixels has 16 blocks of 4x4 pixels; a block is one F16. The Gaussian is separable,
 // exp(k dx^2) exp(k dy^2): two vector exponentials give all columns and all rows of a tile.
 #pragma once
 
@@ -18,7 +18,7 @@ struct alignas(64) TileEntry {
     float r, g, b, z;
     float u, v;         // centre relative to the tile's first pixel
     int32_t id, splat, slot;
-    uint32_t blocks;    // bit i: block i lies within the support
+    uint32_t blocks;    // bit i: block i is within the support
     int32_t padding[6];
 };
 static_assert(sizeof(TileEntry) == 192, "three cache lines");
@@ -56,7 +56,7 @@ SEMSPLAT_INLINE const float* rows_of(const TileEntry& e, int block) {
     return e.rows + 4 * (block >> 2);
 }
 
-// The most feature channels that a loop keeps in registers at once.
+// Maximum number of feature channels that a loop keeps in registers.
 #if defined(__AVX512F__)
 enum { WIDEST = 16 };
 #else
