@@ -82,7 +82,7 @@ def test_a_run_without_loops_has_nothing_to_draw(run, capsys):
 
 
 def test_what_cannot_be_read_is_named(looped, tmp_path):
-    with pytest.raises(RunFolderError, match="holds no run"):
+    with pytest.raises(RunFolderError, match="contains no run"):
         main(ExplainLoopsOptions(tmp_path))
     (looped / "loops.jsonl").write_text("no json\n{}\n")
     with pytest.raises(FormatError, match=r"loops\.jsonl"):

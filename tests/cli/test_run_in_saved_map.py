@@ -124,8 +124,8 @@ def test_every_pose_says_how_sure_it_is(extended):
     ("damage", "said"),
     [
         (without_submaps, "run again"),
-        (without_descriptors, "--loops.use"),
-        (other_tree, "--semantics.taxonomy"),
+        (without_descriptors, "loops.use"),
+        (other_tree, "semantics.taxonomy"),
     ],
 )
 def test_maps_that_cannot_be_extended(room_runs, tmp_path, capsys, damage, said):
@@ -141,10 +141,10 @@ def test_maps_that_cannot_be_extended(room_runs, tmp_path, capsys, damage, said)
     ("words", "said"),
     [
         (["--map", "A/nothing"], "no run"),
-        (["--map", "A", "--poses", "given"], "--poses slam"),
-        (["--map", "A", "--loops.no-use"], "--loops.use"),
-        (["--map", "A", "--loops.features.source", "both"], "--loops.features"),
-        (["--map", "A", "--semantics.code.kind", "flat"], "--semantics.code"),
+        (["--map", "A", "--poses", "given"], "poses 'slam'"),
+        (["--map", "A", "--loops.no-use"], "loops.use"),
+        (["--map", "A", "--loops.features.source", "both"], "loops.features"),
+        (["--map", "A", "--semantics.code.kind", "flat"], "semantics.code"),
         (["--map", "A", "--semantics.code.kind", "none"], "labels"),
     ],
 )

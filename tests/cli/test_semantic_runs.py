@@ -245,7 +245,7 @@ def test_another_tree_does_not_read_a_map(run, tmp_path, capsys):
     copy = shutil.copytree(run, tmp_path / "copy")
     taxonomy = Taxonomy.load(copy / "taxonomy.yaml")
     Taxonomy.flat(taxonomy.classes).save(copy / "taxonomy.yaml")
-    assert "is not the tree" in one_line_of_error(capsys, "evaluate", copy)
+    assert "is not the taxonomy" in one_line_of_error(capsys, "evaluate", copy)
     (copy / "taxonomy.yaml").unlink()
     assert "missing" in one_line_of_error(capsys, "query", copy, "chair")
 

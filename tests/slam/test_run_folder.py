@@ -77,7 +77,7 @@ def test_nothing_readable_is_an_error(folder):
     for number in range(2):
         save(folder, number)
         (folder.checkpoints / str(number) / "arrays.npz").write_bytes(b"no zip")
-    with pytest.raises(RunFolderError, match="start anew"):
+    with pytest.raises(RunFolderError, match="start a new run"):
         folder.load_checkpoint()
 
 
@@ -108,7 +108,7 @@ def test_other_settings_are_an_error(folder, other):
 
 
 def test_a_run_is_not_overwritten(folder):
-    with pytest.raises(RunFolderError, match="--resume"):
+    with pytest.raises(RunFolderError, match="resume it"):
         RunFolder.create(folder.path, CONFIG)
 
 
@@ -127,7 +127,7 @@ def test_an_empty_folder_is_taken(tmp_path):
 
 def test_only_runs_are_opened(tmp_path):
     for path in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(RunFolderError, match="holds no run"):
+        with pytest.raises(RunFolderError, match="contains no run"):
             RunFolder.open(path)
 
 

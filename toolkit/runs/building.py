@@ -35,10 +35,10 @@ def build_slam(
     """Build the SLAM system that the settings describe.
 
     Args:
-        dataset: the sequence to process. It supplies class names, and poses for `--poses given`;
-            None for frames that come from elsewhere, such as a camera driver.
-        settings: of the run; the defaults without them.
-        folder: where submaps and the loop log are stored; without it they stay in memory.
+        dataset: the sequence to process. It supplies class names, and poses if `poses` is
+            "given"; None for frames of another source, such as a camera driver.
+        settings: settings of the run; defaults if absent.
+        folder: stores submaps and the loop log; without it, they stay in memory.
         recorder: measures the time of each stage.
 
     Raises:
@@ -48,7 +48,8 @@ def build_slam(
     recorder = recorder or StageRecorder()
     labeller = build_run_labeller(settings, dataset)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
-    # The papers' tracker compares pixels as they are drawn; with given poses none compares any.
+    # Centred colours are only valid for the dense tracker: the papers' tracker compares rendered
+    # pixels directly, and given poses need no comparison.
     centred = settings.mapping.centred
     centred &= settings.poses == "slam" and settings.tracking.kind == "dense"
     mapper = Mapper(
@@ -68,14 +69,13 @@ def build_slam(
             context = ClosingContext(settings.seed, settings.backend, mapper.semantics, taxonomy)
             log = LoopLog(folder.loops) if folder else None
             closer = build_loop_closer(settings.loops, context, log, recorder)
-        # The papers' tracker is there to be compared with.
-        dense = settings.tracking.kind == "dense"
-        placed = dense and settings.placement.use
-        placement = KeyframePlacement(settings.placement) if placed else None
+        # The papers' tracker is a baseline, whose keyframe poses are not refined.
+        use_placement = settings.tracking.kind == "dense" and settings.placement.use
+        placement = KeyframePlacement(settings.placement) if use_placement else None
         return Slam(tracker, mapper, recorder, labeller, atlas, closer, settings.denoise, placement)
     if dataset is None or dataset.ground_truth is None:
         name = "this sequence" if dataset is None else dataset.name
-        raise DatasetError(f"--poses given needs poses, and {name} has none; use --poses slam")
+        raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
     poses = GivenPoses(dataset.ground_truth)
     return Slam(poses, mapper, recorder, labeller, atlas, denoise=settings.denoise)
 
@@ -84,7 +84,7 @@ def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labell
     """Build the labeller of a run's frames, None for a map without semantics.
 
     Raises:
-        ToolkitError: the settings ask for labels that are not available.
+        ToolkitError: the settings require labels that are not available.
     """
     names = dataset.label_names if dataset is not None else None
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None

@@ -139,7 +139,7 @@ def _dataset_path(settings: RunSettings, out: Path, resume: bool, progress: Prog
     if settings.dataset.path is not None:
         return settings.dataset.path
     if settings.dataset.kind != "synthetic":
-        raise SettingsError(f"--dataset.kind {settings.dataset.kind} needs --dataset.path DIR")
+        raise SettingsError(f"dataset.kind '{settings.dataset.kind}' requires dataset.path")
     room = out.with_name(out.name + "_room")
     if not resume and not (room / "traj.txt").exists():
         _log.info("Creating a synthetic room in %s.", room)

@@ -1,4 +1,4 @@
-"""What programs read back from the folder of a finished run, and how they measure it."""
+"""Load the settings, map and poses of a finished run."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from toolkit.submaps.store import SubmapStore
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run that wrote its results.
+    """A finished run.
 
     Attributes:
-        folder: where it lies.
-        settings: what it was made with.
-        gaussians: its map.
-        tracked: every frame with a pose, in order.
-        lost: indices of the frames without one.
-        keyframes: indices of the keyframes.
-        semantics: how its features are read; without channels where it has none.
-        taxonomy: the tree of its labels, or None.
-        anchors: T_world_submap [4, 4] of each submap that it could read, by number.
+        folder: the run folder.
+        settings: settings of the run.
+        gaussians: the map.
+        tracked: all frames with a pose, in order.
+        lost: indices of the frames without a pose.
+        keyframes: frame indices of the keyframes.
+        semantics: decoder of the features; without channels for a map without semantics.
+        taxonomy: taxonomy of the labels, or None.
+        anchors: T_world_submap [4, 4] of each readable submap, by number.
         stored_camera: intrinsics of the frames after resizing; None in runs of older versions.
         dataset_from_run: path of the dataset relative to the run folder, or None.
     """
@@ -71,16 +71,16 @@ class FinishedRun:
 
     @property
     def submaps(self) -> SavedSubmaps:
-        """Its submaps as they were at its end.
+        """The submaps in their final state.
 
         Raises:
-            RunFolderError: it left none, or one is missing.
+            RunFolderError: the run stored no submaps, or one is missing.
         """
         store = SubmapStore.newest(self.folder.submaps, self.settings.submaps.memory_mb)
         if not self.anchors or not all(number in store for number in self.anchors):
             raise RunFolderError(
-                f"{self.folder.submaps} lacks submaps of the run, which one of an older version "
-                "did not keep; run again"
+                f"submaps are missing in {self.folder.submaps}, which older versions did not "
+                "store; run again"
             )
         return SavedSubmaps(store, self.anchors)
 
@@ -95,7 +95,7 @@ class FinishedRun:
     def dataset_path(self) -> Path | None:
         """Folder of the dataset.
 
-        It is looked for at its absolute path, then where it was relative to the run folder: both
+        If its absolute path does not exist, its path relative to the run folder is used: both
         may have been moved together.
         """
         path = self.settings.dataset.path
@@ -107,14 +107,18 @@ class FinishedRun:
     def open_dataset(
         self, path: str | os.PathLike[str] | None = None, image_size: tuple[int, int] | None = None
     ) -> RecordedDataset:
-        """The run's data set, from another place or at another size where one is given.
+        """Open the dataset of the run.
+
+        Args:
+            path: folder of the dataset, if it was moved.
+            image_size: width and height in pixels; by default as in the run.
 
         Raises:
-            DatasetError: it is not there or has changed.
+            DatasetError: it does not exist or has changed.
         """
         path = path or self.dataset_path
         if path is None:
-            raise DatasetError(f"{self.folder.config} names no data set; set dataset.path in it")
+            raise DatasetError(f"{self.folder.config} has no dataset.path; add it to the file")
         size = image_size or self.settings.image_size
         return open_dataset(self.settings.dataset.kind, path, size, self.settings.max_frames)
 
@@ -126,15 +130,15 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
         path: the run folder.
 
     Raises:
-        ToolkitError: there is no run, it has not finished, or one of its files is damaged.
+        ToolkitError: the folder contains no run, the run is not finished, or a file is damaged.
     """
     path = Path(path)
     folder = RunFolder.open(path)
     for file in (folder.map, folder.trajectory, folder.frames):
         if not file.is_file():
             raise RunFolderError(
-                f"{path} has no {file.name}: the run has not finished; "
-                "give its semsplat run command again, with --resume"
+                f"{path} has no {file.name}: the run is not finished; "
+                "repeat its semsplat run command with --resume"
             )
     content = _read_frames(folder.frames)
     settings = load_settings(folder.config)
@@ -172,7 +176,7 @@ def _read_frames(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise RunFolderError(f"{path} is not JSON ({error}); run again") from error
     if not isinstance(content, dict):
-        raise RunFolderError(f"{path} holds no dictionary; run again")
+        raise RunFolderError(f"{path} does not contain a dictionary; run again")
     return content
 
 

@@ -1,10 +1,10 @@
-"""What a run leaves on disk: outputs, and checkpoints from which it continues.
+"""Run folders: results, and checkpoints from which a run can be resumed.
 
     config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
     report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
 
-Checkpoints come in two generations: the older one is replaced, so a whole one exists at any
-moment. They fall on frame boundaries and change no state.
+Checkpoints alternate between two folders: the older one is replaced, so that a complete checkpoint
+exists at any time. They are saved between frames and do not change the state of the run.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
-_GENERATIONS = ("0", "1")
+_SLOTS = ("0", "1")
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A saved moment of a run.
+    """Saved state of a run.
 
     Attributes:
-        next_frame: position in the sequence at which to go on.
-        arrays, values: what the run's `state` was.
+        next_frame: index of the frame at which to continue.
+        arrays, values: state of the SLAM system, as returned by `Slam.state`.
     """
 
     next_frame: int
@@ -54,7 +54,7 @@ class Checkpoint:
 
 
 class RunFolder:
-    """The folder of one run."""
+    """Paths and files of a run folder."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -75,18 +75,18 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path, config: str) -> RunFolder:
-        """Start a run in a new or empty folder.
+        """Create the folder of a new run.
 
         Raises:
-            RunFolderError: something is there already, or it cannot be written.
+            RunFolderError: the folder is not empty or cannot be written.
         """
         folder = cls(path)
         if folder.config.exists():
             raise RunFolderError(
-                f"{path} already holds a run; continue it with --resume, or choose another --out"
+                f"{path} already contains a run; resume it, or choose another output folder"
             )
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise RunFolderError(f"{path} is not an empty folder; choose another --out")
+            raise RunFolderError(f"{path} is not an empty folder; choose another output folder")
         try:
             for part in (path, folder.renders, folder.checkpoints):
                 part.mkdir(parents=True, exist_ok=True)
@@ -98,18 +98,18 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
-        """An existing run.
+        """Open the folder of an existing run.
 
         Raises:
-            RunFolderError: there is none.
+            RunFolderError: the folder contains no run.
         """
         folder = cls(path)
         if not folder.config.is_file():
-            raise RunFolderError(f"{path} holds no run: there is no config.yaml in it")
+            raise RunFolderError(f"{path} contains no run: config.yaml is missing")
         return folder
 
     def discard(self) -> None:
-        """Remove the folder of a run that saved no checkpoint; results in it are kept."""
+        """Remove the folder of a run that saved no checkpoint; other files in it are kept."""
         for path in (self.config, self.loops, self.log, self.taxonomy):
             path.unlink(missing_ok=True)
         for path in (self.renders, self.checkpoints, self.submaps, self.path):
@@ -117,33 +117,33 @@ class RunFolder:
                 path.rmdir()
 
     def check_config(self, config: str) -> None:
-        """Refuse to go on with other settings than those the run began with.
+        """Check that a run is resumed with its own settings.
 
         Raises:
-            SettingsError: they differ; the first differing line is named.
+            SettingsError: they differ; the message contains the first differing line.
         """
         try:
-            before = self.config.read_text(encoding="utf-8").splitlines()
+            stored = self.config.read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
-            raise RunFolderError(f"cannot read {self.config} ({error}); start again") from error
-        for old, new in zip_longest(before, config.splitlines(), fillvalue="(nothing)"):
+            raise RunFolderError(f"cannot read {self.config} ({error}); start a new run") from error
+        for old, new in zip_longest(stored, config.splitlines(), fillvalue="(nothing)"):
             if old != new:
                 raise SettingsError(
-                    f"cannot resume {self.path} with other settings: it began with "
-                    f"'{old.strip()}', now '{new.strip()}'"
+                    f"cannot resume {self.path} with other settings: '{old.strip()}' in "
+                    f"config.yaml, '{new.strip()}' now"
                 )
 
     def save_checkpoint(
         self, next_frame: int, arrays: dict[str, NDArray], values: dict[str, Any]
     ) -> None:
-        """Replace the older generation.
+        """Save a checkpoint in place of the older one.
 
         Raises:
-            RunFolderError: the disk is full or may not be written.
+            RunFolderError: the disk is full or not writable.
         """
-        newest = self._generations()
-        serial = newest[0][1] + 1 if newest else 0
-        target = self.checkpoints / _GENERATIONS[serial % 2]
+        saved = self._saved_checkpoints()
+        serial = saved[0][1] + 1 if saved else 0
+        target = self.checkpoints / _SLOTS[serial % 2]
         metadata = {
             "serial": serial,
             "next_frame": next_frame,
@@ -154,46 +154,48 @@ class RunFolder:
         write_array_tree(target, arrays, metadata)
 
     def load_checkpoint(self) -> Checkpoint | None:
-        """The newest whole generation, or None where there is none yet.
+        """Load the newest readable checkpoint, None if there is none.
 
         Raises:
-            RunFolderError: every generation is damaged, or it was made with another number
-                of threads, which would change the last bits.
+            RunFolderError: all checkpoints are damaged, or the run used another number of
+                threads, with which results would differ by rounding.
         """
         damaged = []
-        for path, _ in self._generations():
+        for path, _ in self._saved_checkpoints():
             try:
                 tree = read_array_tree(path)
             except (FormatError, RunFolderError) as error:
-                _log.warning("checkpoint %s is damaged, trying the one before: %s", path, error)
+                _log.warning("Checkpoint %s is damaged; trying the previous one: %s.", path, error)
                 damaged.append(path)
                 continue
             try:
                 next_frame = int(tree.metadata["next_frame"])
                 threads, values = tree.metadata["threads"], tree.metadata["values"]
             except (KeyError, TypeError, ValueError) as error:
-                _log.warning("checkpoint %s is damaged (%r)", path, error)
+                _log.warning("Checkpoint %s is damaged (%r).", path, error)
                 damaged.append(path)
                 continue
             if threads != torch.get_num_threads():
                 raise RunFolderError(
-                    f"{self.path} was begun with {threads} threads, here are "
+                    f"{self.path} was started with {threads} threads, but torch now uses "
                     f"{torch.get_num_threads()}; set OMP_NUM_THREADS={threads} to resume it"
                 )
             return Checkpoint(next_frame, tree.arrays, values)
         if damaged:
-            raise RunFolderError(f"no checkpoint in {self.checkpoints} can be read; start anew")
+            raise RunFolderError(
+                f"no checkpoint in {self.checkpoints} can be read; start a new run"
+            )
         return None
 
     @property
     def has_checkpoint(self) -> bool:
-        """Whether there is any, whole or damaged."""
-        return bool(self._generations())
+        """Whether there is a checkpoint, readable or damaged."""
+        return bool(self._saved_checkpoints())
 
-    def _generations(self) -> list[tuple[Path, int]]:
-        """(folder, serial number) of the generations, newest first."""
+    def _saved_checkpoints(self) -> list[tuple[Path, int]]:
+        """Return (folder, serial number) of the checkpoints, newest first."""
         found = []
-        for name in _GENERATIONS:
+        for name in _SLOTS:
             path = self.checkpoints / name
             try:
                 serial = json.loads((path / "metadata.json").read_text())["serial"]
@@ -201,14 +203,14 @@ class RunFolder:
             except FileNotFoundError:
                 continue
             except (OSError, ValueError, KeyError, TypeError):
-                found.append((path, -1))  # unreadable: the first to be replaced
+                found.append((path, -1))  # unreadable: replaced first
         return sorted(found, key=lambda item: -item[1])
 
     def check_taxonomy(self, taxonomy: Taxonomy | None) -> None:
-        """Write the run's tree, or refuse to go on with another.
+        """Store the taxonomy of a new run; check that a resumed run uses the stored one.
 
         Raises:
-            SettingsError: the run was begun with another tree.
+            SettingsError: the stored taxonomy is another one.
             FormatError: the file is damaged.
         """
         if taxonomy is None:
@@ -217,22 +219,22 @@ class RunFolder:
             taxonomy.save(self.taxonomy)
         elif Taxonomy.load(self.taxonomy) != taxonomy:
             raise SettingsError(
-                f"{self.taxonomy} is not the tree of these settings and labels; the run was "
-                "begun with another one: give that file as --semantics.taxonomy, or start anew"
+                f"{self.taxonomy} is not the taxonomy of these settings and labels: the run was "
+                "started with another one; set semantics.taxonomy to that file, or start a new run"
             )
 
     def write_map(
         self, parts: Iterable[tuple[GaussianCloud, SplatLabels | None, int | None]]
     ) -> None:
-        """`map.ply`, a standard 3DGS file, with labels where the map has semantics.
+        """Write `map.ply`, a standard 3DGS file, with labels if the map has semantics.
 
         Args:
-            parts: Gaussians, their labels, and the number of the submap that they are of.
+            parts: Gaussians, their labels, and the number of their submap.
         """
         write_splat_parts(self.map, (_with_columns(*part) for part in parts))
 
     def read_map(self) -> GaussianCloud:
-        """The Gaussians of `map.ply`, with their features where the run left any."""
+        """Read the Gaussians of `map.ply`, with their features if the map has semantics."""
         cloud = read_cloud(self.map)
         if not self.semantics.is_dir():
             return cloud
@@ -244,38 +246,37 @@ class RunFolder:
         return replace(cloud, features=torch.from_numpy(features.astype(np.float32)))
 
     def write_semantics(
-        self, features: NDArray[np.float16], reader: dict[str, NDArray], taxonomy: Taxonomy
+        self, features: NDArray[np.float16], decoder: dict[str, NDArray], taxonomy: Taxonomy
     ) -> None:
-        """`semantics/`: the map's features, in half precision, and the state of their reader."""
+        """Write `semantics/`: features in half precision, and the state of their decoder."""
         arrays: dict[str, NDArray] = {"features": features}
-        arrays |= {f"reader/{name}": array for name, array in reader.items()}
+        arrays |= {f"reader/{name}": array for name, array in decoder.items()}
         metadata = {"version": __version__, "taxonomy": taxonomy.digest}
         write_array_tree(self.semantics, arrays, metadata)
 
     def read_taxonomy(self) -> Taxonomy | None:
-        """The tree of the map's labels, None for a map without any.
+        """Read the taxonomy of the map's labels, None for a map without semantics.
 
         Raises:
-            FormatError: the tree's file is missing or damaged, or is not the one that the
-                labels were written with.
+            FormatError: the file is missing or damaged, or does not match the labels.
         """
         if not self.semantics.is_dir():
             return None
         if not self.taxonomy.is_file():
             raise FormatError(
-                f"{self.taxonomy} is missing, without which the labels of {self.map} mean "
-                "nothing; put the one there that the run was given"
+                f"{self.taxonomy} is missing, which defines the labels of {self.map}; restore the "
+                "file, or run again"
             )
         taxonomy = Taxonomy.load(self.taxonomy)
         if read_array_tree(self.semantics).metadata.get("taxonomy") != taxonomy.digest:
             raise FormatError(
-                f"{self.taxonomy} is not the tree that {self.map} was labelled with; put that "
-                "one there, or run again"
+                f"{self.taxonomy} is not the taxonomy of the labels of {self.map}; restore the "
+                "file, or run again"
             )
         return taxonomy
 
     def read_semantics(self) -> dict[str, NDArray]:
-        """The state of what reads the features, empty where there are none."""
+        """Read the state of the features' decoder, empty for a map without semantics."""
         if not self.semantics.is_dir():
             return {}
         return arrays_below(read_array_tree(self.semantics).arrays, "reader/")
@@ -283,17 +284,17 @@ class RunFolder:
     def write_trajectory(
         self, trajectory: Trajectory, covariances: NDArray[np.float64] | None = None
     ) -> None:
-        """`trajectory.txt` in TUM format, and `covariances.txt` [M, 6, 6] where they are known."""
+        """Write `trajectory.txt` in TUM format, and `covariances.txt` [M, 6, 6] if known."""
         write_tum(self.trajectory, trajectory)
         if covariances is not None:
             write_covariances(self.covariances, trajectory.timestamps_s, covariances)
 
     def read_trajectory(self) -> Trajectory:
-        """The poses of `trajectory.txt`."""
+        """Read `trajectory.txt`."""
         return read_tum(self.trajectory)
 
     def write_json(self, path: Path, content: dict[str, Any]) -> None:
-        """A JSON file of this folder, atomically."""
+        """Write a JSON file of this folder atomically."""
         write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
@@ -307,7 +308,7 @@ def _with_columns(
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
-    """Gaussians of a splat file (.ply, .splat, .spz)."""
+    """Read the Gaussians of a splat file (.ply, .splat, .spz)."""
     splats = read_splats(path)
     arrays = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
     means, log_radii, opacity_logits, colours = (

@@ -1,4 +1,4 @@
-"""Paths of a run that keep their meaning in every working directory."""
+"""Convert the paths in settings to absolute paths."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from toolkit.runs.settings import RunSettings
 
 
 def absolute(path: Path) -> Path:
-    """The absolute path of a file or folder, without symbolic links in its parent folders.
+    """Return the absolute path of a file or folder, without symbolic links in its parents.
 
     The last component stays as given: a link to a dataset may be redirected later, and the name
     of a linked file may carry its format.
@@ -20,9 +20,9 @@ def absolute(path: Path) -> Path:
 
 
 def with_absolute_paths(settings: RunSettings) -> RunSettings:
-    """The same settings with absolute paths, so that they hold in every working directory."""
+    """Return the settings with absolute paths, which are valid in every working directory."""
     settings = _absolute_in(settings)
-    # A name or a file, hence not declared as a path.
+    # Not declared as a path, because it may be the name of a bundled taxonomy.
     taxonomy = Path(settings.semantics.taxonomy)
     if taxonomy.is_file():
         semantics = replace(settings.semantics, taxonomy=str(absolute(taxonomy)))

@@ -1,4 +1,4 @@
-"""`semsplat run --map RUN`: begin in the map of a finished run."""
+"""Start a run in the map of a finished run, which is extended (setting `map`)."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ from toolkit.submaps.submap import Submap
 
 _log = logging.getLogger(__name__)
 
-# Between the last frame of the saved map and the first one of the run: no neighbours.
-_APART = 10_000
+# Offset between the frame indices of the saved map and of the run, so that no frames of different
+# runs are taken for neighbours.
+_INDEX_GAP = 10_000
 
 
 def open_saved_map(settings: RunSettings, dataset: Dataset) -> FinishedRun | None:
-    """The run that `--map` names, None without one.
+    """Open the run in the setting `map`, None without one.
 
     Raises:
-        ToolkitError: it is no finished run, left no submaps, or these settings cannot go on
-            from it.
+        ToolkitError: it is not a finished run, has no submaps, or its map cannot be extended with
+            these settings.
     """
     if settings.map is None:
         return None
     if settings.poses != "slam" or not settings.loops.use:
         raise SettingsError(
-            "--map looks for the camera in the saved map: it needs --poses slam and --loops.use"
+            "the setting map requires poses 'slam' and loops.use, because the camera is "
+            "relocalised in the saved map"
         )
     saved = load_run(settings.map)
     _check_descriptors(saved, settings)
@@ -41,44 +43,47 @@ def open_saved_map(settings: RunSettings, dataset: Dataset) -> FinishedRun | Non
 def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
     if not all(submap.descriptors.size for submap in saved.submaps.values()):
         raise SettingsError(
-            f"--map {settings.map}: its keyframes have no descriptors, by which places are "
-            "recognised; make that map again with --loops.use"
+            f"map {settings.map}: the keyframes have no descriptors for place recognition; create "
+            "this map again with loops.use"
         )
-    here, there = settings.loops.features, saved.settings.loops.features
-    if here != there:
+    current, stored = settings.loops.features, saved.settings.loops.features
+    if current != stored:
         raise SettingsError(
-            f"--map {settings.map}: its keyframes are described by --loops.features.kind "
-            f"{there.kind}, source {there.source}, not by {here.kind}, {here.source}; set "
-            "--loops.features as that run did"
+            f"map {settings.map}: its descriptors (loops.features.kind {stored.kind}, source "
+            f"{stored.source}) differ from those of this run ({current.kind}, {current.source}); "
+            "set loops.features as in that run"
         )
 
 
 def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset) -> None:
     labeller = build_run_labeller(settings, dataset)
-    tree = None if labeller is None else labeller.taxonomy
-    if (tree is None) != (saved.taxonomy is None):
-        which, what = ("it has", "have none") if saved.taxonomy else ("it has no", "ask for them")
-        raise SettingsError(
-            f"--map {settings.map}: {which} labels and these settings {what}; set "
-            "--semantics.segmenter.kind as that run did"
+    taxonomy = None if labeller is None else labeller.taxonomy
+    if (taxonomy is None) != (saved.taxonomy is None):
+        state = (
+            "has labels, but this run has none"
+            if saved.taxonomy
+            else "has no labels, but this run has"
         )
-    if tree is None or saved.taxonomy is None:
+        raise SettingsError(
+            f"map {settings.map} {state}; set semantics.segmenter.kind as in that run"
+        )
+    if taxonomy is None or saved.taxonomy is None:
         return
-    if tree.digest != saved.taxonomy.digest:
+    if taxonomy.digest != saved.taxonomy.digest:
         raise SettingsError(
-            f"--map {settings.map}: its labels are of another tree; give "
-            f"--semantics.taxonomy {saved.folder.taxonomy}"
+            f"map {settings.map} has another taxonomy; set semantics.taxonomy to "
+            f"{saved.folder.taxonomy}"
         )
-    here, there = settings.semantics, saved.settings.semantics
-    if here.code != there.code or here.network != there.network:
+    current, stored = settings.semantics, saved.settings.semantics
+    if current.code != stored.code or current.network != stored.network:
         raise SettingsError(
-            f"--map {settings.map}: its features are of another code; set --semantics.code "
-            f"(there {there.code.kind}) and --semantics.network as that run did"
+            f"map {settings.map} has features of another code; set semantics.code "
+            f"({stored.code.kind} in that run) and semantics.network as in that run"
         )
 
 
 def load_saved_map(slam: Slam, saved: FinishedRun) -> None:
-    """Let a system begin in a finished run's map, whose classes it knows from then on.
+    """Load the map and the observed classes of a finished run into a SLAM system.
 
     Raises:
         ToolkitError: a submap cannot be read.
@@ -86,10 +91,10 @@ def load_saved_map(slam: Slam, saved: FinishedRun) -> None:
     slam.mapper.semantics.restore(saved.folder.read_semantics())
     submaps = saved.submaps
     last = max(keyframe.index for submap in submaps.values() for keyframe in submap.keyframes)
-    _log.info("looking for the camera in %d submap(s) of %s", len(submaps), saved.folder.path)
+    _log.info("Relocalising in %d submap(s) of %s.", len(submaps), saved.folder.path)
 
     def renumbered() -> Iterator[Submap]:
         for number, submap in enumerate(submaps.values()):
-            yield submap.renumbered(number, -last - _APART)
+            yield submap.renumbered(number, -last - _INDEX_GAP)
 
     slam.load_map(renumbered())
