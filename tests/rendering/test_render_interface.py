@@ -167,9 +167,9 @@ def test_deleting_a_rendering_frees_its_memory(name: str) -> None:
     gc.disable()
     try:
         output = render(cloud, scene.camera, scene.T_camera_map, backend_name=name)
-        drawn = weakref.ref(getattr(output.images.grad_fn, "drawn"))  # noqa: B009
-        assert drawn() is not None
+        forward_pass = weakref.ref(getattr(output.images.grad_fn, "forward_pass"))  # noqa: B009
+        assert forward_pass() is not None
         del output
-        assert drawn() is None
+        assert forward_pass() is None
     finally:
         gc.enable()

@@ -147,15 +147,15 @@ def test_a_processor_that_crops_is_told_not_to(segformer, broken):
     ("make", "named"),
     [
         (lambda folder: (folder / "config.json").unlink(), "has no config.json"),
-        (lambda folder: (folder / "config.json").write_text("{"), "holds no model"),
-        (lambda folder: (folder / "model.safetensors").unlink(), "holds no model"),
+        (lambda folder: (folder / "config.json").write_text("{"), "contains no model"),
+        (lambda folder: (folder / "model.safetensors").unlink(), "contains no model"),
         (
             lambda folder: (folder / "model.safetensors").write_bytes(
                 (folder / "model.safetensors").read_bytes()[:5000]
             ),
-            "holds no model",
+            "contains no model",
         ),
-        (lambda folder: (folder / "preprocessor_config.json").unlink(), "holds no image proc"),
+        (lambda folder: (folder / "preprocessor_config.json").unlink(), "contains no image proc"),
     ],
 )
 def test_a_broken_folder_is_one_line(segformer, broken, make, named):
@@ -168,7 +168,7 @@ def test_a_broken_folder_is_one_line(segformer, broken, make, named):
 
 
 def test_weights_of_another_model_are_refused(segformer, tiny_dinov2, broken):
-    with pytest.raises(FormatError, match="holds no model for AutoModelForSemanticSegmentation"):
+    with pytest.raises(FormatError, match="contains no model for AutoModelForSemanticSegmentation"):
         TransformersSegmenter(tiny_dinov2, device="cpu")
     # A head that was never trained would label at random, without a word.
     folder = broken(segformer)

@@ -11,7 +11,7 @@ import pytest
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, SensorModel, make_room, tiny_room
-from toolkit.datasets.synthetic.unseen import _seen_share, poses_off_the_path
+from toolkit.datasets.synthetic.unseen import _visible_fraction, poses_off_the_path
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
@@ -161,7 +161,7 @@ def test_unseen_views_are_off_the_path_and_show_known_surfaces(scene):
         gap = np.linalg.norm(path[:, :3, 3] - T[:3, 3], axis=1).min()
         assert gap > 0.02
         assert scene.distance_m(T[None, :3, 3])[0] >= 0.4
-        assert _seen_share(scene, camera, T, witnesses) > 0.95
+        assert _visible_fraction(scene, camera, T, witnesses) > 0.95
     away = path[0].copy()
     away[:3, :3] = away[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
-    assert _seen_share(scene, camera, away, witnesses) < 0.5
+    assert _visible_fraction(scene, camera, away, witnesses) < 0.5

@@ -78,7 +78,7 @@ def test_groups_are_on_the_floor_with_their_back_to_the_wall():
 def test_camera_path_is_smooth_and_keeps_its_distance(name):
     layout = LAYOUTS[name]()
     frames = 300 if name == "room" else None
-    T = hand_held_path(layout.way, frames, 1.0, np.random.default_rng(5))
+    T = hand_held_path(layout.way_points, frames, 1.0, np.random.default_rng(5))
     motion = se3.inverse(T[:-1]) @ T[1:]
     assert np.linalg.norm(motion[:, :3, 3], axis=1).max() < 0.5 / 30 * 1.1
     assert np.degrees(se3.rotation_angle_rad(motion[:, :3, :3])).max() < 1.5
@@ -89,12 +89,12 @@ def test_camera_path_is_smooth_and_keeps_its_distance(name):
 @pytest.mark.parametrize("seed", range(4))
 def test_camera_path_is_free_for_other_seeds(seed):
     layout = single_room()
-    T = hand_held_path(layout.way, 60, 1.0, np.random.default_rng(seed))
+    T = hand_held_path(layout.way_points, 60, 1.0, np.random.default_rng(seed))
     assert _distances_m(build_parts(layout, seed), T[:, :3, 3]).min() > 0.4
 
 
 def test_path_in_one_room_returns_to_its_start():
-    T = hand_held_path(single_room().way, 300, 1.0, np.random.default_rng(0))
+    T = hand_held_path(single_room().way_points, 300, 1.0, np.random.default_rng(0))
     assert np.linalg.norm(T[0, :3, 3] - T[-1, :3, 3]) < 0.25
     assert T[0, :3, 2] @ T[-1, :3, 2] > 0.95
     ahead = T[:, :3, 2]
@@ -104,7 +104,7 @@ def test_path_in_one_room_returns_to_its_start():
 
 def test_ring_visits_four_rooms_and_closes():
     layout = LAYOUTS["ring"]()
-    T = hand_held_path(layout.way, 800, 1.0, np.random.default_rng(0))
+    T = hand_held_path(layout.way_points, 800, 1.0, np.random.default_rng(0))
     centres = np.array([plan.centre_m for plan in layout.rooms])
     nearest = np.argmin(np.linalg.norm(T[:, None, :2, 3] - centres, axis=2), axis=1)
     visits = nearest[np.concatenate([[True], np.diff(nearest) != 0])]
@@ -116,7 +116,7 @@ def test_ring_visits_four_rooms_and_closes():
 
 
 def test_shorter_path_is_the_start_of_a_longer_one():
-    way = single_room().way
+    way = single_room().way_points
     whole = hand_held_path(way, 301, 1.0, np.random.default_rng(0))
     start = hand_held_path(way, 31, 0.1, np.random.default_rng(0))
     np.testing.assert_allclose(start, whole[:31], atol=1e-9)
@@ -125,9 +125,9 @@ def test_shorter_path_is_the_start_of_a_longer_one():
 def test_hall_is_four_times_rooms():
     rooms, hall = LAYOUTS["rooms"](), LAYOUTS["hall"]()
     assert len(hall.rooms) == 4 * len(rooms.rooms)
-    assert len(set(hall.looks)) == len(hall.rooms)
+    assert len(set(hall.room_seeds)) == len(hall.rooms)
     # The path leaves rooms only through doors.
-    T = hand_held_path(hall.way, 400, 1.0, np.random.default_rng(0))
+    T = hand_held_path(hall.way_points, 400, 1.0, np.random.default_rng(0))
     inside = np.zeros(len(T), bool)
     for plan in hall.rooms:
         x0, y0, x1, y1 = plan.bounds_m
@@ -139,7 +139,7 @@ def test_hall_is_four_times_rooms():
 def test_twin_rooms_are_identical_except_for_their_position():
     layout = LAYOUTS["twins"]()
     first, _, third, _ = layout.rooms
-    assert layout.looks[0] == layout.looks[2] != layout.looks[1]
+    assert layout.room_seeds[0] == layout.room_seeds[2] != layout.room_seeds[1]
     parts = build_parts(layout, 0)
     centres = np.array([bounds([part]).mean(axis=0)[:2] for part in parts])
 

@@ -62,7 +62,7 @@ def test_corner_of_the_box_is_at_its_projection(wall_and_box):
 
 
 def test_views_inside_a_room_have_no_void(scene, layout):
-    for T in hand_held_path(layout.way, 5, 1.0, np.random.default_rng(0)):
+    for T in hand_held_path(layout.way_points, 5, 1.0, np.random.default_rng(0)):
         view = scene.render(CAMERA, T)
         assert (view.labels > 0).all()
         assert (view.depth_m > 0.3).all()
@@ -71,7 +71,9 @@ def test_views_inside_a_room_have_no_void(scene, layout):
 
 
 def test_two_views_agree_on_the_colour_of_a_surface(scene, layout):
-    first, second = hand_held_path(layout.way, 300, 1.0, np.random.default_rng(0))[[100, 108]]
+    first, second = hand_held_path(layout.way_points, 300, 1.0, np.random.default_rng(0))[
+        [100, 108]
+    ]
     seen, other = scene.render(CAMERA, first), scene.render(CAMERA, second)
     points = se3.transform_points(se3.inverse(second) @ first, CAMERA.unproject(seen.depth_m))
     place = CAMERA.project(points).astype(np.float32)

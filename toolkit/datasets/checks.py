@@ -19,7 +19,7 @@ from toolkit.frame import Frame
 # Plausible range of the median depth of an indoor recording, metres.
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.1, 30.0
 # Minimum fraction of pixels with valid depth that tracking needs.
-_LEAST_VALID_SHARE = 0.01
+_MIN_VALID_FRACTION = 0.01
 _REGISTRATION_FRAMES = 24
 # Maximum number of unreadable frames that are listed; the rest are counted.
 _NAMED_FAILURES = 5
@@ -55,7 +55,7 @@ class _Findings:
     blank: list[str] = field(default_factory=list)
     damaged: list[str] = field(default_factory=list)
     medians_m: list[float] = field(default_factory=list)
-    valid_shares: list[float] = field(default_factory=list)
+    valid_fractions: list[float] = field(default_factory=list)
     label_ids: set[int] = field(default_factory=set)
 
 
@@ -104,13 +104,13 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
     if float(np.ptp(frame.rgb)) == 0.0:
         findings.blank.append(files.rgb.name)
     valid = frame.depth_m[frame.depth_m > 0]
-    share = valid.size / frame.depth_m.size
-    findings.valid_shares.append(share)
+    fraction = valid.size / frame.depth_m.size
+    findings.valid_fractions.append(fraction)
     if valid.size == 0:
         findings.empty.append(files.depth.name)
     else:
         findings.medians_m.append(float(np.median(valid)))
-        if share < _LEAST_VALID_SHARE:
+        if fraction < _MIN_VALID_FRACTION:
             findings.sparse.append(files.depth.name)
     if frame.labels is not None:
         findings.label_ids.update(np.unique(frame.labels).tolist())
@@ -138,7 +138,7 @@ def _frame_faults(findings: _Findings) -> list[str]:
         (findings.empty, "depth image(s) are empty (every pixel missing); remove these frames"),
         (
             findings.sparse,
-            f"depth image(s) have depth in less than {_LEAST_VALID_SHARE:.0%} of their pixels; "
+            f"depth image(s) have depth in less than {_MIN_VALID_FRACTION:.0%} of their pixels; "
             f"check how depth was saved",
         ),
     ):
@@ -201,7 +201,7 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
     if findings.medians_m:
         lines.append(
             f"depth: median {_length(float(np.median(findings.medians_m)))}, "
-            f"{np.mean(findings.valid_shares):.0%} of the pixels"
+            f"{np.mean(findings.valid_fractions):.0%} of the pixels"
         )
     if dataset.label_names:
         lines.append(

@@ -24,7 +24,7 @@ def resize_colour(rgb: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np
 class ImageGrid:
     """Pixel grid to which the images of one camera are resampled.
 
-    All images share one grid, c' = (c + 0.5) s - 0.5. Colour is averaged over the area of each
+    All images use one grid, c' = (c + 0.5) s - 0.5. Colour is averaged over the area of each
     pixel. Inverse depth, which is linear on planes, is averaged over the part of the area that
     belongs to the surface at its centre. Labels are those of the source pixel that contains the
     centre; at half resolution this is a shift of a quarter of a pixel in a constant direction.
@@ -72,9 +72,9 @@ class ImageGrid:
             for columns, widths in self._columns:
                 other = inverse[np.ix_(rows, columns)]
                 same = np.abs(other - middle) < _EDGE * middle
-                share = heights[:, None] * widths * same
-                total += share * other
-                area += share
+                coverage = heights[:, None] * widths * same
+                total += coverage * other
+                area += coverage
         known = total > 0
         return np.where(known, area / np.where(known, total, 1.0), 0.0).astype(np.float32)
 
@@ -91,8 +91,8 @@ def _covered(
     parts = []
     for step in range(int(np.ceil(1.0 / scale)) + 1):
         source = np.floor(first).astype(np.int64) + step
-        share = np.minimum(source + 1, last) - np.maximum(source, first)
-        share = np.where(source < count, np.maximum(share, 0.0), 0.0)
-        if share.max() > 1e-9:
-            parts.append((np.minimum(source, count - 1), share))
+        coverage = np.minimum(source + 1, last) - np.maximum(source, first)
+        coverage = np.where(source < count, np.maximum(coverage, 0.0), 0.0)
+        if coverage.max() > 1e-9:
+            parts.append((np.minimum(source, count - 1), coverage))
     return parts

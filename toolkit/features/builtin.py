@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from toolkit.features.encoder import check_images, unit_length
 
-_ROWS, _COLUMNS = 120, 160  # of the picture that edges are measured in; hues in half of it
+_ROWS, _COLUMNS = 120, 160  # image size for edges; hues and lightness use half of it
 _MAPS = 8  # maps per group
 _WINDOWS = ((6, 2), (2, 2))  # rows and columns at each level of the pyramid
 _WINDOW_WIDTH = 0.6  # standard deviation of a window, in units of their distance
@@ -105,8 +105,8 @@ def _by_direction(x: Tensor, y: Tensor, squares: Tensor) -> Tensor:
     """
     angles = torch.arange(_MAPS, device=x.device) * (2.0 * math.pi / _MAPS)
     cosine, sine = (f(angles).to(x).view(1, -1, 1, 1) for f in (torch.cos, torch.sin))
-    along = ((x * cosine + y * sine) / squares).clamp_min(0.0)
-    return squares.sqrt() * along * along
+    weights = ((x * cosine + y * sine) / squares).clamp_min(0.0)
+    return squares.sqrt() * weights * weights
 
 
 def _levels(lightness: Tensor) -> Tensor:
@@ -125,15 +125,15 @@ def _pyramid(rows: int, columns: int) -> Tensor:
     """Return the weights [rows * columns, 16] of the windows, each with sum 1."""
     windows = []
     for down, across in _WINDOWS:
-        vertical, horizontal = _bells(rows, down), _bells(columns, across)
+        vertical, horizontal = _gaussian_windows(rows, down), _gaussian_windows(columns, across)
         windows.append(np.einsum("ya,xb->yxab", vertical, horizontal).reshape(rows * columns, -1))
     return torch.from_numpy(np.concatenate(windows, axis=1).astype(np.float32))
 
 
-def _bells(pixels: int, count: int) -> np.ndarray:
+def _gaussian_windows(pixels: int, count: int) -> np.ndarray:
     """Return Gaussian weights [pixels, count] around equidistant centres, each with sum 1."""
     spacing = pixels / count
     middles = (np.arange(count) + 0.5) * spacing
     offsets = (np.arange(pixels)[:, None] + 0.5 - middles) / (_WINDOW_WIDTH * spacing)
-    bells = np.exp(-0.5 * offsets**2)
-    return np.asarray(bells / bells.sum(axis=0))
+    windows = np.exp(-0.5 * offsets**2)
+    return np.asarray(windows / windows.sum(axis=0))

@@ -11,7 +11,7 @@ from toolkit.features.encoder import check_images, unit_length
 _ROWS, _COLUMNS = 60, 80  # size of the downscaled image
 _BINS = (8, 8, 6)  # number of bins of red, green and blue; 384 in total
 # Added to all bins, so that gradients of the square root are finite at empty bins.
-_MIN_SHARE = 1e-4
+_MIN_FRACTION = 1e-4
 
 
 class ColourHistogramEncoder:
@@ -33,9 +33,9 @@ class ColourHistogramEncoder:
             _memberships(channel, bins)
             for channel, bins in zip(small.unbind(1), _BINS, strict=True)
         )
-        shares = torch.einsum("bpi,bpj,bpk->bijk", red, green, blue).flatten(1)
-        shares = shares / (_ROWS * _COLUMNS)
-        return unit_length((shares + _MIN_SHARE).sqrt())
+        histogram = torch.einsum("bpi,bpj,bpk->bijk", red, green, blue).flatten(1)
+        histogram = histogram / (_ROWS * _COLUMNS)
+        return unit_length((histogram + _MIN_FRACTION).sqrt())
 
 
 def _memberships(values: Tensor, bins: int) -> Tensor:

@@ -61,8 +61,8 @@ class Dinov2Encoder:
         tokens = self._model.tokens(images.float())
         if self._pooling == "mean":
             chosen = tokens.patches.mean(dim=(1, 2))
-        elif tokens.whole is not None:
-            chosen = tokens.whole
+        elif tokens.class_token is not None:
+            chosen = tokens.class_token
         else:
             raise FormatError(f"{self._folder}: the model has no class token; use pooling mean")
         return unit_length(chosen).to(images.device)

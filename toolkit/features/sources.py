@@ -55,5 +55,5 @@ class ViewDescriber:
             raise ValueError(f"image source '{self.source}' needs a semantic image")
         if self.source == "semantic":
             return self._encoder.describe(semantic)
-        both = [self._encoder.describe(picture) for picture in (rgb, semantic)]
+        both = [self._encoder.describe(image) for image in (rgb, semantic)]
         return unit_length(torch.cat(both, dim=1))

@@ -17,20 +17,20 @@ class FeatureLoss:
     encoder: Encoder
     weight: float
 
-    def gradient(self, drawn: Tensor, observed: Tensor) -> tuple[float, Tensor]:
+    def gradient(self, rendered: Tensor, observed: Tensor) -> tuple[float, Tensor]:
         """Return the loss and its derivative [3, H, W] times the number of pixels.
 
         The derivative is with respect to the rendered image. The factor matches `rgbd_loss`,
         which returns a mean over pixels and the derivative of the sum.
 
         Args:
-            drawn, observed: [3, H, W] float32, RGB.
+            rendered, observed: [3, H, W] float32, RGB.
         """
         with torch.no_grad():
-            wanted = self.encoder.describe(observed[None])
+            target = self.encoder.describe(observed[None])
         with torch.enable_grad():
-            picture = drawn.detach().clone().requires_grad_()
-            error = self.encoder.describe(picture[None]) - wanted
+            image = rendered.detach().clone().requires_grad_()
+            error = self.encoder.describe(image[None]) - target
             loss = self.weight * (error * error).sum()
-            (by_picture,) = torch.autograd.grad(loss, picture)
-        return float(loss.detach()), by_picture * picture[0].numel()
+            (gradient,) = torch.autograd.grad(loss, image)
+        return float(loss.detach()), gradient * image[0].numel()

@@ -81,7 +81,7 @@ class SemanticLoss:
         self, features: Tensor, silhouette: Tensor, labels: Tensor, gradient: Tensor
     ) -> SemanticGradient:
         scale = self.weights.weight * self.weights.intra
-        least = self.weights.min_silhouette
+        min_silhouette = self.weights.min_silhouette
         by_silhouette = torch.zeros_like(silhouette) if self.weights.moves_geometry else None
         module = kernels_for(features)
         if module is None or self.code.heads is None:
@@ -95,38 +95,38 @@ class SemanticLoss:
             len(heads.first),
             [a.ctypes.data for a in (heads.first, heads.width, heads.weight, heads.targets)],
             heads.bits,
-            least,
+            min_silhouette,
             [address(gradient), address(by_silhouette)],
         )
         return SemanticGradient(total / labels.numel(), gradient, by_silhouette)
 
     def _add_inter(
-        self, features: Tensor, silhouette: Tensor, labels: Tensor, onto: SemanticGradient
+        self, features: Tensor, silhouette: Tensor, labels: Tensor, result: SemanticGradient
     ) -> float:
         """Add the inter-level term on a stratified sample of pixels."""
         weights, network = self.weights, self.network
         assert network is not None
-        counted = (labels > 0) & (silhouette >= weights.min_silhouette)
-        pixels = counted.view(-1).nonzero().squeeze(1)
+        valid = (labels > 0) & (silhouette >= weights.min_silhouette)
+        pixels = valid.view(-1).nonzero().squeeze(1)
         if len(pixels) == 0:
             return 0.0
-        every = len(pixels)
-        if weights.inter_pixels and every > weights.inter_pixels:
-            stride = every // weights.inter_pixels
+        valid_count = len(pixels)
+        if weights.inter_pixels and valid_count > weights.inter_pixels:
+            stride = valid_count // weights.inter_pixels
             start = torch.arange(weights.inter_pixels) * stride
             generator = np.random.default_rng((self._seed, network.steps))
             jitter = generator.integers(stride, size=weights.inter_pixels)
             pixels = pixels[(start + torch.from_numpy(jitter)).to(pixels.device)]
-        thick = silhouette.view(-1)[pixels]
-        values = features.view(len(features), -1).index_select(1, pixels) / thick
+        sampled_silhouette = silhouette.view(-1)[pixels]
+        values = features.view(len(features), -1).index_select(1, pixels) / sampled_silhouette
         value, by_values = network.learn(values, labels.view(-1)[pixels].long())
         scale = weights.weight * weights.inter
         # Scale the sample to all valid pixels.
-        by_values = by_values * (scale * every / len(pixels))
-        onto.features.view(len(features), -1)[:, pixels] += by_values / thick
-        if onto.silhouette is not None:
-            onto.silhouette.view(-1)[pixels] -= (by_values * values).sum(0) / thick
-        return scale * value * every / labels.numel()
+        by_values = by_values * (scale * valid_count / len(pixels))
+        result.features.view(len(features), -1)[:, pixels] += by_values / sampled_silhouette
+        if result.silhouette is not None:
+            result.silhouette.view(-1)[pixels] -= (by_values * values).sum(0) / sampled_silhouette
+        return scale * value * valid_count / labels.numel()
 
 
 def _scaled(heads: Heads, scale: float) -> Heads:
@@ -143,20 +143,20 @@ def semantic_loss_torch(
         images: features [S, H, W], silhouette [H, W] and labels [H, W].
     """
     features, silhouette, labels = images
-    counted = (labels > 0) & (silhouette >= weights.min_silhouette)
-    pixels = counted.view(-1).nonzero().squeeze(1)
+    valid = (labels > 0) & (silhouette >= weights.min_silhouette)
+    pixels = valid.view(-1).nonzero().squeeze(1)
     scale = weights.weight * weights.intra
     structure = weights.structure if code.is_colour else 0.0
     with torch.enable_grad():
         leaves = [features.detach().requires_grad_(), silhouette.detach().requires_grad_()]
         flat = leaves[0].view(len(features), -1).index_select(1, pixels)
         values = flat / leaves[1].view(-1).index_select(0, pixels)
-        share = scale * (1.0 - structure)
-        loss = share * code.pixel_loss(values, labels.view(-1)[pixels]).sum()
+        pixel_scale = scale * (1.0 - structure)
+        loss = pixel_scale * code.pixel_loss(values, labels.view(-1)[pixels]).sum()
         if structure > 0:
-            thickness = torch.where(counted, leaves[1], torch.ones_like(silhouette))
-            colours = torch.where(counted, leaves[0] / thickness, torch.zeros_like(features))
-            similarity = ssim_torch(colours, _class_colours(code, labels * counted))
+            safe_silhouette = torch.where(valid, leaves[1], torch.ones_like(silhouette))
+            colours = torch.where(valid, leaves[0] / safe_silhouette, torch.zeros_like(features))
+            similarity = ssim_torch(colours, _class_colours(code, labels * valid))
             loss = loss + scale * structure * (1.0 - similarity) * labels.numel()
         by_features, by_silhouette = torch.autograd.grad(loss, leaves)
     return SemanticGradient(

@@ -55,8 +55,8 @@ def load_model(auto_class: str, folder: Path, may_be_new: tuple[str, ...] = ()) 
     if missing:
         raise FormatError(
             f"{folder}: the weights lack {missing[0]} and {len(missing) - 1} more of the "
-            f"parameters of {type(model).__name__}; give the folder of a model that was "
-            "trained for this"
+            f"parameters of {type(model).__name__}; set the folder of a model that was "
+            "trained for this task"
         )
     return model.eval().requires_grad_(False)
 
@@ -84,7 +84,7 @@ def check_folder(folder: Path) -> None:
     """
     if not (folder / "config.json").is_file():
         raise FormatError(
-            f"{folder} has no config.json; give a folder that holds a transformers model "
+            f"{folder} has no config.json; set a folder that contains a transformers model "
             "(config.json, model.safetensors, preprocessor_config.json)"
         )
 
@@ -129,7 +129,7 @@ def _as_format_error(folder: Path, what: str) -> Iterator[None]:
         raise DependencyError(f"{folder} needs another package: {_short(error)}") from error
     except faults as error:
         raise FormatError(
-            f"{folder} holds {what}: {_short(error)}; download it again, or give another"
+            f"{folder} contains {what}: {_short(error)}; download it again, or set another folder"
         ) from error
 
 

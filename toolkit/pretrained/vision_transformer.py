@@ -24,11 +24,11 @@ class PatchTokens:
     """Tokens of a batch of images.
 
     Attributes:
-        whole: [B, D] float32, the class token, or None if the model has none.
+        class_token: [B, D] float32, the class token, or None if the model has none.
         patches: [B, rows, columns, D] float32.
     """
 
-    whole: Tensor | None
+    class_token: Tensor | None
     patches: Tensor
 
 

@@ -20,7 +20,7 @@ from toolkit.datasets.synthetic.shell import WALL_HALF_M, Opening, RoomPlan, roo
 _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
 _CORRIDOR_DEPTH_M = 1.9
-_NORTH_OF_MIDDLE_M = 0.1  # offset of the camera path from the middle of a corridor
+_NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Layout:
 
     Attributes:
         rooms: floor plans.
-        looks: random seed of the content of each room; rooms with the same seed, size and
+        room_seeds: random seed of the content of each room; rooms with the same seed, size and
             openings are identical.
-        way: way points of the camera path.
+        way_points: waypoints of the camera path.
     """
 
     rooms: tuple[RoomPlan, ...]
-    looks: tuple[int, ...]
-    way: tuple[WayPoint, ...]
+    room_seeds: tuple[int, ...]
+    way_points: tuple[WayPoint, ...]
 
 
 def single_room() -> Layout:
@@ -61,14 +61,16 @@ def ring_of_rooms() -> Layout:
             (-1, 1, "dining", _ring_openings("east", "south", "west", middle)),
         )
     ]
-    # Rotating the long way around shows each room completely.
+    # Rotating by the larger angle shows each room completely.
     turn = math.radians(-270)
-    way: list[WayPoint] = []
+    way_points: list[WayPoint] = []
     for number in (0, 1, 2, 3, 0):
         plan = plans[number]
         entry, leave = plan.openings[0], plan.openings[1]
-        way += _visit(plan, entry if way else None, leave, _heading(plan, entry, inward=True), turn)
-    return Layout(tuple(plans), (0, 1, 2, 3), tuple(way[:-2]))
+        way_points += _visit(
+            plan, entry if way_points else None, leave, _heading(plan, entry, inward=True), turn
+        )
+    return Layout(tuple(plans), (0, 1, 2, 3), tuple(way_points[:-2]))
 
 
 def _ring_openings(entry: str, leave: str, window: str, middle: float) -> tuple[Opening, ...]:
@@ -99,7 +101,7 @@ def twin_rooms() -> Layout:
 
 
 def _corridor_layout(
-    styles: tuple[str, ...], looks: tuple[int, ...], visits: tuple[int, ...]
+    styles: tuple[str, ...], room_seeds: tuple[int, ...], visits: tuple[int, ...]
 ) -> Layout:
     """Create rooms in a row along x; three at a time share a corridor in the south."""
     size = (4.2, 4.0)
@@ -114,15 +116,15 @@ def _corridor_layout(
         _corridor(rooms[first : first + 3], first > 0, first + 3 < len(rooms))
         for first in range(0, len(rooms), 3)
     ]
-    way: list[WayPoint] = []
+    way_points: list[WayPoint] = []
     for place, number in enumerate(visits):
         room = rooms[number]
         entry, north = room.openings[0], math.pi / 2
-        way += _visit(room, entry if way else None, entry, north, math.pi)
+        way_points += _visit(room, entry if way_points else None, entry, north, math.pi)
         if place + 1 < len(visits):
-            way += _walk_corridor(corridors[0], room, rooms[visits[place + 1]])
+            way_points += _walk_corridor(corridors[0], room, rooms[visits[place + 1]])
     bare = tuple(range(9, 9 + len(corridors)))
-    return Layout((*rooms, *corridors), (*looks, *bare), tuple(way))
+    return Layout((*rooms, *corridors), (*room_seeds, *bare), tuple(way_points))
 
 
 def _corridor(rooms: list[RoomPlan], west: bool, east: bool) -> RoomPlan:
@@ -134,16 +136,16 @@ def _corridor(rooms: list[RoomPlan], west: bool, east: bool) -> RoomPlan:
     # On the camera path. Positions are measured from a wall's left end as seen from inside, which
     # is the southern end in the west.
     if west:
-        openings.append(Opening("west", _CORRIDOR_DEPTH_M / 2 + _NORTH_OF_MIDDLE_M, "passage"))
+        openings.append(Opening("west", _CORRIDOR_DEPTH_M / 2 + _NORTH_OFFSET_M, "passage"))
     if east:
-        openings.append(Opening("east", _CORRIDOR_DEPTH_M / 2 - _NORTH_OF_MIDDLE_M, "passage"))
+        openings.append(Opening("east", _CORRIDOR_DEPTH_M / 2 - _NORTH_OFFSET_M, "passage"))
     size = (right - left + width, _CORRIDOR_DEPTH_M)
     return RoomPlan(centre, size, tuple(openings), "corridor")
 
 
 def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[WayPoint]:
-    """Return the way points in the corridor from one room's door to the next."""
-    y = corridor.centre_m[1] + _NORTH_OF_MIDDLE_M
+    """Return the waypoints in the corridor from one room's door to the next."""
+    y = corridor.centre_m[1] + _NORTH_OFFSET_M
     x0, x1 = start.centre_m[0], end.centre_m[0]
     east = x1 > x0
     ahead, door = (0.0, 0.6) if east else (math.pi, math.pi - 0.6)
@@ -155,15 +157,15 @@ def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[W
 def _visit(
     plan: RoomPlan, entry: Opening | None, leave: Opening, heading_rad: float, turn_rad: float
 ) -> list[WayPoint]:
-    """Return the way points through the entry, around the room and out of another door."""
-    way: list[WayPoint] = []
+    """Return the waypoints through the entry, around the room and out of another door."""
+    way_points: list[WayPoint] = []
     if entry is not None:
         sill, _ = plan.door_way(entry)
-        way.append(_looking(sill, heading_rad))
-    way += _look_around(plan, heading_rad, turn_rad)
+        way_points.append(_looking(sill, heading_rad))
+    way_points += _look_around(plan, heading_rad, turn_rad)
     sill, outward = plan.door_way(leave)
     out = heading_rad + turn_rad
-    return [*way, _looking(sill - 0.8 * outward, out), _looking(sill, out)]
+    return [*way_points, _looking(sill - 0.8 * outward, out), _looking(sill, out)]
 
 
 def _heading(plan: RoomPlan, door: Opening, inward: bool) -> float:
@@ -173,7 +175,7 @@ def _heading(plan: RoomPlan, door: Opening, inward: bool) -> float:
 
 
 def _looking(stand: NDArray | tuple[float, float], heading_rad: float) -> WayPoint:
-    """Return a way point that looks straight ahead and slightly down."""
+    """Return a waypoint that looks straight ahead and slightly down."""
     x, y = stand
     ahead = (x + 2 * math.cos(heading_rad), y + 2 * math.sin(heading_rad), _EYE_M - 0.25)
     return WayPoint((float(x), float(y), _EYE_M), ahead)
@@ -199,7 +201,7 @@ def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayP
 def build_parts(layout: Layout, seed: int) -> list[Part]:
     """Create all surfaces of a layout."""
     parts: list[Part] = []
-    for plan, look in zip(layout.rooms, layout.looks, strict=True):
+    for plan, look in zip(layout.rooms, layout.room_seeds, strict=True):
         # Built at the origin, so that identical rooms are bit-identical before they are placed.
         shop = Workshop(np.random.default_rng([seed, 1, look]))
         at_origin = replace(plan, centre_m=(0.0, 0.0))

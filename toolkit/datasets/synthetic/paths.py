@@ -53,7 +53,7 @@ def hand_held_path(
         frames = max(2, round(share * _pace_length(dense) / _STEP_M))
     moments = np.interp(np.linspace(0.0, share, frames), pace, np.linspace(0.0, 1.0, len(dense)))
     position, angles = _at(dense, moments)
-    # The sway depends on the travelled distance, so that a shorter path is the start of a longer.
+    # The sway depends on the travelled distance: a shorter path is a prefix of a longer one.
     sway = _sway(np.linspace(0.0, share, frames) * _pace_length(dense), rng)
     return np.stack(
         [_pose(p + s[:3], a + s[3:5], s[5]) for p, a, s in zip(position, angles, sway, strict=True)]
@@ -114,10 +114,10 @@ def _sway(way_m: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return small smooth motions [N, 6]: x, y, z (m), yaw, pitch, roll (rad)."""
     reach = np.array([0.012, 0.012, 0.018, 0.012, 0.012, 0.015])
     out = np.zeros((len(way_m), 6))
-    for wavelength_m, share in ((1.3, 0.65), (0.55, 0.35)):
+    for wavelength_m, weight in ((1.3, 0.65), (0.55, 0.35)):
         phase = rng.uniform(0.0, 2 * math.pi, 6)
         stretch = rng.uniform(0.8, 1.25, 6)
-        out += share * np.sin(2 * math.pi * way_m[:, None] / wavelength_m * stretch + phase)
+        out += weight * np.sin(2 * math.pi * way_m[:, None] / wavelength_m * stretch + phase)
     return out * reach
 
 

@@ -72,7 +72,7 @@ class RoomSettings:
 
     @property
     def camera(self) -> Camera:
-        """64 degrees wide, as many RGB-D cameras are."""
+        """Camera with a horizontal field of view of 64 degrees, as is common for RGB-D cameras."""
         focal = 0.8 * self.width
         centre = (self.width - 1) / 2, (self.height - 1) / 2
         return Camera(focal, focal, *centre, self.width, self.height)
@@ -152,7 +152,7 @@ def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
     frames = settings.frames
     if frames is None and settings.layout == "room":
         frames = max(2, round(settings.share * _ROOM_FRAMES))
-    return hand_held_path(layout.way, frames, settings.share, settings.stream(_SWAY))
+    return hand_held_path(layout.way_points, frames, settings.share, settings.stream(_SWAY))
 
 
 def _frames(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[Frame]:

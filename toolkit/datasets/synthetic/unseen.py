@@ -27,7 +27,7 @@ def poses_off_the_path(
     """
     small = _small(camera)
     chosen = np.linspace(0, len(T_world_camera) - 1, min(len(T_world_camera), 80))
-    witnesses = [(T, scene.render_depth(small, T)) for T in T_world_camera[chosen.astype(int)]]
+    references = [(T, scene.render_depth(small, T)) for T in T_world_camera[chosen.astype(int)]]
     found: list[NDArray[np.float64]] = []
     for _ in range(count * _ATTEMPTS_PER_VIEW):
         if len(found) == count:
@@ -35,7 +35,7 @@ def poses_off_the_path(
         T = _beside(T_world_camera[rng.integers(len(T_world_camera))], rng)
         if scene.distance_m(T[None, :3, 3])[0] < _NEAREST_SURFACE_M:
             continue
-        if _seen_share(scene, small, T, witnesses) >= _SEEN_SHARE:
+        if _visible_fraction(scene, small, T, references) >= _SEEN_SHARE:
             found.append(T)
     return np.stack(found) if found else np.empty((0, 4, 4))
 
@@ -58,20 +58,20 @@ def _beside(T_world_camera: NDArray, rng: np.random.Generator) -> NDArray[np.flo
     return T
 
 
-def _seen_share(
-    scene: Scene, camera: Camera, T: NDArray, witnesses: list[tuple[NDArray, NDArray]]
+def _visible_fraction(
+    scene: Scene, camera: Camera, T: NDArray, references: list[tuple[NDArray, NDArray]]
 ) -> float:
     """Return the fraction of a view's pixels whose surface is visible in a reference view."""
     depth = scene.render_depth(camera, T)
     points = se3.transform_points(T, camera.unproject(depth).reshape(-1, 3))
     seen = np.zeros(len(points), dtype=bool)
-    for T_witness, witness_depth in witnesses:
-        local = se3.transform_points(se3.inverse(T_witness), points)
+    for T_reference, reference_depth in references:
+        local = se3.transform_points(se3.inverse(T_reference), points)
         ahead = local[:, 2] > 0.1
         safe = np.where(ahead[:, None], local, [0.0, 0.0, 1.0])
         x, y = np.round(camera.project(safe)).astype(int).T
         ahead &= (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         x, y = np.where(ahead, x, 0), np.where(ahead, y, 0)
         # Images are coarse: depths of neighbouring pixels on slanted surfaces differ by a few %.
-        seen |= ahead & (local[:, 2] < 1.05 * witness_depth[y, x] + 0.05)
+        seen |= ahead & (local[:, 2] < 1.05 * reference_depth[y, x] + 0.05)
     return float(seen.mean())
