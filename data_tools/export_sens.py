@@ -97,8 +97,8 @@ class SensFile:
         (version,) = self._unpack("<I")
         if version != VERSION:
             raise FormatError(
-                f"{self._name} is no .sens file of version {VERSION} (it says {version}); "
-                f"download it again"
+                f"{self._name} is not a .sens file of version {VERSION} (found {version}); "
+                "download it again"
             )
         (length,) = self._unpack("<Q")
         sensor = self._bytes(length).decode("latin-1")
@@ -111,8 +111,8 @@ class SensFile:
         known = colour_compression in _COLOUR_SUFFIXES
         if not known or depth_compression not in (_RAW_DEPTH, _ZLIB_DEPTH):
             raise FormatError(
-                f"{self._name} is compressed in a way that is not known here (colour "
-                f"{colour_compression}, depth {depth_compression}); export it with ScanNet's reader"
+                f"the compression of {self._name} is not supported (colour {colour_compression}, "
+                f"depth {depth_compression}); export it with ScanNet's reader"
             )
         return SensHeader(
             sensor,
@@ -128,7 +128,7 @@ class SensFile:
     def _bytes(self, count: int) -> bytes:
         content = self._stream.read(count)
         if len(content) < count:
-            raise FormatError(f"{self._name} ends too early; download it again")
+            raise FormatError(f"{self._name} is truncated; download it again")
         return content
 
     def _unpack(self, layout: str) -> tuple[Any, ...]:
@@ -214,7 +214,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the program and return its exit status."""
     options = tyro.cli(ExportOptions, args=list(argv))
     written = export(options)
-    print(f"{written} frames in {options.out}")
+    print(f"wrote {written} frames to {options.out}")
     return 0
 
 

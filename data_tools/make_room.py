@@ -1,4 +1,4 @@
-"""Make a synthetic room from a checkout: `python data_tools/make_room.py --out DIR ...`."""
+"""Create a synthetic room without installation: `python data_tools/make_room.py --out DIR ...`."""
 
 import sys
 from pathlib import Path

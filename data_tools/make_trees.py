@@ -1,4 +1,4 @@
-"""Build the class trees of the package: `python data_tools/make_trees.py [--out DIR]`.
+"""Build the taxonomies of the package: `python data_tools/make_trees.py [--out DIR]`.
 
 Only the offline rules are used; the output is byte-for-byte reproducible.
 """
@@ -13,12 +13,12 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
-from toolkit.semantics import trees as shipped
+from toolkit.semantics import trees as bundled
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper
 
-TREES = Path(shipped.__file__).parent
+TREES = Path(bundled.__file__).parent
 
 # Class names of the datasets in the order of their ids.
 NYU40 = """
@@ -35,17 +35,17 @@ GEOMETRIC = "floor, wall, ceiling, surface, object"
 
 
 def trees() -> list[Taxonomy]:
-    """Build all trees of the package."""
+    """Build all taxonomies of the package."""
 
-    def built(name: str, classes: Sequence[str], options: BuildOptions | None = None) -> Taxonomy:
+    def build(name: str, classes: Sequence[str], options: BuildOptions | None = None) -> Taxonomy:
         return build_taxonomy(classes, RuleGrouper(), options=options or BuildOptions(name=name))
 
-    function_alone = BuildOptions(aspects=("function",), max_functions=2, name="geometric")
+    function_only = BuildOptions(aspects=("function",), max_functions=2, name="geometric")
     return [
-        built("replica", CLASS_NAMES),
-        built("nyu40", _names(NYU40)),
-        built("scannet20", _names(SCANNET20)),
-        built("geometric", _names(GEOMETRIC), function_alone),
+        build("replica", CLASS_NAMES),
+        build("nyu40", _names(NYU40)),
+        build("scannet20", _names(SCANNET20)),
+        build("geometric", _names(GEOMETRIC), function_only),
     ]
 
 
@@ -54,7 +54,7 @@ def _names(text: str) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write one YAML file per tree."""
+    """Write one YAML file per taxonomy."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=TREES)
     out = parser.parse_args(arguments).out

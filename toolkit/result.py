@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import WholeScene
+from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import MappingResult
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -95,7 +95,7 @@ class SlamResult:
     submaps: list[SubmapSummary]
     allocation: list[AllocationVerdict]
     loops: list[PoseEdge]
-    map: FusedMap | WholeScene = field(repr=False)
+    map: FusedMap | InMemoryScene = field(repr=False)
     semantics: SemanticMapping = field(repr=False)
     taxonomy: Taxonomy | None = field(repr=False)
     covariances: NDArray[np.float64] | None = field(default=None, repr=False)

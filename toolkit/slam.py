@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing, NoLoopClosing
 from toolkit.frame import Frame, NullRecorder, Recorder
-from toolkit.gaussians.scene import WholeScene
+from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
@@ -166,7 +166,7 @@ class Slam:
             submaps=submaps,
             allocation=list(atlas.verdicts),
             loops=list(self._closer.loops),
-            map=WholeScene(self.mapper.content.gaussians) if fused is None else fused,
+            map=InMemoryScene(self.mapper.content.gaussians) if fused is None else fused,
             semantics=self.mapper.semantics,
             taxonomy=None if self._labeller is None else self._labeller.taxonomy,
             covariances=covariances,

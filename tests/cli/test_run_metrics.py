@@ -14,7 +14,7 @@ from toolkit.evaluation.run_metrics import (
 )
 from toolkit.exposure import Exposure
 from toolkit.frame import Frame
-from toolkit.gaussians.scene import WholeScene
+from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 
 
@@ -28,7 +28,7 @@ def tracked(T_map_camera, held_out=(), **exposure) -> list[TrackedFrame]:
 def test_a_perfect_run_is_measured_as_perfect(gaussians):
     T_map_camera = poses(5, seed=1)
     dataset = rendered_dataset(gaussians, T_map_camera)
-    metrics = measure_run(WholeScene(gaussians), tracked(T_map_camera, held_out={2}), dataset)
+    metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera, held_out={2}), dataset)
     assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-6)
     assert metrics["ate_alignment"] == "se3"
     assert metrics["psnr_db"] > 90.0
@@ -40,7 +40,7 @@ def test_unseen_views_come_into_the_map_by_the_alignment(gaussians):
     T_map_camera = poses(5, seed=1)
     dataset = rendered_dataset(gaussians, T_map_camera)
     unseen = rendered_dataset(gaussians, poses(2, seed=2))
-    metrics = measure_run(WholeScene(gaussians), tracked(T_map_camera), dataset, unseen)
+    metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, unseen)
     assert metrics["views_unseen"] == 2
     assert metrics["psnr_unseen_db"] > 70.0
 
@@ -55,7 +55,7 @@ def test_refining_poses_makes_up_for_a_bad_alignment(gaussians):
             for i, T in enumerate(poses(6, 1))
         ]
     )
-    metrics = measure_run(WholeScene(gaussians), tracked(shaken), dataset, unseen)
+    metrics = measure_run(InMemoryScene(gaussians), tracked(shaken), dataset, unseen)
     assert 0.5 < metrics["ate_rmse_cm"] < 10.0
     assert metrics["psnr_unseen_refined_db"] > metrics["psnr_unseen_db"] + 3.0
 
@@ -65,7 +65,7 @@ def test_with_given_poses_the_map_lies_in_the_world(gaussians):
     dataset = rendered_dataset(gaussians, T_map_camera)
     unseen = rendered_dataset(gaussians, poses(2, seed=2))
     options = MeasureOptions(alignment="none")
-    metrics = measure_run(WholeScene(gaussians), tracked(T_map_camera), dataset, unseen, options)
+    metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, unseen, options)
     # The map lies elsewhere here, so that a silent alignment would show.
     assert metrics["ate_alignment"] == "none"
     assert metrics["ate_rmse_cm"] > 100.0
@@ -78,9 +78,9 @@ def test_exposure_is_taken_back_before_views_are_compared(gaussians):
     dark = [Frame(f.index, f.timestamp_s, 0.5 * f.rgb, f.depth_m, f.camera) for f in frames]
     dataset = RenderedDataset(dark, None)
     as_tracked = measure_run(
-        WholeScene(gaussians), tracked(T_map_camera, exposure=Exposure(2.0)), dataset
+        InMemoryScene(gaussians), tracked(T_map_camera, exposure=Exposure(2.0)), dataset
     )
-    ignored = measure_run(WholeScene(gaussians), tracked(T_map_camera), dataset)
+    ignored = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset)
     assert as_tracked["psnr_db"] > 60.0
     assert ignored["psnr_db"] < 20.0
     assert as_tracked["ate_rmse_cm"] is None
@@ -97,14 +97,16 @@ def test_long_runs_are_sampled_evenly(gaussians):
 
     dataset = Watched(frames_at(gaussians, T_map_camera), None)
     options = MeasureOptions(max_views=3)
-    metrics = measure_run(WholeScene(gaussians), tracked(T_map_camera), dataset, options=options)
+    metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, options=options)
     assert read == [0, 3, 6]
     assert metrics["views"] == 3
     assert "at most 3" in metrics["views_convention"]
 
 
 def test_a_run_without_any_pose_has_no_figures(gaussians):
-    metrics = measure_run(WholeScene(gaussians), [], rendered_dataset(gaussians, poses(2, seed=1)))
+    metrics = measure_run(
+        InMemoryScene(gaussians), [], rendered_dataset(gaussians, poses(2, seed=1))
+    )
     assert metrics["psnr_db"] is None
     assert metrics["ate_rmse_cm"] is None
 

@@ -75,7 +75,7 @@ def test_every_second_frame_keeps_its_number(tool, tmp_path):
 def test_truncated_and_other_files_raise(tool, tmp_path):
     path = tmp_path / "scene.sens"
     path.write_bytes(sens_bytes(3)[:-50])
-    with pytest.raises(FormatError, match=r"scene\.sens ends too early"):
+    with pytest.raises(FormatError, match=r"scene\.sens is truncated"):
         tool.export(tool.ExportOptions(path, tmp_path / "out"))
     path.write_bytes(sens_bytes(3, version=3))
     with pytest.raises(FormatError, match="version 4"):

@@ -9,7 +9,7 @@ import torch
 from toolkit.errors import FormatError
 from toolkit.evaluation.walls import wall_thickness
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import WholeScene
+from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.meshes import TriangleMesh, write_mesh
 
@@ -35,7 +35,7 @@ def cloud(offsets_m, count=6000, opacity=0.9, seed=0):
 
 
 def figures(gaussians, wall, T=None):
-    return wall_thickness(WholeScene(gaussians), wall, np.eye(4) if T is None else T).metrics()
+    return wall_thickness(InMemoryScene(gaussians), wall, np.eye(4) if T is None else T).metrics()
 
 
 def test_a_wall_told_once_is_thin(wall):
@@ -87,4 +87,4 @@ def test_a_mesh_that_is_none_is_named(tmp_path):
     path = tmp_path / "mesh.ply"
     path.write_text("no mesh")
     with pytest.raises(FormatError, match=r"mesh\.ply"):
-        wall_thickness(WholeScene(cloud([0.0])), path, np.eye(4))
+        wall_thickness(InMemoryScene(cloud([0.0])), path, np.eye(4))

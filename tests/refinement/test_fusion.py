@@ -64,11 +64,11 @@ def test_view_uses_only_visible_parts():
         for turn in (0.0, 0.6, -1.2, 3.0):
             T_world_camera = se3.exp(np.array([x, 0.5, 0, 0, turn, 0]))
             T_world_camera[:3, 3] = (x, 0.5, 0.0)
-            some = fused.seen_from(camera, T_world_camera)
+            some = fused.visible_from(camera, T_world_camera)
             T_camera_world = se3.inverse(T_world_camera)
             drawn, complete = (render(c, camera, T_camera_world) for c in (some, whole))
             assert torch.equal(drawn.colour, complete.colour)
             assert torch.equal(drawn.silhouette, complete.silhouette)
     ahead = se3.exp(np.array([1.0, 0.5, 0, 0, 0, 0]))
-    assert len(fused.seen_from(camera, ahead)) < len(whole) / 2
+    assert len(fused.visible_from(camera, ahead)) < len(whole) / 2
     assert len(fused) == len(whole) == len(fused.submap)

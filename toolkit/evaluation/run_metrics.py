@@ -244,7 +244,7 @@ def _surface_metrics(
 
 def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
     """Refine pose and exposure of a view on the map; return the view unchanged if that fails."""
-    gaussians = scene.seen_from(view.frame.camera, view.T_map_camera)
+    gaussians = scene.visible_from(view.frame.camera, view.T_map_camera)
     # The map's file does not store this flag; evaluate as after loading.
     gaussians = replace(gaussians, centred_colours=False)
     result = tracker.locate(view.frame, gaussians, view.T_map_camera)
@@ -257,7 +257,7 @@ def _quality(
     scene: GaussianScene, view: View, options: MeasureOptions, scores: SemanticScores
 ) -> ViewQuality:
     camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
-    gaussians = scene.seen_from(camera, view.T_map_camera)
+    gaussians = scene.visible_from(camera, view.T_map_camera)
     render_options = RenderOptions(_MIN_SILHOUETTE, features=scores.needs_features)
     renderer = backend(options.backend_name)
     rendered = render_surface(renderer, gaussians, camera, T_camera_map, render_options)

@@ -24,12 +24,12 @@ class GaussianScene(Protocol):
         """Yield all Gaussians part by part."""
         ...
 
-    def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
+    def visible_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
         """Return a superset of the Gaussians visible from a pose [4, 4], in map order."""
         ...
 
 
-class WholeScene:
+class InMemoryScene:
     """A map in memory, represented as a scene of one part."""
 
     def __init__(self, gaussians: GaussianCloud) -> None:
@@ -42,12 +42,12 @@ class WholeScene:
         """Yield the map."""
         yield self.gaussians
 
-    def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
+    def visible_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
         """Return the map."""
         return self.gaussians
 
 
-class RoundedScene:
+class HalfPrecisionScene:
     """A scene whose features are rounded to half precision, as stored in run folders."""
 
     def __init__(self, scene: GaussianScene) -> None:
@@ -60,9 +60,9 @@ class RoundedScene:
         """Yield all Gaussians part by part."""
         return (_rounded(part) for part in self._scene.parts())
 
-    def seen_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
+    def visible_from(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> GaussianCloud:
         """Return a superset of the Gaussians visible from a pose [4, 4]."""
-        return _rounded(self._scene.seen_from(camera, T_map_camera))
+        return _rounded(self._scene.visible_from(camera, T_map_camera))
 
 
 def _rounded(cloud: GaussianCloud) -> GaussianCloud:

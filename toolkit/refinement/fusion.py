@@ -94,7 +94,7 @@ class FusedMap:
         """Iterate over the parts of all submaps in ascending order."""
         return (self.part(number) for number in self.numbers)
 
-    def seen_from(self, camera: Camera, T_map_camera: Array) -> GaussianCloud:
+    def visible_from(self, camera: Camera, T_map_camera: Array) -> GaussianCloud:
         """Concatenate the parts that may be visible in a view."""
         T_camera_map = se3.inverse(T_map_camera)
         seen = [n for n in self.numbers if _may_show(camera, T_camera_map, *self._box(n))]

@@ -14,7 +14,7 @@ from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.evaluation.semantic_views import SemanticEvaluation
-from toolkit.gaussians.scene import GaussianScene, WholeScene
+from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.settings import RunSettings
@@ -50,7 +50,7 @@ def evaluate(
     evaluation = evaluation or run.settings.evaluation
     settings = replace(run.settings, dataset=location, evaluation=evaluation)
     semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
-    scene = WholeScene(run.gaussians)
+    scene = InMemoryScene(run.gaussians)
     metrics = evaluate_scene(scene, run.tracked, dataset, settings, semantics, max_views)
     return metrics | {
         "frames": len(run.tracked) + len(run.lost),

@@ -24,7 +24,7 @@ from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import GaussianScene, RoundedScene
+from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_rgb
@@ -69,7 +69,7 @@ def write_results(
         features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
         folder.write_semantics(features, result.semantics.state(), result.taxonomy)
         # Evaluate the map as stored: the file contains rounded features.
-        scene = RoundedScene(scene)
+        scene = HalfPrecisionScene(scene)
     tracked = tracked_frames(result, settings)
     folder.write_trajectory(result.trajectory, result.covariances)
     folder.write_map(_labelled_parts(scene, result, settings))
@@ -194,7 +194,7 @@ class _FinalMap:
     def render(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> SurfaceView:
         """Render a view, with features if the map has semantics."""
         options = RenderOptions(features=self.taxonomy is not None)
-        gaussians = self.scene.seen_from(camera, T_map_camera)
+        gaussians = self.scene.visible_from(camera, T_map_camera)
         T_camera_map = se3.inverse(T_map_camera)
         return render_surface(backend(self.backend_name), gaussians, camera, T_camera_map, options)
 
