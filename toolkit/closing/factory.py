@@ -65,14 +65,16 @@ def build_loop_closer(
         describer.dimensions, describer.threshold, options.candidates, options.landmarks
     )
     taxonomy = context.taxonomy
-    painter = None
+    class_colours = None
     if taxonomy is not None:
         colours = Palette(taxonomy).classes
 
-        def painter(class_ids: NDArray[np.integer]) -> Tensor:
+        def class_colours(class_ids: NDArray[np.integer]) -> Tensor:
             return torch.from_numpy(colours[class_ids]).permute(2, 0, 1).float() / 255.0
 
-    detector = LoopDetector(describer, finder, _class_counter(options.landmarks, context), painter)
+    detector = LoopDetector(
+        describer, finder, _class_counter(options.landmarks, context), class_colours
+    )
     renderer = build_view_renderer(options.registration, context.semantics, context.backend_name)
     matching = options.registration.coarse.matching
     pose_graph = options.pose_graph

@@ -22,7 +22,7 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 
 # Class ids [H, W] to colours [3, H, W] in [0, 1].
-Painter = Callable[[NDArray[np.integer]], Tensor]
+ClassColouring = Callable[[NDArray[np.integer]], Tensor]
 
 
 class LoopDetector:
@@ -32,7 +32,7 @@ class LoopDetector:
         describer: computes view descriptors.
         finder: candidate search over the describer's descriptors.
         counter: counts classes in a keyframe; default: a map without labels.
-        painter: colours class ids for describers that use semantic images.
+        class_colours: converts class ids to colours for describers that use semantic images.
     """
 
     def __init__(
@@ -40,10 +40,10 @@ class LoopDetector:
         describer: ViewDescriber,
         finder: CandidateFinder,
         counter: ClassCounter | None = None,
-        painter: Painter | None = None,
+        class_colours: ClassColouring | None = None,
     ) -> None:
         self._describer, self._finder = describer, finder
-        self._counter, self._painter = counter or PixelClassCounter(0), painter
+        self._counter, self._class_colours = counter or PixelClassCounter(0), class_colours
         self._travelled_m = 0.0
         self._last: NDArray[np.float64] | None = None
 
@@ -108,10 +108,10 @@ class LoopDetector:
     def _descriptor(self, keyframe: Keyframe) -> NDArray[np.float32]:
         rgb = (keyframe.rgb.to(torch.float32) / 255.0)[None]
         semantic = None
-        if self._describer.wants_semantics and self._painter is not None:
+        if self._describer.wants_semantics and self._class_colours is not None:
             ids = keyframe.class_ids
             blank = np.zeros(keyframe.depth_m.shape, np.int16)
-            semantic = self._painter(blank if ids is None else ids.numpy())[None]
+            semantic = self._class_colours(blank if ids is None else ids.numpy())[None]
         with torch.no_grad():
             return self._describer.describe(rgb, semantic)[0].numpy()
 

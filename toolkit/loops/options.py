@@ -87,7 +87,7 @@ class RelocalisationOptions:
 
     tries: PositiveInt = 5
     """Number of most similar keyframes that are matched with the frame."""
-    # Of two rooms that look the same, the camera is in the one that it was in.
+    # Of two rooms that look the same, the camera can only have reached the nearer one.
     speed_m_s: NonNegativeFloat = 2.0
     """Assumed maximum camera speed, in m/s. Until patience is exhausted, only places that the
     camera can have reached are accepted."""

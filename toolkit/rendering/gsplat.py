@@ -72,15 +72,17 @@ class GsplatBackend:
         home = gaussians.means.device
         device = home if home.type == "cuda" else self._device
 
-        def draw(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
+        def render_images(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
             images = self._images(cloud, camera, T, extra)
             if region is None:
                 return images
             return images * pixels_of_region(region.to(images.device), *images.shape[1:])
 
         features = None if features is None else features.to(device)
-        drawn = forward_by_autograd(draw, gaussians.to(device), T_camera_map, features, centres)
-        return drawn if device == home else TransferredForwardPass(drawn, home)
+        forward_pass = forward_by_autograd(
+            render_images, gaussians.to(device), T_camera_map, features, centres
+        )
+        return forward_pass if device == home else TransferredForwardPass(forward_pass, home)
 
     def _images(
         self, cloud: GaussianCloud, camera: Camera, T_camera_map: Tensor, extra: Tensor
@@ -95,7 +97,7 @@ class GsplatBackend:
         last = T_camera_map.new_tensor([[0.0, 0.0, 0.0, 1.0]])
         K = torch.from_numpy(camera.matrix).to(cloud.means)
         K[:2, 2] += 0.5
-        drawn, alphas, _ = self._package.rasterization(
+        rendered, alphas, _ = self._package.rasterization(
             means=cloud.means,
             quats=upright.contiguous(),
             scales=cloud.radii_m[:, None].expand(count, 3).contiguous(),
@@ -110,5 +112,5 @@ class GsplatBackend:
             eps2d=0.0,  # the default adds 0.3 square pixels to every projected covariance
             render_mode="RGB+D",
         )
-        planes = drawn[0].permute(2, 0, 1)  # colours, additional channels, depth sum
+        planes = rendered[0].permute(2, 0, 1)  # colours, additional channels, depth sum
         return torch.cat([planes[:3], planes[-1:], alphas[0].permute(2, 0, 1), planes[3:-1]])

@@ -41,8 +41,8 @@ class NativeForwardPass:
     def _map(self) -> tuple[int, list[int], int]:
         return len(self._arrays[0]), [address(a) for a in self._arrays], self._arrays[4].shape[1]
 
-    def draw(self, camera: Camera, T_camera_map: NDArray[np.float64], centres: bool) -> None:
-        """Fill `images`."""
+    def render(self, camera: Camera, T_camera_map: NDArray[np.float64], centres: bool) -> None:
+        """Render into `images`."""
         # Tiles outside a region are not written and must be initialised with zero.
         create = torch.empty if self._region is None else torch.zeros
         channels = self._channels + (3 if centres else 0)
@@ -131,6 +131,6 @@ class NativeBackend:
             ),
         ]
         region = None if region is None else _contiguous(region, torch.uint8)
-        drawn = NativeForwardPass(self._module, self._idle, arrays, region)
-        drawn.draw(camera, T_camera_map, centres)
-        return drawn
+        forward_pass = NativeForwardPass(self._module, self._idle, arrays, region)
+        forward_pass.render(camera, T_camera_map, centres)
+        return forward_pass

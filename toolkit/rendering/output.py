@@ -47,9 +47,9 @@ class RenderOutput:
     @property
     def depth_m(self) -> Tensor:
         """Normalised depth [H, W] in metres (depth sum / silhouette), 0 where empty."""
-        drawn = self.silhouette > _MIN_SILHOUETTE
-        safe = torch.where(drawn, self.silhouette, torch.ones_like(self.silhouette))
-        return torch.where(drawn, self.depth_sum_m / safe, torch.zeros_like(safe))
+        visible = self.silhouette > _MIN_SILHOUETTE
+        safe = torch.where(visible, self.silhouette, torch.ones_like(self.silhouette))
+        return torch.where(visible, self.depth_sum_m / safe, torch.zeros_like(safe))
 
     @property
     def features(self) -> Tensor:

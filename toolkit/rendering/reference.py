@@ -147,7 +147,7 @@ class ReferenceForwardPass:
 
 
 def forward_by_autograd(
-    draw: Callable[[GaussianCloud, Tensor, Tensor], Tensor],
+    render_images: Callable[[GaussianCloud, Tensor, Tensor], Tensor],
     gaussians: GaussianCloud,
     T_camera_map: NDArray[np.float64],
     features: Tensor | None,
@@ -156,7 +156,8 @@ def forward_by_autograd(
     """Render a view with a differentiable function; the backward pass uses autograd.
 
     Args:
-        draw: renders images [5 + S, H, W] of a cloud, T_camera_map [3, 4] and channels [N, S].
+        render_images: renders images [5 + S, H, W] of a cloud, T_camera_map [3, 4] and channels
+            [N, S].
         gaussians, T_camera_map, features, centres: see `Backend.forward`.
     """
     if features is None:
@@ -164,7 +165,7 @@ def forward_by_autograd(
     with torch.enable_grad():
         cloud, features, T = as_leaves(gaussians, features, T_camera_map)
         extra = torch.cat([features, cloud.means.detach()], dim=1) if centres else features
-        images = draw(cloud, T, extra)
+        images = render_images(cloud, T, extra)
     return ReferenceForwardPass(cloud, T, features, images)
 
 
@@ -184,7 +185,7 @@ class ReferenceBackend:
     ) -> ReferenceForwardPass:
         """See Backend.forward."""
 
-        def draw(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
+        def render_images(cloud: GaussianCloud, T: Tensor, extra: Tensor) -> Tensor:
             return composite(cloud, camera, T, extra, region)
 
-        return forward_by_autograd(draw, gaussians, T_camera_map, features, centres)
+        return forward_by_autograd(render_images, gaussians, T_camera_map, features, centres)

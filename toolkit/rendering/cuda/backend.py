@@ -84,7 +84,7 @@ def on(device: torch.device) -> contextlib.AbstractContextManager[None]:
 
 
 @dataclass(frozen=True)
-class _Drawn:
+class _ForwardState:
     """State of the forward pass for the backward pass, in addition to the images."""
 
     checkpoints: Tensor
@@ -99,20 +99,20 @@ class CudaForwardPass:
         self._cloud, self._camera = cloud, camera
         self._binning, self._tuning = binning, tuning
         self.images = torch.empty(0)
-        self._drawn: _Drawn | None = None
+        self._forward_state: _ForwardState | None = None
 
     @property
     def _channels(self) -> int:
         return self._cloud.features.shape[1]
 
-    def draw(self, centres: bool) -> None:
-        """Fill `images`."""
+    def render(self, centres: bool) -> None:
+        """Render into `images`."""
         bins, camera, tuning = self._binning, self._camera, self._tuning
         channels, device = self._channels, bins.view.device
         planes = BASE_CHANNELS + channels + (3 if centres else 0)
         self.images = torch.empty(planes, camera.height, camera.width, device=device)
         pixels = tuning.side**2
-        self._drawn = _Drawn(
+        self._forward_state = _ForwardState(
             torch.empty(len(bins.rows) // tuning.batch + bins.tiles, pixels, device=device),
             torch.empty(bins.tiles, pixels, device=device),
             torch.empty(bins.tiles, dtype=torch.int32, device=device),
@@ -126,9 +126,9 @@ class CudaForwardPass:
             bins.tile_begins,
             self.images,
             self.images[BASE_CHANNELS + channels :] if centres else self.images,
-            self._drawn.checkpoints,
-            self._drawn.transmittance,
-            self._drawn.batches,
+            self._forward_state.checkpoints,
+            self._forward_state.transmittance,
+            self._forward_state.batches,
             camera.width,
             camera.height,
             channels,
@@ -176,8 +176,8 @@ class CudaForwardPass:
         move: bool,
     ) -> None:
         """Compute the feature rows of channels first to last and, in the first call, the sums."""
-        bins, camera, tuning, drawn = self._binning, self._camera, self._tuning, self._drawn
-        assert drawn is not None
+        bins, camera, tuning, state = self._binning, self._camera, self._tuning, self._forward_state
+        assert state is not None
         first, last, channels = span
         differentiation.differentiate[(bins.tiles,)](
             bins.splats,
@@ -185,9 +185,9 @@ class CudaForwardPass:
             bins.gaussians,
             bins.rows,
             bins.tile_begins,
-            drawn.checkpoints,
-            drawn.transmittance,
-            drawn.batches,
+            state.checkpoints,
+            state.transmittance,
+            state.batches,
             by_images,
             sums,
             rows,
@@ -307,6 +307,6 @@ class CudaBackend:
         region = None if region is None else region.to(device, torch.uint8).contiguous()
         with on(device):
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
-            drawn = CudaForwardPass(cloud, camera, binning, self._tuning)
-            drawn.draw(centres)
-        return drawn if device == home else TransferredForwardPass(drawn, home)
+            forward_pass = CudaForwardPass(cloud, camera, binning, self._tuning)
+            forward_pass.render(centres)
+        return forward_pass if device == home else TransferredForwardPass(forward_pass, home)

@@ -71,7 +71,7 @@ def _clear(
 
 @triton.jit
 def _by_features(
-    asked,
+    pixel_gradients,
     inside,
     plane,
     features,
@@ -93,7 +93,7 @@ def _by_features(
     for start in range(0 if MOVE else first, stop, BLOCK_C):
         c = start + tl.arange(0, BLOCK_C)
         by_feature = tl.load(
-            asked[None, :] + (c + BASE).to(tl.int64)[:, None] * plane,
+            pixel_gradients[None, :] + (c + BASE).to(tl.int64)[:, None] * plane,
             mask=inside[None, :] & (c < channels)[:, None],
             other=0.0,
         )
@@ -181,21 +181,21 @@ def differentiate(
     used = tl.load(batches + tile)
     checkpoint = checkpoints_of(checkpoints, begin, tile, BATCH, PIXELS)
     plane = width * height
-    asked = by_images + y * width + x
+    pixel_gradients = by_images + y * width + x
     wide = tl.arange(0, WIDE)
     if GEOMETRY:
         basis = _moments(SIDE)
         by_base = tl.load(
-            asked[:, None] + (wide - 4)[None, :] * plane,
+            pixel_gradients[:, None] + (wide - 4)[None, :] * plane,
             mask=inside[:, None] & ((wide >= 4) & (wide < SUMS))[None, :],
             other=0.0,
         )
-        by_red = tl.load(asked, mask=inside, other=0.0)
-        by_green = tl.load(asked + plane, mask=inside, other=0.0)
-        by_blue = tl.load(asked + 2 * plane, mask=inside, other=0.0)
-        by_depth = tl.load(asked + 3 * plane, mask=inside, other=0.0)
+        by_red = tl.load(pixel_gradients, mask=inside, other=0.0)
+        by_green = tl.load(pixel_gradients + plane, mask=inside, other=0.0)
+        by_blue = tl.load(pixel_gradients + 2 * plane, mask=inside, other=0.0)
+        by_depth = tl.load(pixel_gradients + 3 * plane, mask=inside, other=0.0)
         left_over = tl.load(transmittance + tile.to(tl.int64) * PIXELS + tl.arange(0, PIXELS))
-        behind = -left_over * tl.load(asked + 4 * plane, mask=inside, other=0.0)
+        behind = -left_over * tl.load(pixel_gradients + 4 * plane, mask=inside, other=0.0)
     rest = begin + used * BATCH
     _clear(pair_rows, rest, end, sums, feature_rows, last - first, BATCH, BLOCK_C, GEOMETRY)
     for i in range(used):
@@ -213,7 +213,7 @@ def differentiate(
         product = tl.zeros([BATCH, PIXELS], dtype=tl.float32)
         if BLOCK_C > 0:
             product = _by_features(
-                asked,
+                pixel_gradients,
                 inside,
                 plane,
                 features,
