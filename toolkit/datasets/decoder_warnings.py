@@ -15,7 +15,7 @@ import cv2
 
 
 def decoder_warning(path: Path) -> str:
-    """Return the decoder's warnings about a JPEG file; empty if there are none or it is no JPEG.
+    """Return the decoder's warnings about a file; empty if it is intact or not a JPEG.
 
     The stderr of the process is redirected meanwhile, so this must not be called while other
     threads write to it.

@@ -90,6 +90,6 @@ def _decode_part(
     for level, (nodes, index) in enumerate(members):
         summed = probability.new_zeros(len(nodes), probability.shape[1])
         summed.index_add_(0, index.to(summed.device), probability)
-        likeliest = summed.max(dim=0)
-        out.nodes[part, level] = nodes[likeliest.indices.cpu()].numpy()
-        out.node_confidence[part, level] = likeliest.values.cpu().numpy()
+        best_node = summed.max(dim=0)
+        out.nodes[part, level] = nodes[best_node.indices.cpu()].numpy()
+        out.node_confidence[part, level] = best_node.values.cpu().numpy()

@@ -50,8 +50,8 @@ double rgbd_loss(const float* images, const float* rgb, const float* depth, cons
     double total = 0;
     for (double s : sums) total += s;
     if (loss.structure > 0 && loss.colour > 0) {
-        const float share = loss.colour * loss.structure;
-        total += share * n * (1 - ssim(images, rgb, 3, height, width, -share / 3, gradient));
+        const float structure_weight = loss.colour * loss.structure;
+        total += structure_weight * n * (1 - ssim(images, rgb, 3, height, width, -structure_weight / 3, gradient));
     }
     return total / n;
 }

@@ -32,7 +32,7 @@ inline void log_lanes(const float* x, float* out) {
 struct Lanes {
     alignas(64) float inverse[LANE];   // 1 / silhouette, 0 for inactive pixels
     alignas(64) float active[LANE];    // 1 or 0
-    alignas(64) float pull[LANE];      // sum of gradient * value, for the gradient of the silhouette
+    alignas(64) float value_gradient[LANE];  // sum of gradient * value, for the gradient of the silhouette
     int32_t target[LANE];
 };
 
@@ -61,7 +61,7 @@ void softmax_head(const float* features, size_t plane, int channels, float weigh
         for (int i = 0; i < LANE; ++i) {
             const float p = scratch[LANE * c + i] / sums[i];
             const float d = weight * lanes.inverse[i] * (p - (lanes.target[i] == c ? 1.0f : 0.0f));
-            lanes.pull[i] += d * features[c * plane + i] * lanes.inverse[i];
+            lanes.value_gradient[i] += d * features[c * plane + i] * lanes.inverse[i];
             g[i] = d;
         }
     }
@@ -82,7 +82,7 @@ void bits_head(const float* features, size_t plane, int channels, float weight, 
             value[i] += weight * lanes.active[i] * (logs[i] + std::max(z, 0.0f) - bit * z);
             const float p = (z >= 0 ? 1.0f : e[i]) / grown[i];
             const float d = weight * lanes.inverse[i] * (p - bit);
-            lanes.pull[i] += d * z;
+            lanes.value_gradient[i] += d * z;
             gradient[c * plane + i] = d;
         }
     }
@@ -108,7 +108,7 @@ double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, 
         const bool active = patch.labels[i] > 0 && patch.silhouette[i] >= min_silhouette;
         lanes.active[i] = active ? 1.0f : 0.0f;
         lanes.inverse[i] = active ? 1.0f / patch.silhouette[i] : 0.0f;
-        lanes.pull[i] = 0;
+        lanes.value_gradient[i] = 0;
         any |= active;
     }
     if (!any) {
@@ -128,7 +128,7 @@ double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, 
     double total = 0;
     for (int i = 0; i < LANE; ++i) {
         total += value[i];
-        if (patch.silhouette_gradient) patch.silhouette_gradient[i] -= lanes.pull[i];
+        if (patch.silhouette_gradient) patch.silhouette_gradient[i] -= lanes.value_gradient[i];
     }
     return total;
 }
@@ -137,19 +137,19 @@ double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, 
 double rest_loss(const Patch& image, int64_t rest, const SemanticHeads& heads, int channels,
                  float min_silhouette, float* scratch) {
     std::vector<float> features((size_t)channels * LANE, 0.0f), gradient(features.size(), 0.0f);
-    float silhouette[LANE] = {0}, pull[LANE] = {0};
+    float silhouette[LANE] = {0}, silhouette_gradient[LANE] = {0};
     int32_t labels[LANE] = {0};
     std::copy_n(image.silhouette, rest, silhouette);
     std::copy_n(image.labels, rest, labels);
     for (int c = 0; c < channels; ++c) {
         std::copy_n(image.features + c * image.stride, rest, features.data() + c * LANE);
     }
-    const Patch padded = {features.data(), silhouette, labels, LANE, gradient.data(), pull};
+    const Patch padded = {features.data(), silhouette, labels, LANE, gradient.data(), silhouette_gradient};
     const double total = patch_loss(padded, heads, channels, min_silhouette, scratch);
     for (int c = 0; c < channels; ++c) {
         std::copy_n(gradient.data() + c * LANE, rest, image.gradient + c * image.stride);
     }
-    for (int64_t i = 0; image.silhouette_gradient && i < rest; ++i) image.silhouette_gradient[i] += pull[i];
+    for (int64_t i = 0; image.silhouette_gradient && i < rest; ++i) image.silhouette_gradient[i] += silhouette_gradient[i];
     return total;
 }
 

@@ -187,7 +187,7 @@ def _window_fits(
 
 
 def moved(image: NDArray, down: int, across: int, fill: Any) -> NDArray:
-    """Translate an image by whole cells; uncovered cells are set to `fill`."""
+    """Translate an image by a number of cells; uncovered cells are set to `fill`."""
     out = np.full_like(image, fill)
     height, width = image.shape[:2]
     if abs(down) >= height or abs(across) >= width:
