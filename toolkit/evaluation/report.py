@@ -183,7 +183,7 @@ def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) 
 def _stages(stage_times: Sequence[StageTime]) -> list[dict[str, Any]]:
     longest_s = max((time.total_s for time in stage_times), default=0.0)
     return [
-        {"time": time, "share": 100.0 * time.total_s / longest_s if longest_s > 0 else 0.0}
+        {"time": time, "percent": 100.0 * time.total_s / longest_s if longest_s > 0 else 0.0}
         for time in stage_times
     ]
 

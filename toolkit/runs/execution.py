@@ -95,7 +95,7 @@ def _execute(
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
             load_saved_map(slam, saved)
-            # The checkpoint holds the saved map, so that resuming does not need the saved run.
+            # The checkpoint contains the saved map, so that resuming does not need the saved run.
             _save(slam, folder, 0)
         frames = prefetched(dataset, range(start or 0, len(dataset)), prepare=slam.prepare)
         _process(slam, progress(frames, len(dataset), start or 0), folder, settings, recorder)
