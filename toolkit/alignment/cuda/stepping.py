@@ -47,11 +47,11 @@ def _added(parts, count, rows, columns, ROWS: tl.constexpr):
 
 
 @triton.jit
-def _with_prior(A, rows, columns, held, gain_change, bias_change):
+def _with_prior(A, rows, columns, information, gain_change, bias_change):
     """[H | g] with the prior on the exposure; see `normal_equations.add_exposure_prior`."""
-    A += tl.where((rows == columns) & (rows >= 6) & (rows < PARAMETERS), held, 0.0)
-    A += tl.where((rows == 6) & (columns == RESIDUAL), held * gain_change, 0.0)
-    A += tl.where((rows == 7) & (columns == RESIDUAL), held * bias_change, 0.0)
+    A += tl.where((rows == columns) & (rows >= 6) & (rows < PARAMETERS), information, 0.0)
+    A += tl.where((rows == 6) & (columns == RESIDUAL), information * gain_change, 0.0)
+    A += tl.where((rows == 7) & (columns == RESIDUAL), information * bias_change, 0.0)
     return A
 
 
@@ -140,8 +140,8 @@ def advance(
 
     A = tl.where((rows < PARAMETERS) & (columns <= RESIDUAL), A, 0.0)
     if EXPOSURE:
-        held = photometric_weight * prior * bright / (sigma_intensity * sigma_intensity)
-        A = _with_prior(A, rows, columns, held, gain - last_gain, bias - last_bias)
+        information = photometric_weight * prior * bright / (sigma_intensity * sigma_intensity)
+        A = _with_prior(A, rows, columns, information, gain - last_gain, bias - last_bias)
     else:
         A = _without_exposure(A, rows, columns)
     A = tl.where((rows == columns) & (rows < PARAMETERS), A * (1.0 + 1e-6), A)
