@@ -43,7 +43,7 @@ API = {
     "Geometry": (
         "toolkit.geometry.camera.Camera",
         "toolkit.geometry.trajectory.Trajectory",
-        "toolkit.geometry.viewing_volume.ViewingVolume",
+        "toolkit.geometry.frustum_occupancy.inside_frustum",
     ),
 }
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):\s*$")

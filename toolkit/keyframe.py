@@ -170,27 +170,41 @@ class Keyframe:
 
     def reaches(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] that lie between the camera and the measured surface."""
-        inside, z, depth_m = self._measured_at(points_map)
-        # Where depth is missing, the viewing volume is unbounded.
-        inside[inside] = (depth_m == 0) | (z <= _MAX_BEHIND * depth_m)
+        inside, points = self._in_image(points_map)
+        inside[inside] = self.in_front_of_surface(points)
         return inside
+
+    def in_front_of_surface(self, points_camera: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask [P] of the points [P, 3] that are not behind the measured surface.
+
+        Args:
+            points_camera: points in camera coordinates that project into the image.
+        """
+        depth_m = self._measured_at(points_camera)
+        # Where depth is missing, the viewing volume is unbounded.
+        return (depth_m == 0) | (points_camera[:, 2] <= _MAX_BEHIND * depth_m)
 
     def fraction_observed(self, points_map: NDArray[np.float64]) -> float:
         """Fraction of map points [P, 3] that lie on the surface measured by this keyframe."""
         if len(points_map) == 0:
             return 0.0
-        _, z, depth_m = self._measured_at(points_map)
-        near = np.abs(z - depth_m) < _ON_SURFACE * depth_m
+        _, points = self._in_image(points_map)
+        depth_m = self._measured_at(points)
+        near = np.abs(points[:, 2] - depth_m) < _ON_SURFACE * depth_m
         return float(near.sum() / len(points_map))
 
-    def _measured_at(
+    def _in_image(
         self, points_map: NDArray[np.float64]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
-        """Mask [P] of the map points inside the image; their z and the depth measured there."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Mask [P] of the map points inside the image, and these in camera coordinates."""
         points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
-        inside, uv = self._projected(points)
-        column, row = np.rint(uv[inside]).astype(np.intp).T
-        return inside, points[inside, 2], self.depth_m.numpy()[row, column]
+        inside, _ = self._projected(points)
+        return inside, points[inside]
+
+    def _measured_at(self, points_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Depth [P] at the nearest pixels of camera points [P, 3] inside the image."""
+        column, row = np.rint(self.camera.project(points_camera)).astype(np.intp).T
+        return self.depth_m.numpy()[row, column]
 
     def _projected(
         self, points: NDArray[np.float64]

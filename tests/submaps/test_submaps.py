@@ -26,10 +26,10 @@ from toolkit.submaps.allocation import Allocation, path_length_m
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.factory import allocation_options
 from toolkit.submaps.options import AllocationOptions, BoundaryOptions
+from toolkit.submaps.overlap import view_overlap
 from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
-from toolkit.submaps.volume import SubmapVolume
 from toolkit.tracking.given import GivenPoses
 
 FEW = MapperOptions(iterations=3, first_iterations=10, final_iterations=2)
@@ -59,7 +59,7 @@ def labelled(keyframe, class_id):
 
 class TestOverlap:
     def overlap(self, keyframe, others):
-        return SubmapVolume().overlap(keyframe, others)
+        return view_overlap(keyframe, others)
 
     def test_a_view_lies_inside_its_own_volume(self, keyframes):
         assert self.overlap(keyframes[0], [keyframes[0]]) > 0.9
@@ -72,7 +72,7 @@ class TestOverlap:
         assert self.overlap(keyframes[0], [near]) < 0.1
 
     def test_a_keyframe_without_depth_has_no_overlap(self, keyframes):
-        blind = replace(keyframes[0], depth_m=torch.zeros_like(keyframes[0].depth_m))
+        blind = replace(keyframes[0], points=np.zeros((0, 3), np.float32))
         assert self.overlap(blind, [keyframes[0]]) == 0.0
 
     def test_the_union_of_all_keyframes_is_used(self, keyframes):
@@ -81,12 +81,14 @@ class TestOverlap:
         single = [self.overlap(half, [k]) for k in (first, other)]
         assert self.overlap(half, [first, other]) > max(single) + 0.05
 
-    def test_kept_volumes_follow_pose_corrections_and_new_depth(self, keyframes):
-        first, newest = keyframes[0], keyframes[1]
-        volume = SubmapVolume()
-        volume.overlap(newest, [first])
-        for changed in (turned(first, 30), replace(first, depth_m=first.depth_m * 0.5)):
-            assert volume.overlap(newest, [changed]) == self.overlap(newest, [changed])
+    def test_it_equals_the_fraction_of_projected_points(self, keyframes):
+        first, other = keyframes[0], turned(keyframes[0], 40)
+        for degrees in (5, 20, 35, 60):
+            view = turned(first, degrees)
+            points = view.points_in_map()
+            expected = (first.reaches(points) | other.reaches(points)).mean()
+            assert 0.0 < expected < 1.0
+            assert self.overlap(view, [first, other]) == pytest.approx(expected, abs=1e-12)
 
 
 class TestAllocation:

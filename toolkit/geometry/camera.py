@@ -108,18 +108,6 @@ class Camera:
             )
         return self.rays() * depth_m[..., None]
 
-    def unproject_grid(self, columns: NDArray, rows: NDArray, depth_m: NDArray) -> NDArray:
-        """Unproject a regular grid of pixels to points [R, C, 3] in camera coordinates (m).
-
-        Args:
-            columns, rows: pixel coordinates [C] and [R].
-            depth_m: [R, C] z-depths.
-        """
-        z = depth_m.astype(np.float64)
-        x = (columns - self.cx) / self.fx * z
-        y = ((rows - self.cy) / self.fy)[:, None] * z
-        return np.stack([x, y, z], axis=-1)
-
     def project(self, points: NDArray) -> NDArray[np.float64]:
         """Project points [..., 3] with z > 0 to pixel coordinates [..., 2] (x, y)."""
         z = points[..., 2]

@@ -116,8 +116,8 @@ def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
         image size and `count`.
     """
     stride = max(1, int(np.sqrt(depth_m.size / count)))
-    rows, columns = (np.arange(stride // 2, size, stride) for size in depth_m.shape)
-    sparse = camera.unproject_grid(columns, rows, depth_m[rows[:, None], columns]).reshape(-1, 3)
+    half = stride // 2
+    sparse = camera.unproject(depth_m)[half::stride, half::stride].reshape(-1, 3)
     return np.where(sparse[:, 2:] > 0, sparse, np.nan)
 
 

@@ -17,7 +17,7 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.histograms import class_histogram, smoothed_kl
 from toolkit.submaps.options import AllocationOptions
-from toolkit.submaps.volume import SubmapVolume
+from toolkit.submaps.overlap import view_overlap
 
 # KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
 _MIN_DIVERGENCE = 0.4
@@ -70,7 +70,6 @@ class Allocation:
         given = options.min_divergence
         self._min_divergence = _MIN_DIVERGENCE if given is None else given
         self._num_classes = num_classes
-        self._volume = SubmapVolume()
 
     def judge(self, number: int, keyframes: list[Keyframe], gaussians: int) -> AllocationVerdict:
         """Decide whether the newest keyframe of a submap starts a new submap.
@@ -82,7 +81,7 @@ class Allocation:
         """
         newest, options = keyframes[-1], self.options
         established = keyframes[: max(1, len(keyframes) - options.recent)]
-        overlap = self._volume.overlap(newest, established)
+        overlap = view_overlap(newest, established)
         divergence = self._divergence(newest, keyframes[0])
         reason = ""
         if len(keyframes) >= options.max_keyframes:
