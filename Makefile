@@ -19,6 +19,8 @@ define apt
 	fi
 endef
 
+emulation = { command -v qemu-x86_64-static && command -v aarch64-linux-gnu-g++ && command -v clang++; } >/dev/null
+
 .PHONY: help demo test bench lint docs ready clean
 .DELETE_ON_ERROR:
 
@@ -106,12 +108,13 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	fi
 	@touch $@
 
-# Tests run the native kernels on emulated CPUs; without the emulator they are skipped.
+# Tests run the native kernels on emulated CPUs and compile them for AArch64 and with Clang; what is
+# missing is skipped.
 .stamps/emulator: | .stamps
-	@if ! command -v qemu-x86_64-static >/dev/null; then \
-		( $(call apt,qemu-user-static,the emulator for tests of older CPUs is) ) || true; \
+	@if ! $(emulation); then \
+		( $(call apt,qemu-user-static g++-aarch64-linux-gnu clang,the tools for tests of other CPUs are) ) || true; \
 	fi
-	@if command -v qemu-x86_64-static >/dev/null; then touch $@; fi
+	@if $(emulation); then touch $@; fi
 
 # Open3D's off-screen renderer needs a Vulkan driver; without one its test is skipped.
 .stamps/vulkan: | .stamps

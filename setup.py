@@ -47,7 +47,8 @@ AVX512_FLAGS = [
     "-mavx512vl",
     "-mavx512dq",
     "-mprefer-vector-width=512",  # else GCC stays with 256 bits
-    "-Wno-maybe-uninitialized",  # false alarms out of GCC 12's own headers
+    "-Wno-uninitialized",  # false alarms from GCC 12's own headers
+    "-Wno-maybe-uninitialized",
 ]
 
 
@@ -136,4 +137,5 @@ class BuildNative(build_ext):
             self.failures.setdefault(str(error), []).append(variant)
 
 
-setup(ext_modules=native_extensions(), cmdclass={"build_ext": BuildNative})
+if __name__ == "__main__":
+    setup(ext_modules=native_extensions(), cmdclass={"build_ext": BuildNative})

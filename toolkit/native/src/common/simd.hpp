@@ -1,15 +1,11 @@
-// Vectors of sixteen floats for all instruction sets.
-//
-// AVX-512 uses one register and mask registers through intrinsics. Other instruction sets (AVX2, SSE2,
-// NEON) use 16 / N vectors of N floats through the compiler's vector extension.
+// Vectors of LANES floats, the width of the target's registers: 16 with AVX-512, 8 with AVX2, 4 with
+// SSE2 and NEON.
 #pragma once
 
 #include <cstdint>
 #include <cstring>
 
-#if defined(__AVX512F__)
-#include <immintrin.h>
-#elif defined(__SSE2__)
+#if defined(__SSE2__)
 #include <immintrin.h>
 #endif
 
@@ -20,226 +16,283 @@ namespace {
 
 #if defined(__AVX512F__)
 
-struct F16 {
+enum { LANES = 16 };
+struct Floats {
     __m512 v;
 };
-typedef __mmask16 M16;
+typedef __mmask16 Mask;
 
-SEMSPLAT_INLINE F16 load(const float* p) { return {_mm512_loadu_ps(p)}; }
-SEMSPLAT_INLINE void store(float* p, F16 a) { _mm512_storeu_ps(p, a.v); }
-SEMSPLAT_INLINE F16 all(float x) { return {_mm512_set1_ps(x)}; }
-// Four floats repeated: lane i is p[i % 4].
-SEMSPLAT_INLINE F16 load_columns(const float* p) {
+SEMSPLAT_INLINE Floats load(const float* p) { return {_mm512_loadu_ps(p)}; }
+SEMSPLAT_INLINE void store(float* p, Floats a) { _mm512_storeu_ps(p, a.v); }
+SEMSPLAT_INLINE Floats all(float x) { return {_mm512_set1_ps(x)}; }
+SEMSPLAT_INLINE Floats load_columns(const float* p) {
     return {_mm512_broadcast_f32x4(_mm_loadu_ps(p))};
 }
-// Four floats spread: lane i is p[i / 4].
-SEMSPLAT_INLINE F16 load_rows(const float* p) {
+SEMSPLAT_INLINE Floats load_rows(const float* p) {
     const __m512i index = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
     return {_mm512_permutexvar_ps(index, _mm512_broadcast_f32x4(_mm_loadu_ps(p)))};
 }
-SEMSPLAT_INLINE F16 operator+(F16 a, F16 b) { return {_mm512_add_ps(a.v, b.v)}; }
-SEMSPLAT_INLINE F16 operator-(F16 a, F16 b) { return {_mm512_sub_ps(a.v, b.v)}; }
-SEMSPLAT_INLINE F16 operator*(F16 a, F16 b) { return {_mm512_mul_ps(a.v, b.v)}; }
-// a * b + c
-SEMSPLAT_INLINE F16 fma(F16 a, F16 b, F16 c) { return {_mm512_fmadd_ps(a.v, b.v, c.v)}; }
-// c - a * b
-SEMSPLAT_INLINE F16 fnma(F16 a, F16 b, F16 c) { return {_mm512_fnmadd_ps(a.v, b.v, c.v)}; }
-SEMSPLAT_INLINE F16 minimum(F16 a, F16 b) { return {_mm512_min_ps(a.v, b.v)}; }
-SEMSPLAT_INLINE F16 maximum(F16 a, F16 b) { return {_mm512_max_ps(a.v, b.v)}; }
-SEMSPLAT_INLINE M16 ge(F16 a, F16 b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_GE_OQ); }
-SEMSPLAT_INLINE M16 lt(F16 a, F16 b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ); }
-SEMSPLAT_INLINE M16 both(M16 a, M16 b) { return _kand_mask16(a, b); }
-SEMSPLAT_INLINE F16 keep(M16 m, F16 a) { return {_mm512_maskz_mov_ps(m, a.v)}; }
-SEMSPLAT_INLINE uint32_t bits(M16 m) { return m; }
+SEMSPLAT_INLINE Floats operator+(Floats a, Floats b) { return {_mm512_add_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats operator-(Floats a, Floats b) { return {_mm512_sub_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats operator*(Floats a, Floats b) { return {_mm512_mul_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) {
+    return {_mm512_fmadd_ps(a.v, b.v, c.v)};
+}
+SEMSPLAT_INLINE Floats fnma(Floats a, Floats b, Floats c) {
+    return {_mm512_fnmadd_ps(a.v, b.v, c.v)};
+}
+SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {_mm512_min_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {_mm512_max_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_GE_OQ); }
+SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ); }
+SEMSPLAT_INLINE Mask both(Mask a, Mask b) { return _kand_mask16(a, b); }
+SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {_mm512_maskz_mov_ps(m, a.v)}; }
+SEMSPLAT_INLINE uint32_t bits(Mask m) { return m; }
 // 1 / a in full single precision, for a whose reciprocal neither overflows nor underflows.
-SEMSPLAT_INLINE F16 reciprocal(F16 a) {
+SEMSPLAT_INLINE Floats reciprocal(Floats a) {
     const __m512 r = _mm512_rcp14_ps(a.v);
     return {_mm512_mul_ps(r, _mm512_fnmadd_ps(a.v, r, _mm512_set1_ps(2.0f)))};
 }
-SEMSPLAT_INLINE F16 round_nearest(F16 a) {
+SEMSPLAT_INLINE Floats round_nearest(Floats a) {
     return {_mm512_roundscale_ps(a.v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)};
 }
-SEMSPLAT_INLINE F16 times_power_of_two(F16 a, F16 whole) {
-    return {_mm512_scalef_ps(a.v, whole.v)};
+SEMSPLAT_INLINE Floats times_power_of_two(Floats a, Floats exponent) {
+    return {_mm512_scalef_ps(a.v, exponent.v)};
 }
-// Folds two vectors of sums: lanes 0-7 of the result belong to a, lanes 8-15 to b (and so on, by halves).
-SEMSPLAT_INLINE F16 fold8(F16 a, F16 b) {
-    return {_mm512_add_ps(_mm512_shuffle_f32x4(a.v, b.v, 0x44), _mm512_shuffle_f32x4(a.v, b.v, 0xee))};
+// Adds the halves of a and of b: lanes 0-7 of the result belong to a, lanes 8-15 to b. The
+// following functions do the same with groups of 8, 4 and 2 lanes.
+SEMSPLAT_INLINE Floats fold8(Floats a, Floats b) {
+    return {_mm512_add_ps(_mm512_shuffle_f32x4(a.v, b.v, 0x44),
+                          _mm512_shuffle_f32x4(a.v, b.v, 0xee))};
 }
-SEMSPLAT_INLINE F16 fold4(F16 a, F16 b) {
-    return {_mm512_add_ps(_mm512_shuffle_f32x4(a.v, b.v, 0x88), _mm512_shuffle_f32x4(a.v, b.v, 0xdd))};
+SEMSPLAT_INLINE Floats fold4(Floats a, Floats b) {
+    return {_mm512_add_ps(_mm512_shuffle_f32x4(a.v, b.v, 0x88),
+                          _mm512_shuffle_f32x4(a.v, b.v, 0xdd))};
 }
-SEMSPLAT_INLINE F16 fold2(F16 a, F16 b) {
+SEMSPLAT_INLINE Floats fold2(Floats a, Floats b) {
     return {_mm512_add_ps(_mm512_shuffle_ps(a.v, b.v, 0x44), _mm512_shuffle_ps(a.v, b.v, 0xee))};
 }
-SEMSPLAT_INLINE F16 fold1(F16 a, F16 b) {
+SEMSPLAT_INLINE Floats fold1(Floats a, Floats b) {
     return {_mm512_add_ps(_mm512_shuffle_ps(a.v, b.v, 0x88), _mm512_shuffle_ps(a.v, b.v, 0xdd))};
 }
-// Sums of sixteen vectors, written in order.
-SEMSPLAT_INLINE void sum16(const F16* x, float* out) {
+SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
     // After fold8 and fold4, each 128-bit lane contains four partial sums of one vector. The last two
     // folds work within lanes, so the order of the input vectors compensates for both.
-    F16 q[4];
+    Floats q[4];
+    for (int i = 0; i < 4; ++i) {
+        const Floats h = fold8(x[i], x[4 + i]);
+        q[i] = fold4(h, h);
+    }
+    const Floats r = fold1(fold2(q[0], q[1]), fold2(q[2], q[3]));
+    _mm256_storeu_ps(out, _mm512_castps512_ps256(r.v));
+}
+SEMSPLAT_INLINE void sum16(const Floats* x, float* out) {
+    Floats q[4];
     for (int i = 0; i < 4; ++i) {
         q[i] = fold4(fold8(x[i], x[4 + i]), fold8(x[8 + i], x[12 + i]));
     }
     store(out, fold1(fold2(q[0], q[1]), fold2(q[2], q[3])));
 }
-SEMSPLAT_INLINE void sum8(const F16* x, float* out) {
-    F16 q[4];
-    for (int i = 0; i < 4; ++i) {
-        const F16 h = fold8(x[i], x[4 + i]);
-        q[i] = fold4(h, h);
-    }
-    const F16 r = fold1(fold2(q[0], q[1]), fold2(q[2], q[3]));
-    _mm256_storeu_ps(out, _mm512_castps512_ps256(r.v));
+
+#elif defined(__AVX2__)
+
+enum { LANES = 8 };
+struct Floats {
+    __m256 v;
+};
+struct Mask {
+    __m256 v;
+};
+
+SEMSPLAT_INLINE Floats load(const float* p) { return {_mm256_loadu_ps(p)}; }
+SEMSPLAT_INLINE void store(float* p, Floats a) { _mm256_storeu_ps(p, a.v); }
+SEMSPLAT_INLINE Floats all(float x) { return {_mm256_set1_ps(x)}; }
+SEMSPLAT_INLINE Floats load_columns(const float* p) {
+    return {_mm256_broadcast_ps((const __m128*)p)};
+}
+SEMSPLAT_INLINE Floats load_rows(const float* p) {
+    return {_mm256_blend_ps(_mm256_broadcast_ss(p), _mm256_broadcast_ss(p + 1), 0xf0)};
+}
+SEMSPLAT_INLINE Floats operator+(Floats a, Floats b) { return {_mm256_add_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats operator-(Floats a, Floats b) { return {_mm256_sub_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats operator*(Floats a, Floats b) { return {_mm256_mul_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) {
+    return {_mm256_fmadd_ps(a.v, b.v, c.v)};
+}
+SEMSPLAT_INLINE Floats fnma(Floats a, Floats b, Floats c) {
+    return {_mm256_fnmadd_ps(a.v, b.v, c.v)};
+}
+SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {_mm256_min_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {_mm256_max_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {_mm256_cmp_ps(a.v, b.v, _CMP_GE_OQ)}; }
+SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return {_mm256_cmp_ps(a.v, b.v, _CMP_LT_OQ)}; }
+SEMSPLAT_INLINE Mask both(Mask a, Mask b) { return {_mm256_and_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {_mm256_and_ps(m.v, a.v)}; }
+SEMSPLAT_INLINE uint32_t bits(Mask m) { return (uint32_t)_mm256_movemask_ps(m.v); }
+SEMSPLAT_INLINE Floats reciprocal(Floats a) {
+    return {_mm256_div_ps(_mm256_set1_ps(1.0f), a.v)};
+}
+SEMSPLAT_INLINE Floats round_nearest(Floats a) {
+    return {_mm256_round_ps(a.v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)};
+}
+SEMSPLAT_INLINE Floats times_power_of_two(Floats a, Floats exponent) {
+    const __m256i shifted = _mm256_slli_epi32(_mm256_cvtps_epi32(exponent.v), 23);
+    return {_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(a.v), shifted))};
+}
+// Adds the halves of a and of b: lanes 0-3 of the result belong to a, lanes 4-7 to b. The
+// following functions do the same with groups of 4 and 2 lanes.
+SEMSPLAT_INLINE Floats fold4(Floats a, Floats b) {
+    return {_mm256_add_ps(_mm256_blend_ps(a.v, b.v, 0xf0), _mm256_permute2f128_ps(a.v, b.v, 0x21))};
+}
+SEMSPLAT_INLINE Floats fold2(Floats a, Floats b) {
+    return {_mm256_add_ps(_mm256_shuffle_ps(a.v, b.v, 0x44), _mm256_shuffle_ps(a.v, b.v, 0xee))};
+}
+SEMSPLAT_INLINE Floats fold1(Floats a, Floats b) {
+    return {_mm256_add_ps(_mm256_shuffle_ps(a.v, b.v, 0x88), _mm256_shuffle_ps(a.v, b.v, 0xdd))};
+}
+SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
+    const Floats low = fold2(fold4(x[0], x[4]), fold4(x[1], x[5]));
+    const Floats high = fold2(fold4(x[2], x[6]), fold4(x[3], x[7]));
+    store(out, fold1(low, high));
 }
 
 #else
 
-#if defined(__AVX2__)
-enum { LANES = 8 };
-#else
 enum { LANES = 4 };
-#endif
-enum { PARTS = 16 / LANES };
-typedef float FN __attribute__((vector_size(4 * LANES)));
-typedef int32_t IN __attribute__((vector_size(4 * LANES)));
-
-struct F16 {
-    FN v[PARTS];
+typedef float Float4 __attribute__((vector_size(16)));
+typedef int32_t Int4 __attribute__((vector_size(16)));
+struct Floats {
+    Float4 v;
 };
-struct M16 {
-    IN v[PARTS];
+struct Mask {
+    Int4 v;
 };
 
-#define SEMSPLAT_EACH for (int i = 0; i < PARTS; ++i)
-SEMSPLAT_INLINE F16 load(const float* p) {
-    F16 r;
+SEMSPLAT_INLINE Floats load(const float* p) {
+    Floats r;
     std::memcpy(&r, p, sizeof r);
     return r;
 }
-SEMSPLAT_INLINE void store(float* p, F16 a) { std::memcpy(p, &a, sizeof a); }
-SEMSPLAT_INLINE F16 all(float x) {
-    F16 r;
-    SEMSPLAT_EACH r.v[i] = x - FN{};
-    return r;
+SEMSPLAT_INLINE void store(float* p, Floats a) { std::memcpy(p, &a, sizeof a); }
+SEMSPLAT_INLINE Floats all(float x) { return {Float4{x, x, x, x}}; }
+SEMSPLAT_INLINE Floats load_columns(const float* p) { return load(p); }
+SEMSPLAT_INLINE Floats load_rows(const float* p) { return all(p[0]); }
+SEMSPLAT_INLINE Floats operator+(Floats a, Floats b) { return {a.v + b.v}; }
+SEMSPLAT_INLINE Floats operator-(Floats a, Floats b) { return {a.v - b.v}; }
+SEMSPLAT_INLINE Floats operator*(Floats a, Floats b) { return {a.v * b.v}; }
+SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) { return {a.v * b.v + c.v}; }
+SEMSPLAT_INLINE Floats fnma(Floats a, Floats b, Floats c) { return {c.v - a.v * b.v}; }
+SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {a.v >= b.v}; }
+SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return {a.v < b.v}; }
+SEMSPLAT_INLINE Mask both(Mask a, Mask b) { return {a.v & b.v}; }
+SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {(Float4)((Int4)a.v & m.v)}; }
+SEMSPLAT_INLINE Floats reciprocal(Floats a) { return {1.0f / a.v}; }
+#if defined(__SSE2__)
+SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {(Float4)_mm_min_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {(Float4)_mm_max_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE uint32_t bits(Mask m) { return (uint32_t)_mm_movemask_ps((__m128)m.v); }
+// Valid for |a| < 2^31, which exceeds any exponent.
+SEMSPLAT_INLINE Floats round_nearest(Floats a) {
+    return {(Float4)_mm_cvtepi32_ps(_mm_cvtps_epi32(a.v))};
 }
-SEMSPLAT_INLINE F16 load_columns(const float* p) {
-    float r[16];
-    for (int i = 0; i < 4; ++i) std::memcpy(r + 4 * i, p, 16);
-    return load(r);
-}
-SEMSPLAT_INLINE F16 load_rows(const float* p) {
-    F16 r;
-#if defined(__AVX2__)
-    r.v[0] = FN{p[0], p[0], p[0], p[0], p[1], p[1], p[1], p[1]};
-    r.v[1] = FN{p[2], p[2], p[2], p[2], p[3], p[3], p[3], p[3]};
 #else
-    SEMSPLAT_EACH r.v[i] = p[i] - FN{};
+SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {a.v < b.v ? a.v : b.v}; }
+SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {a.v > b.v ? a.v : b.v}; }
+SEMSPLAT_INLINE uint32_t bits(Mask m) {
+    const Int4 bit = m.v & Int4{1, 2, 4, 8};
+    return (uint32_t)(bit[0] | bit[1] | bit[2] | bit[3]);
+}
+// Valid for |a| < 2^22, which exceeds any exponent.
+SEMSPLAT_INLINE Floats round_nearest(Floats a) {
+    const Int4 negative = a.v < 0;
+    const Float4 half = (Float4)(((Int4)(0.5f - Float4{})) | (negative & INT32_MIN));
+    return {__builtin_convertvector(__builtin_convertvector(a.v + half, Int4), Float4)};
+}
 #endif
-    return r;
+SEMSPLAT_INLINE Floats times_power_of_two(Floats a, Floats exponent) {
+    return {(Float4)((Int4)a.v + (__builtin_convertvector(exponent.v, Int4) << 23))};
 }
-SEMSPLAT_INLINE F16 operator+(F16 a, F16 b) {
-    SEMSPLAT_EACH a.v[i] += b.v[i];
-    return a;
+SEMSPLAT_INLINE Float4 fold2(Float4 a, Float4 b) {
+    return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
 }
-SEMSPLAT_INLINE F16 operator-(F16 a, F16 b) {
-    SEMSPLAT_EACH a.v[i] -= b.v[i];
-    return a;
+SEMSPLAT_INLINE Float4 fold1(Float4 a, Float4 b) {
+    return __builtin_shufflevector(a, b, 0, 2, 4, 6) + __builtin_shufflevector(a, b, 1, 3, 5, 7);
 }
-SEMSPLAT_INLINE F16 operator*(F16 a, F16 b) {
-    SEMSPLAT_EACH a.v[i] *= b.v[i];
-    return a;
-}
-SEMSPLAT_INLINE F16 fma(F16 a, F16 b, F16 c) { return a * b + c; }
-SEMSPLAT_INLINE F16 fnma(F16 a, F16 b, F16 c) { return c - a * b; }
-SEMSPLAT_INLINE F16 minimum(F16 a, F16 b) {
-    SEMSPLAT_EACH a.v[i] = a.v[i] < b.v[i] ? a.v[i] : b.v[i];
-    return a;
-}
-SEMSPLAT_INLINE F16 maximum(F16 a, F16 b) {
-    SEMSPLAT_EACH a.v[i] = a.v[i] > b.v[i] ? a.v[i] : b.v[i];
-    return a;
-}
-SEMSPLAT_INLINE M16 ge(F16 a, F16 b) {
-    M16 m;
-    SEMSPLAT_EACH m.v[i] = a.v[i] >= b.v[i];
-    return m;
-}
-SEMSPLAT_INLINE M16 lt(F16 a, F16 b) {
-    M16 m;
-    SEMSPLAT_EACH m.v[i] = a.v[i] < b.v[i];
-    return m;
-}
-SEMSPLAT_INLINE M16 both(M16 a, M16 b) {
-    SEMSPLAT_EACH a.v[i] &= b.v[i];
-    return a;
-}
-SEMSPLAT_INLINE F16 keep(M16 m, F16 a) {
-    SEMSPLAT_EACH a.v[i] = (FN)((IN)a.v[i] & m.v[i]);
-    return a;
-}
-SEMSPLAT_INLINE uint32_t bits(M16 m) {
-    uint32_t r = 0;
-#if defined(__AVX2__)
-    SEMSPLAT_EACH r |= (uint32_t)_mm256_movemask_ps((__m256)m.v[i]) << (8 * i);
-#elif defined(__SSE2__)
-    SEMSPLAT_EACH r |= (uint32_t)_mm_movemask_ps((__m128)m.v[i]) << (4 * i);
-#else
-    SEMSPLAT_EACH for (int k = 0; k < LANES; ++k) r |= (uint32_t)(m.v[i][k] & 1) << (LANES * i + k);
-#endif
-    return r;
-}
-SEMSPLAT_INLINE F16 reciprocal(F16 a) {
-    SEMSPLAT_EACH a.v[i] = 1.0f / a.v[i];
-    return a;
-}
-SEMSPLAT_INLINE F16 round_nearest(F16 a) {
-    // Valid for |a| < 2^22, which exceeds any exponent.
-    SEMSPLAT_EACH {
-        const IN negative = a.v[i] < 0;
-        const FN half = (FN)(((IN)(0.5f - FN{})) | (negative & INT32_MIN));
-        a.v[i] = __builtin_convertvector(__builtin_convertvector(a.v[i] + half, IN), FN);
+SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
+    for (int i = 0; i < 8; i += 4) {
+        store(out + i, {fold1(fold2(x[i].v, x[i + 1].v), fold2(x[i + 2].v, x[i + 3].v))});
     }
-    return a;
 }
-SEMSPLAT_INLINE F16 times_power_of_two(F16 a, F16 whole) {
-    SEMSPLAT_EACH {
-        const IN exponent = (__builtin_convertvector(whole.v[i], IN) + 127) << 23;
-        a.v[i] *= (FN)exponent;
-    }
-    return a;
-}
-SEMSPLAT_INLINE float sum(F16 a) {
-    FN s = a.v[0];
-    for (int i = 1; i < PARTS; ++i) s += a.v[i];
-    float r = 0;
-    for (int k = 0; k < LANES; ++k) r += s[k];
-    return r;
-}
-SEMSPLAT_INLINE void sum16(const F16* x, float* out) {
-    for (int i = 0; i < 16; ++i) out[i] = sum(x[i]);
-}
-SEMSPLAT_INLINE void sum8(const F16* x, float* out) {
-    for (int i = 0; i < 8; ++i) out[i] = sum(x[i]);
-}
-#undef SEMSPLAT_EACH
 
 #endif
 
-// exp(x) for x <= 0, relative error below 3e-7; underflow is clamped at exp(-40).
-SEMSPLAT_INLINE F16 exp_negative(F16 x) {
-    x = maximum(x, all(-40.0f)) * all(1.44269504f);
-    const F16 whole = round_nearest(x);
-    const F16 f = x - whole;
-    F16 p = fma(f, all(1.5403530e-4f), all(1.3333558e-3f));
+// The functions above, for all targets:
+//   load_columns(p): four floats repeated, lane i is p[i % 4].
+//   load_rows(p): each of LANES / 4 floats four times, lane i is p[i / 4].
+//   fma(a, b, c): a * b + c. fnma(a, b, c): c - a * b.
+//   keep(m, a): a where the mask is set, else 0. bits(m): bit i is set if lane i is.
+//   times_power_of_two(a, e): a * 2^e for a in [0.5, 2] and integers |e| < 125.
+//   sum8(x, out): the sums of the lanes of eight vectors, in order.
+
+// The sums of the lanes of N vectors, in order.
+template <int N>
+SEMSPLAT_INLINE void sum_lanes(const Floats (&x)[N], float* out) {
+#if defined(__AVX512F__)
+    if (N == 16) return sum16(x, out);
+#endif
+    static_assert(N <= 8 || LANES == 16, "");
+    Floats padded[8];
+    float sums[8];
+    for (int i = 0; i < 8; ++i) padded[i] = i < N ? x[i < N ? i : 0] : all(0.0f);
+    sum8(padded, sums);
+    for (int i = 0; i < N; ++i) out[i] = sums[i];
+}
+
+// exp(x) for -80 <= x <= 80, relative error below 3e-7.
+SEMSPLAT_INLINE Floats exponential_in_range(Floats x) {
+    x = x * all(1.44269504f);
+    const Floats exponent = round_nearest(x);
+    const Floats f = x - exponent;
+    Floats p = fma(f, all(1.5403530e-4f), all(1.3333558e-3f));
     p = fma(f, p, all(9.6181291e-3f));
     p = fma(f, p, all(5.5504109e-2f));
     p = fma(f, p, all(2.4022651e-1f));
     p = fma(f, p, all(6.9314718e-1f));
     p = fma(f, p, all(1.0f));
-    return times_power_of_two(p, whole);
+    return times_power_of_two(p, exponent);
+}
+
+// exp(x) for x <= 0; underflow is clamped at exp(-40).
+SEMSPLAT_INLINE Floats exp_negative(Floats x) { return exponential_in_range(maximum(x, all(-40.0f))); }
+
+// exp(x), clamped at exp(-80) and exp(80).
+SEMSPLAT_INLINE Floats exponential(Floats x) {
+    return exponential_in_range(minimum(maximum(x, all(-80.0f)), all(80.0f)));
+}
+
+// Natural logarithm of normal positive numbers, relative error below 1e-6.
+SEMSPLAT_INLINE Floats logarithm(Floats x) {
+    float values[LANES];
+    store(values, x);
+    for (int i = 0; i < LANES; ++i) {  // the compiler vectorises this loop
+        int32_t raw;
+        std::memcpy(&raw, values + i, 4);
+        const int32_t shifted = raw - 0x3f3504f3;  // sqrt(1/2): the mantissa is then near 1
+        const int32_t exponent = shifted >> 23;
+        const int32_t mantissa_bits = raw - (exponent << 23);
+        float m;
+        std::memcpy(&m, &mantissa_bits, 4);
+        const float f = (m - 1.0f) / (m + 1.0f), q = f * f;
+        const float series = f * (2.0f + q * (0.66666667f + q * (0.4f + q * (0.28571430f + q * 0.2222222f))));
+        values[i] = series + (float)exponent * 0.69314718f;
+    }
+    return load(values);
+}
+
+// Applies f to the first `count` values in place; the array's size must be a multiple of LANES.
+template <class F>
+SEMSPLAT_INLINE void for_vectors(float* values, int count, const F& f) {
+    for (int i = 0; i < count; i += LANES) store(values + i, f(load(values + i)));
 }
 
 }  // namespace

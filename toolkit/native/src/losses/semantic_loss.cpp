@@ -12,23 +12,6 @@ namespace {
 
 enum { LANE = 16, CHUNK = 64 };
 
-// Natural logarithm of normal positive numbers, relative error below 1e-6; the compiler vectorises
-// the loop over lanes.
-inline void log_lanes(const float* x, float* out) {
-    for (int i = 0; i < LANE; ++i) {
-        int32_t raw;
-        std::memcpy(&raw, x + i, 4);
-        const int32_t shifted = raw - 0x3f3504f3;  // sqrt(1/2): the mantissa is then near 1
-        const int32_t exponent = shifted >> 23;
-        const int32_t mantissa_bits = raw - (exponent << 23);
-        float m;
-        std::memcpy(&m, &mantissa_bits, 4);
-        const float f = (m - 1.0f) / (m + 1.0f), q = f * f;
-        const float series = f * (2.0f + q * (0.66666667f + q * (0.4f + q * (0.28571430f + q * 0.2222222f))));
-        out[i] = series + (float)exponent * 0.69314718f;
-    }
-}
-
 struct Lanes {
     alignas(64) float inverse[LANE];   // 1 / silhouette, 0 for inactive pixels
     alignas(64) float active[LANE];    // 1 or 0
@@ -39,19 +22,21 @@ struct Lanes {
 // Softmax head of sixteen pixels (H-10): writes its gradient, adds each pixel's loss to `value`.
 void softmax_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float* scratch,
                   float* gradient, float* value) {
-    const F16 inverse = load(lanes.inverse);
-    F16 most = load(features) * inverse;
-    for (int c = 1; c < channels; ++c) most = maximum(most, load(features + c * plane) * inverse);
-    F16 sum = all(0.0f);
-    for (int c = 0; c < channels; ++c) {
-        const F16 e = exp_negative(load(features + c * plane) * inverse - most);
-        store(scratch + LANE * c, e);
-        sum = sum + e;
-    }
     alignas(64) float sums[LANE], logs[LANE], tops[LANE];
-    store(sums, sum);
-    store(tops, most);
-    log_lanes(sums, logs);
+    for (int first = 0; first < LANE; first += LANES) {
+        const Floats inverse = load(lanes.inverse + first);
+        Floats most = load(features + first) * inverse;
+        for (int c = 1; c < channels; ++c) most = maximum(most, load(features + c * plane + first) * inverse);
+        Floats sum = all(0.0f);
+        for (int c = 0; c < channels; ++c) {
+            const Floats e = exp_negative(load(features + c * plane + first) * inverse - most);
+            store(scratch + LANE * c + first, e);
+            sum = sum + e;
+        }
+        store(sums + first, sum);
+        store(tops + first, most);
+    }
+    for (int i = 0; i < LANE; i += LANES) store(logs + i, logarithm(load(sums + i)));
     for (int i = 0; i < LANE; ++i) {
         const float z = features[lanes.target[i] * plane + i] * lanes.inverse[i];
         value[i] += weight * lanes.active[i] * (logs[i] + tops[i] - z);
@@ -73,9 +58,9 @@ void bits_head(const float* features, size_t plane, int channels, float weight, 
     for (int c = 0; c < channels; ++c) {
         alignas(64) float magnitude[LANE], e[LANE], grown[LANE], logs[LANE];
         for (int i = 0; i < LANE; ++i) magnitude[i] = -std::fabs(features[c * plane + i] * lanes.inverse[i]);
-        store(e, exp_negative(load(magnitude)));
+        for (int i = 0; i < LANE; i += LANES) store(e + i, exp_negative(load(magnitude + i)));
         for (int i = 0; i < LANE; ++i) grown[i] = 1.0f + e[i];
-        log_lanes(grown, logs);
+        for (int i = 0; i < LANE; i += LANES) store(logs + i, logarithm(load(grown + i)));
         for (int i = 0; i < LANE; ++i) {
             const float z = features[c * plane + i] * lanes.inverse[i];
             const float bit = (float)((lanes.target[i] >> c) & 1);

@@ -12,6 +12,9 @@
 namespace semsplat {
 namespace {
 
+// Maximum number of feature channels whose sums over a pair's blocks fit into the registers.
+enum { MAX_DIFFERENTIATED = LANES == 16 ? 16 : 8 };
+constexpr bool KEEP_ALPHA = LANES < 16;
 enum { SUMS = 8, POSE_CHUNK = 4096 };
 // Sums of one pair: e = alpha dL/dalpha, its moments, and the base channels' gradients.
 enum { E, E_DX, E_DY, E_SQUARE, GRAD_Z, GRAD_R, GRAD_G, GRAD_B };
@@ -21,29 +24,25 @@ enum class Features { NONE, ALONE, MOVE };
 
 struct BackwardScratch {
     TileEntry entries[BATCH];
-    alignas(64) float T[BLOCKS][16], behind[BLOCKS][16];
-    alignas(64) float d[SILHOUETTE][BLOCKS][16];        // dL/d red, green, blue, depth
-    std::vector<float> d_features;             // [S, BLOCKS, 16]
-    alignas(64) float weight[BLOCKS][16], dot[BLOCKS][16];
+    alignas(64) float T[BLOCKS][BLOCK_PIXELS], behind[BLOCKS][BLOCK_PIXELS];
+    alignas(64) float d[SILHOUETTE][BLOCKS][BLOCK_PIXELS];  // dL/d red, green, blue, depth
+    std::vector<float> d_features;                          // [S, BLOCKS, BLOCK_PIXELS]
+    // Of the current pair, stored by the pass over its features.
+    alignas(64) float alpha[BLOCKS][BLOCK_PIXELS], inverse[BLOCKS][BLOCK_PIXELS], weight[BLOCKS][BLOCK_PIXELS], dot[BLOCKS][BLOCK_PIXELS];
 };
 
-// Alpha of an entry on a block, and the mask where it is differentiable (neither cut nor clamped).
-struct Alpha {
-    F16 value;
-    M16 free;
-};
-SEMSPLAT_INLINE Alpha alpha_of(const TileEntry& e, int block) {
-    const F16 raw = load_columns(columns_of(e, block)) * load_rows(rows_of(e, block));
-    const M16 seen = ge(raw, all(MIN_ALPHA));
-    return {keep(seen, minimum(raw, all(MAX_ALPHA))), both(seen, lt(raw, all(MAX_ALPHA)))};
+// Alpha of an entry at the pixels of one part of a block: zero below MIN_ALPHA, at most MAX_ALPHA.
+SEMSPLAT_INLINE Floats alpha_of(const TileEntry& e, int block, int part) {
+    const Floats raw = gaussian_of(e, block, part);
+    return keep(ge(raw, all(MIN_ALPHA)), minimum(raw, all(MAX_ALPHA)));
 }
 
 void read_channel(const Pinhole& cam, int left, int top, const float* image, float* blocks) {
     for (int block = 0; block < BLOCKS; ++block) {
-        const int x = left + 4 * (block & 3), y0 = top + 4 * (block >> 2);
+        const int x = left + block_column(block), y0 = top + block_row(block);
         const int columns = std::min(4, cam.width - x);
-        for (int row = 0; row < 4; ++row) {
-            float* to = blocks + 16 * block + 4 * row;
+        for (int row = 0; row < BLOCK_ROWS; ++row) {
+            float* to = blocks + BLOCK_PIXELS * block + 4 * row;
             for (int k = 0; k < 4; ++k) {
                 to[k] = k < columns && y0 + row < cam.height
                             ? image[(size_t)(y0 + row) * cam.width + x + k]
@@ -62,7 +61,7 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     const float* T = state.transmittance.data() + (size_t)tile * TILE_PIXELS;
     std::memcpy(scratch.T, T, sizeof scratch.T);
     for (int block = 0; block < BLOCKS; ++block) {
-        for (int p = 0; p < 16; ++p) scratch.behind[block][p] *= -T[16 * block + p];
+        for (int p = 0; p < BLOCK_PIXELS; ++p) scratch.behind[block][p] *= -T[BLOCK_PIXELS * block + p];
     }
     for (int c = 0; c < S; ++c) {
         read_channel(cam, left, top, d_images + (BASE_CHANNELS + c) * plane,
@@ -70,88 +69,112 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     }
 }
 
-// dL/df of N feature channels; if they are propagated to all parameters, adds <f, d> to each block's
+// dL/df of N feature channels over one or more blocks; if they are propagated to all parameters, adds <f, d> to each block's
 // dot product.
 template <int N, bool MOVE>
 SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, const float* f, int first,
                                   float* gradient) {
-    F16 acc[N];
+    const float* values = f + first;
+    const float* const d_first = scratch.d_features.data() + (size_t)first * TILE_PIXELS;
+    Floats acc[N];
     for (int c = 0; c < N; ++c) acc[c] = all(0.0f);
-    for (uint32_t m = blocks; m; m &= m - 1) {
+    uint32_t m = blocks;
+    do {
         const int block = __builtin_ctz(m);
-        const F16 w = load(scratch.weight[block]);
-        F16 dot = MOVE ? load(scratch.dot[block]) : all(0.0f);
-        const float* d = scratch.d_features.data() + ((size_t)first * BLOCKS + block) * 16;
-        for (int c = 0; c < N; ++c) {
-            const F16 dc = load(d + (size_t)c * TILE_PIXELS);
-            if (MOVE) dot = fma(dc, all(f[first + c]), dot);
-            acc[c] = fma(w, dc, acc[c]);
+        // Otherwise GCC keeps the addresses of all values in registers.
+        asm("" : "+r"(values));
+        const float* const d = d_first + (size_t)block * BLOCK_PIXELS;
+        for (int p = 0; p < PARTS; ++p) {
+            const int at = LANES * p;
+            const Floats w = load(scratch.weight[block] + at);
+            // Two sums, since each addition waits for the previous one.
+            Floats even = MOVE ? load(scratch.dot[block] + at) : all(0.0f), odd = all(0.0f);
+            for (int c = 0; c < N; ++c) {
+                const Floats dc = load(d + (size_t)c * TILE_PIXELS + at);
+                if (MOVE && c % 2 == 0) even = fma(dc, all(values[c]), even);
+                if (MOVE && c % 2 == 1) odd = fma(dc, all(values[c]), odd);
+                acc[c] = fma(w, dc, acc[c]);
+            }
+            if (MOVE) store(scratch.dot[block] + at, even + odd);
         }
-        if (MOVE) store(scratch.dot[block], dot);
-    }
-    if (N == 16) {
-        sum16(acc, gradient + first);
-    } else {
-        F16 padded[8];
-        float sums[8];
-        for (int c = 0; c < 8; ++c) padded[c] = c < N ? acc[c < N ? c : 0] : all(0.0f);
-        sum8(padded, sums);
-        for (int c = 0; c < N; ++c) gradient[first + c] = sums[c];
-    }
+    } while (m &= m - 1);
+    sum_lanes(acc, gradient + first);
 }
 
 template <bool MOVE>
 void feature_steps(BackwardScratch& scratch, uint32_t blocks, const float* f, int S, float* gradient) {
-    int c = 0;
-    for (; c + WIDEST <= S; c += WIDEST) feature_step<WIDEST, MOVE>(scratch, blocks, f, c, gradient);
-    if (WIDEST > 8 && c + 8 <= S) feature_step<8, MOVE>(scratch, blocks, f, c, gradient), c += 8;
-    if (WIDEST > 4 && c + 4 <= S) feature_step<4, MOVE>(scratch, blocks, f, c, gradient), c += 4;
-    for (; c < S; ++c) feature_step<1, MOVE>(scratch, blocks, f, c, gradient);
+    for_channel_groups<MAX_DIFFERENTIATED>(S, [&](auto n, int first) {
+        feature_step<decltype(n)::value, MOVE>(scratch, blocks, f, first, gradient);
+    });
 }
 
 // Processes all blocks of one pair: back-to-front state in `scratch`, sums in `out` (SUMS floats).
 template <bool COLOUR, Features FEATURES>
 SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntry& e, uint32_t blocks,
                                         const float* f, int S, float* out, float* d_features) {
-    F16 acc[SUMS];
-    for (F16& a : acc) a = all(0.0f);
+    if (!blocks) {
+        std::fill_n(out, (int)SUMS, 0.0f);
+        if (FEATURES != Features::NONE) std::fill_n(d_features, S, 0.0f);
+        return;
+    }
     if (FEATURES != Features::NONE) {
         for (uint32_t m = blocks; m; m &= m - 1) {
             const int block = __builtin_ctz(m);
-            const Alpha a = alpha_of(e, block);
-            const F16 T = load(scratch.T[block]) * reciprocal(all(1.0f) - a.value);
-            store(scratch.weight[block], a.value * T);
-            if (FEATURES == Features::MOVE) store(scratch.dot[block], all(0.0f));
+            for (int part = 0; part < PARTS; ++part) {
+                const int at = LANES * part;
+                const Floats alpha = alpha_of(e, block, part), inverse = reciprocal(all(1.0f) - alpha);
+                if (KEEP_ALPHA) {
+                    store(scratch.alpha[block] + at, alpha);
+                    store(scratch.inverse[block] + at, inverse);
+                }
+                store(scratch.weight[block] + at, alpha * (load(scratch.T[block] + at) * inverse));
+                if (FEATURES == Features::MOVE) store(scratch.dot[block] + at, all(0.0f));
+            }
         }
         feature_steps<FEATURES == Features::MOVE>(scratch, blocks, f, S, d_features);
     }
+    Floats acc[SUMS];
+    for (Floats& a : acc) a = all(0.0f);
     for (uint32_t m = blocks; m; m &= m - 1) {
         const int block = __builtin_ctz(m);
-        const Alpha a = alpha_of(e, block);
-        const F16 inverse = reciprocal(all(1.0f) - a.value);
-        const F16 T = load(scratch.T[block]) * inverse;
-        const F16 w = a.value * T;
-        const F16 dr = load(scratch.d[0][block]), dg = load(scratch.d[1][block]);
-        const F16 db = load(scratch.d[2][block]), dz = load(scratch.d[3][block]);
-        F16 dot = FEATURES == Features::MOVE ? load(scratch.dot[block]) : all(0.0f);
-        dot = fma(dr, all(e.r), fma(dg, all(e.g), fma(db, all(e.b), fma(dz, all(e.z), dot))));
-        const F16 behind = load(scratch.behind[block]);
-        const F16 grad = keep(a.free, fnma(behind, inverse, T * dot) * a.value);
-        store(scratch.behind[block], fma(w, dot, behind));
-        store(scratch.T[block], T);
-        const F16 dx = load_columns(COUNTING + 4 * (block & 3)) - all(e.u);
-        const F16 dy = load_rows(COUNTING + 4 * (block >> 2)) - all(e.v);
-        const F16 gx = grad * dx, gy = grad * dy;
-        acc[E] = acc[E] + grad;
-        acc[E_DX] = acc[E_DX] + gx;
-        acc[E_DY] = acc[E_DY] + gy;
-        acc[E_SQUARE] = fma(gx, dx, fma(gy, dy, acc[E_SQUARE]));
-        acc[GRAD_Z] = fma(w, dz, acc[GRAD_Z]);
-        if (COLOUR) {
-            acc[GRAD_R] = fma(w, dr, acc[GRAD_R]);
-            acc[GRAD_G] = fma(w, dg, acc[GRAD_G]);
-            acc[GRAD_B] = fma(w, db, acc[GRAD_B]);
+        Floats column_sums = all(0.0f);  // of gradients with the same dx
+        for (int part = 0; part < PARTS; ++part) {
+            const int at = LANES * part;
+            float *const T_at = scratch.T[block] + at, *const behind_at = scratch.behind[block] + at;
+            Floats alpha, inverse;
+            if (!KEEP_ALPHA || FEATURES == Features::NONE) {
+                alpha = alpha_of(e, block, part);
+                inverse = reciprocal(all(1.0f) - alpha);
+            } else {
+                alpha = load(scratch.alpha[block] + at);
+                inverse = load(scratch.inverse[block] + at);
+            }
+            const Floats T = load(T_at) * inverse, w = alpha * T;
+            const Floats dr = load(scratch.d[0][block] + at), dg = load(scratch.d[1][block] + at);
+            const Floats db = load(scratch.d[2][block] + at), dz = load(scratch.d[3][block] + at);
+            Floats dot = FEATURES == Features::MOVE ? load(scratch.dot[block] + at) : all(0.0f);
+            dot = fma(dr, all(e.r), fma(dg, all(e.g), fma(db, all(e.b), fma(dz, all(e.z), dot))));
+            const Floats behind = load(behind_at);
+            // Alpha is differentiable where it is neither cut, where it is zero, nor clamped.
+            const Floats grad = keep(lt(alpha, all(MAX_ALPHA)), fnma(behind, inverse, T * dot) * alpha);
+            store(behind_at, fma(w, dot, behind));
+            store(T_at, T);
+            const Floats dy = load_rows(COUNTING + block_row(block) + LANES / 4 * part) - all(e.v);
+            const Floats gy = grad * dy;
+            column_sums = column_sums + grad;
+            acc[E_DY] = acc[E_DY] + gy;
+            acc[E_SQUARE] = fma(gy, dy, acc[E_SQUARE]);
+            acc[GRAD_Z] = fma(w, dz, acc[GRAD_Z]);
+            if (COLOUR) {
+                acc[GRAD_R] = fma(w, dr, acc[GRAD_R]);
+                acc[GRAD_G] = fma(w, dg, acc[GRAD_G]);
+                acc[GRAD_B] = fma(w, db, acc[GRAD_B]);
+            }
         }
+        const Floats dx = load_columns(COUNTING + block_column(block)) - all(e.u), gx = column_sums * dx;
+        acc[E] = acc[E] + column_sums;
+        acc[E_DX] = acc[E_DX] + gx;
+        acc[E_SQUARE] = fma(gx, dx, acc[E_SQUARE]);
     }
     sum8(acc, out);
 }
@@ -193,7 +216,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
             scratch.entries[j].slot = state.pair_slot[begin + start + j];
         }
         for (int k = end - 1; k >= start; --k) {
-            for (uint32_t m = ~open & 0xffff; m; m &= m - 1) {
+            for (uint32_t m = ~open & ALL_BLOCKS; m; m &= m - 1) {
                 const int block = __builtin_ctz(m);
                 if (k < ends[block]) open |= 1u << block;
             }

@@ -1,10 +1,13 @@
-// Front-to-back compositing (H-19, H-20, G-1), one tile at a time, one 4x4 block at a time.
+// Front-to-back compositing (H-19, H-20, G-1), one tile at a time, one block at a time.
 #include <algorithm>
 
 #include "rendering/tile.hpp"
 
 namespace semsplat {
 namespace {
+
+// Maximum number of feature channels whose sums over a block fit into the registers.
+enum { MAX_COMPOSITED = LANES == 16 ? 16 : LANES == 8 ? 12 : 6 };
 
 struct BlockList {
     int count = 0;
@@ -14,78 +17,90 @@ struct BlockList {
 struct ForwardScratch {
     TileEntry entries[BATCH];
     BlockList lists[BLOCKS];
-    alignas(64) float base[BLOCKS][SILHOUETTE][16];  // red, green, blue, depth of each block
-    alignas(64) float weights[BATCH][16];   // blending weights of one block for its feature channels
-    uint8_t weighted[BATCH];                // entries of these weights
-    std::vector<float> features;            // [BLOCKS, S, 16]
+    alignas(64) float base[BLOCKS][SILHOUETTE][BLOCK_PIXELS];  // red, green, blue, depth of each block
+    alignas(64) float weights[BATCH][BLOCK_PIXELS];            // blending weights of one block's list
+    std::vector<float> features;                               // [BLOCKS, S, BLOCK_PIXELS]
 };
 
-// Composites `N` feature channels of one block.
+// Composites N feature channels, starting with `first`, of the first `count` splats of a block's list.
 template <int N>
-void add_features(const ForwardScratch& scratch, int count, const float* features, int channels,
-                  int first, float* sums) {
-    F16 acc[N];
-    for (int c = 0; c < N; ++c) acc[c] = load(sums + 16 * (first + c));
-    for (int k = 0; k < count; ++k) {
-        const F16 w = load(scratch.weights[k]);
-        const float* f = features + (size_t)scratch.entries[scratch.weighted[k]].id * channels + first;
-        for (int c = 0; c < N; ++c) acc[c] = fma(w, all(f[c]), acc[c]);
+SEMSPLAT_INLINE void add_features(const ForwardScratch& scratch, const BlockList& list, int count,
+                                  const float* features, int channels, int first, float* sums) {
+    Floats acc[N][PARTS];
+    for (int c = 0; c < N; ++c) {
+        for (int p = 0; p < PARTS; ++p) acc[c][p] = load(sums + BLOCK_PIXELS * (first + c) + LANES * p);
     }
-    for (int c = 0; c < N; ++c) store(sums + 16 * (first + c), acc[c]);
+    for (int k = 0; k < count; ++k) {
+        const float* const f = features + (size_t)scratch.entries[list.entry[k]].id * channels + first;
+        Floats w[PARTS];
+        for (int p = 0; p < PARTS; ++p) w[p] = load(scratch.weights[k] + LANES * p);
+        for (int c = 0; c < N; ++c) {
+            for (int p = 0; p < PARTS; ++p) acc[c][p] = fma(w[p], all(f[c]), acc[c][p]);
+        }
+    }
+    for (int c = 0; c < N; ++c) {
+        for (int p = 0; p < PARTS; ++p) store(sums + BLOCK_PIXELS * (first + c) + LANES * p, acc[c][p]);
+    }
 }
 
-void add_all_features(const ForwardScratch& scratch, int count, const Gaussians& map, float* sums) {
+void add_all_features(const ForwardScratch& scratch, const BlockList& list, int count, const Gaussians& map,
+                      float* sums) {
     const int S = map.feature_channels;
-    int c = 0;
-    for (; c + WIDEST <= S; c += WIDEST) add_features<WIDEST>(scratch, count, map.features, S, c, sums);
-    if (WIDEST > 8 && c + 8 <= S) add_features<8>(scratch, count, map.features, S, c, sums), c += 8;
-    if (WIDEST > 4 && c + 4 <= S) add_features<4>(scratch, count, map.features, S, c, sums), c += 4;
-    if (S - c == 3) add_features<3>(scratch, count, map.features, S, c, sums), c += 3;
-    for (; c < S; ++c) add_features<1>(scratch, count, map.features, S, c, sums);
-    if (map.centres) add_features<3>(scratch, count, map.means, 3, 0, sums + 16 * S);
+    for_channel_groups<MAX_COMPOSITED>(S, [&](auto n, int first) {
+        add_features<decltype(n)::value>(scratch, list, count, map.features, S, first, sums);
+    });
+    if (map.centres) add_features<3>(scratch, list, count, map.means, 3, 0, sums + BLOCK_PIXELS * S);
 }
 
 // Composites one batch into one block. Returns the number of entries used; it is smaller than the
 // length of the list if the block became opaque.
 template <bool FEATURES>
-int composite_block(ForwardScratch& scratch, int block, float* transmittance, int* weighted) {
+int composite_block(ForwardScratch& scratch, int block, float* transmittance) {
     const BlockList& list = scratch.lists[block];
-    F16 T = load(transmittance);
-    float* const base = &scratch.base[block][0][0];
-    F16 r = load(base), g = load(base + 16), b = load(base + 32), z = load(base + 48);
-    const F16 cut = all(MIN_ALPHA), most = all(MAX_ALPHA), dark = all(MIN_TRANSMITTANCE);
-    int n = 0, kept = 0;
-    while (n < list.count) {
-        const int index = list.entry[n++];
-        const TileEntry& e = scratch.entries[index];
-        const F16 raw = load_columns(columns_of(e, block)) * load_rows(rows_of(e, block));
-        const F16 alpha = keep(ge(raw, cut), minimum(raw, most));
-        const F16 w = alpha * T;
-        T = fnma(alpha, T, T);  // a single rounding; T - w is inaccurate for alpha near 1
-        r = fma(w, all(e.r), r);
-        g = fma(w, all(e.g), g);
-        b = fma(w, all(e.b), b);
-        z = fma(w, all(e.z), z);
-        if (FEATURES) {
-            store(scratch.weights[kept], w);
-            scratch.weighted[kept++] = (uint8_t)index;
-        }
-        if (!bits(ge(T, dark))) break;
+    float(*const base)[BLOCK_PIXELS] = scratch.base[block];
+    Floats T[PARTS], sums[SILHOUETTE][PARTS];
+    for (int p = 0; p < PARTS; ++p) {
+        T[p] = load(transmittance + LANES * p);
+        for (int c = 0; c < SILHOUETTE; ++c) sums[c][p] = load(base[c] + LANES * p);
     }
-    store(transmittance, T);
-    store(base, r);
-    store(base + 16, g);
-    store(base + 32, b);
-    store(base + 48, z);
-    *weighted = kept;
+    const Floats cut = all(MIN_ALPHA), most = all(MAX_ALPHA), dark = all(MIN_TRANSMITTANCE);
+    int n = 0;
+    while (n < list.count) {
+        const TileEntry& e = scratch.entries[list.entry[n]];
+        uint32_t bright = 0;
+        for (int p = 0; p < PARTS; ++p) {
+            const Floats raw = gaussian_of(e, block, p);
+            const Floats alpha = keep(ge(raw, cut), minimum(raw, most));
+            const Floats w = alpha * T[p];
+            T[p] = fnma(alpha, T[p], T[p]);  // a single rounding; T - w is inaccurate for alpha near 1
+            sums[0][p] = fma(w, all(e.r), sums[0][p]);
+            sums[1][p] = fma(w, all(e.g), sums[1][p]);
+            sums[2][p] = fma(w, all(e.b), sums[2][p]);
+            sums[3][p] = fma(w, all(e.z), sums[3][p]);
+            if (FEATURES) store(scratch.weights[n] + LANES * p, w);
+            bright |= bits(ge(T[p], dark));
+        }
+        ++n;
+        if (!bright) break;
+    }
+    for (int p = 0; p < PARTS; ++p) {
+        store(transmittance + LANES * p, T[p]);
+        for (int c = 0; c < SILHOUETTE; ++c) store(base[c] + LANES * p, sums[c][p]);
+    }
     return n;
+}
+
+bool is_dark(const float* transmittance) {
+    uint32_t bright = 0;
+    for (int p = 0; p < PARTS; ++p) bright |= bits(ge(load(transmittance + LANES * p), all(MIN_TRANSMITTANCE)));
+    return !bright;
 }
 
 void start_transmittance(const Pinhole& cam, int left, int top, float* transmittance) {
     for (int block = 0; block < BLOCKS; ++block) {
-        for (int p = 0; p < 16; ++p) {
-            const int x = left + 4 * (block & 3) + (p & 3), y = top + 4 * (block >> 2) + (p >> 2);
-            transmittance[16 * block + p] = x < cam.width && y < cam.height ? 1.0f : 0.0f;
+        for (int p = 0; p < BLOCK_PIXELS; ++p) {
+            const int x = left + block_column(block) + (p & 3), y = top + block_row(block) + (p >> 2);
+            transmittance[BLOCK_PIXELS * block + p] = x < cam.width && y < cam.height ? 1.0f : 0.0f;
         }
     }
 }
@@ -94,9 +109,9 @@ void start_transmittance(const Pinhole& cam, int left, int top, float* transmitt
 void write_channel(const Pinhole& cam, int left, int top, const float* blocks, size_t stride,
                    float* image) {
     for (int block = 0; block < BLOCKS; ++block) {
-        const int x = left + 4 * (block & 3), y0 = top + 4 * (block >> 2);
+        const int x = left + block_column(block), y0 = top + block_row(block);
         const int columns = std::min(4, cam.width - x);
-        for (int row = 0; row < 4 && y0 + row < cam.height && columns > 0; ++row) {
+        for (int row = 0; row < BLOCK_ROWS && y0 + row < cam.height && columns > 0; ++row) {
             std::copy_n(blocks + stride * block + 4 * row, columns,
                         image + (size_t)(y0 + row) * cam.width + x);
         }
@@ -108,14 +123,14 @@ void write_tile(const Rasterisation& state, const ForwardScratch& scratch, int t
     const size_t plane = (size_t)cam.width * cam.height;
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
     for (int c = 0; c < SILHOUETTE; ++c) {
-        write_channel(cam, left, top, scratch.base[0][c], 64, images + c * plane);
+        write_channel(cam, left, top, scratch.base[0][c], (size_t)SILHOUETTE * BLOCK_PIXELS, images + c * plane);
     }
     alignas(64) float silhouette[TILE_PIXELS];
     const float* T = state.transmittance.data() + (size_t)tile * TILE_PIXELS;
     for (int p = 0; p < TILE_PIXELS; ++p) silhouette[p] = 1.0f - T[p];
-    write_channel(cam, left, top, silhouette, 16, images + SILHOUETTE * plane);
+    write_channel(cam, left, top, silhouette, (size_t)BLOCK_PIXELS, images + SILHOUETTE * plane);
     for (int c = 0; c < S; ++c) {
-        write_channel(cam, left, top, scratch.features.data() + 16 * c, (size_t)16 * S,
+        write_channel(cam, left, top, scratch.features.data() + BLOCK_PIXELS * c, (size_t)BLOCK_PIXELS * S,
                       images + (BASE_CHANNELS + c) * plane);
     }
 }
@@ -127,10 +142,10 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
     float* const T = state.transmittance.data() + (size_t)tile * TILE_PIXELS;
     int32_t* const ends = state.block_end.data() + (size_t)tile * BLOCKS;
     start_transmittance(state.camera, left, top, T);
-    std::fill_n(&scratch.base[0][0][0], BLOCKS * 64, 0.0f);
+    std::fill_n(&scratch.base[0][0][0], TILE_PIXELS * SILHOUETTE, 0.0f);
     if (FEATURES) std::fill(scratch.features.begin(), scratch.features.end(), 0.0f);
     std::fill_n(ends, (int)BLOCKS, 0);
-    uint32_t alive = 0xffff;
+    uint32_t alive = ALL_BLOCKS;
     for (int start = 0; start < count && alive; start += BATCH) {
         const int n = std::min((int)BATCH, count - start);
         for (BlockList& list : scratch.lists) list.count = 0;
@@ -147,14 +162,13 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
             const int block = __builtin_ctz(m);
             const BlockList& list = scratch.lists[block];
             if (!list.count) continue;
-            int weighted;
-            const int used = composite_block<FEATURES>(scratch, block, T + 16 * block, &weighted);
+            const int used = composite_block<FEATURES>(scratch, block, T + BLOCK_PIXELS * block);
             ends[block] = start + list.entry[used - 1] + 1;
             if (FEATURES) {
-                add_all_features(scratch, weighted, map,
-                                 scratch.features.data() + (size_t)block * map.extra_channels() * 16);
+                add_all_features(scratch, list, used, map,
+                                 scratch.features.data() + (size_t)block * map.extra_channels() * BLOCK_PIXELS);
             }
-            if (!bits(ge(load(T + 16 * block), all(MIN_TRANSMITTANCE)))) alive &= ~(1u << block);
+            if (is_dark(T + BLOCK_PIXELS * block)) alive &= ~(1u << block);
         }
     }
 }

@@ -11,8 +11,7 @@
 
 namespace semsplat {
 
-enum { BLOCK = 4, BLOCKS = 16, TILE_PIXELS = TILE * TILE };
-static_assert(TILE * TILE == BLOCKS * BLOCK * BLOCK, "a tile consists of 16 blocks of 4x4 pixels");
+enum { TILE_PIXELS = TILE * TILE };
 
 // Uninitialised storage; std::vector would initialise the memory.
 template <class T>
@@ -73,8 +72,8 @@ struct Rasterisation {
     Buffer<int32_t> tile_begin;        // [tiles + 1] into the pairs
     Buffer<int32_t> pair_splat;        // by tile, front to back
     Buffer<int32_t> pair_slot;         // gradient slot of the pair, or -1 for the row of the splat
-    Buffer<int32_t> block_end;         // [tiles, 16] number of the tile's pairs each block used
-    Buffer<float> transmittance;       // [tiles, 256] final transmittance, in blocks of 4x4 pixels
+    Buffer<int32_t> block_end;         // [tiles, BLOCKS] number of the tile's pairs each block used
+    Buffer<float> transmittance;       // [tiles, 256] final transmittance, in blocks (tile.hpp)
     int64_t slots = 0;
     int tiles() const { return tiles_x * tiles_y; }
 };

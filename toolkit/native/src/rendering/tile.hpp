@@ -1,8 +1,11 @@
 // Shared by the forward and backward pass: a batch of a tile's splats.
 //
-// A tile of 16x16 pixels has 16 blocks of 4x4 pixels; a block is one F16. The Gaussian is separable,
-// exp(k dx^2) exp(k dy^2): two vector exponentials give all columns and all rows of a tile.
+// A tile of 16x16 pixels consists of blocks of 4x4 or 4x2 pixels. The Gaussian is separable,
+// exp(k dx^2) exp(k dy^2), so 32 exponentials suffice for all pixels of a tile.
 #pragma once
+
+#include <algorithm>
+#include <type_traits>
 
 #include "common/simd.hpp"
 #include "rendering/splats.hpp"
@@ -11,6 +14,15 @@ namespace semsplat {
 namespace {
 
 enum { BATCH = 128 };
+// A block is one vector of 16 or 8 lanes, or two of 4. Small blocks fit small Gaussians better, but
+// every block has a constant cost.
+enum {
+    PARTS = LANES >= 8 ? 1 : 2,
+    BLOCK_PIXELS = PARTS * LANES,
+    BLOCK_ROWS = BLOCK_PIXELS / 4,
+    BLOCKS = TILE_PIXELS / BLOCK_PIXELS,
+};
+constexpr uint32_t ALL_BLOCKS = 0xffffffffu >> (32 - BLOCKS);
 
 struct alignas(64) TileEntry {
     float columns[16];  // exp(k dx^2) of the tile's 16 columns
@@ -24,16 +36,34 @@ struct alignas(64) TileEntry {
 static_assert(sizeof(TileEntry) == 192, "three cache lines");
 
 alignas(64) constexpr float COUNTING[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-// First column and first row of each block.
-alignas(64) constexpr float BLOCK_X[16] = {0, 4, 8, 12, 0, 4, 8, 12, 0, 4, 8, 12, 0, 4, 8, 12};
-alignas(64) constexpr float BLOCK_Y[16] = {0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12};
+SEMSPLAT_INLINE int block_column(int block) { return 4 * (block & 3); }
+SEMSPLAT_INLINE int block_row(int block) { return BLOCK_ROWS * (block >> 2); }
+
+// Distance of zero from the intervals [begin, begin + length].
+SEMSPLAT_INLINE Floats outside(Floats begin, float length) {
+    const Floats zero = all(0.0f);
+    return maximum(maximum(begin, zero - (begin + all(length))), zero);
+}
 
 SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e) {
     const float u = s.u - left, v = s.v - top;
-    const F16 dx = load(COUNTING) - all(u), dy = load(COUNTING) - all(v);
-    const F16 k = all(s.exponent);
-    store(e.columns, exp_negative(k * dx * dx));
-    store(e.rows, all(s.opacity) * exp_negative(k * dy * dy));
+    const Floats k = all(s.exponent), opacity = all(s.opacity), support = all(s.support_squared);
+    for (int first = 0; first < TILE; first += LANES) {
+        const Floats dx = load(COUNTING + first) - all(u), dy = load(COUNTING + first) - all(v);
+        store(e.columns + first, exp_negative(k * dx * dx));
+        store(e.rows + first, opacity * exp_negative(k * dy * dy));
+    }
+    // Squared distance from the centre to the nearest pixel of each block.
+    alignas(64) constexpr float COLUMN[4] = {0, 4, 8, 12};
+    alignas(64) constexpr float ROW[8] = {0, BLOCK_ROWS, 2 * BLOCK_ROWS, 3 * BLOCK_ROWS,
+                                          4 * BLOCK_ROWS, 5 * BLOCK_ROWS, 6 * BLOCK_ROWS, 7 * BLOCK_ROWS};
+    const Floats x = outside(load_columns(COLUMN) - all(u), 3.0f);
+    uint32_t blocks = 0;
+    for (int first = 0; first < BLOCKS; first += LANES) {
+        const Floats y = outside(load_rows(ROW + first / 4) - all(v), BLOCK_ROWS - 1);
+        blocks |= bits(ge(support, fma(x, x, y * y))) << first;
+    }
+    e.blocks = blocks;
     e.r = s.r;
     e.g = s.g;
     e.b = s.b;
@@ -41,27 +71,36 @@ SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e
     e.u = u;
     e.v = v;
     e.id = s.id;
-    // Distance from the centre to the nearest pixel of each block.
-    const F16 bx = load(BLOCK_X) - all(u), by = load(BLOCK_Y) - all(v);
-    const F16 zero = all(0.0f), three = all(3.0f);
-    const F16 x = maximum(maximum(bx, zero - (bx + three)), zero);
-    const F16 y = maximum(maximum(by, zero - (by + three)), zero);
-    e.blocks = bits(ge(all(s.support_squared), fma(x, x, y * y)));
 }
 
-SEMSPLAT_INLINE const float* columns_of(const TileEntry& e, int block) {
-    return e.columns + 4 * (block & 3);
-}
-SEMSPLAT_INLINE const float* rows_of(const TileEntry& e, int block) {
-    return e.rows + 4 * (block >> 2);
+// Opacity times Gaussian of an entry at the pixels of one part of a block.
+SEMSPLAT_INLINE Floats gaussian_of(const TileEntry& e, int block, int part) {
+    return load_columns(e.columns + block_column(block)) *
+           load_rows(e.rows + block_row(block) + LANES / 4 * part);
 }
 
-// Maximum number of feature channels that a loop keeps in registers.
-#if defined(__AVX512F__)
-enum { WIDEST = 16 };
-#else
-enum { WIDEST = 4 };
-#endif
+// Calls f(N, first) for consecutive groups of N <= MAX channels, where N is an integral constant and
+// `first` the group's first channel.
+template <int MAX, class F>
+SEMSPLAT_INLINE void for_channel_groups(int channels, const F& f) {
+    int first = 0;
+    for (; first + MAX <= channels; first += MAX) f(std::integral_constant<int, MAX>(), first);
+    if (MAX > 8 && first + 8 <= channels) {
+        f(std::integral_constant<int, 8>(), first);
+        first += 8;
+    }
+    constexpr int LARGEST = MAX < 8 ? MAX - 1 : 7;
+    switch (channels - first) {
+        case 1: f(std::integral_constant<int, 1>(), first); break;
+        case 2: f(std::integral_constant<int, std::min(2, LARGEST)>(), first); break;
+        case 3: f(std::integral_constant<int, std::min(3, LARGEST)>(), first); break;
+        case 4: f(std::integral_constant<int, std::min(4, LARGEST)>(), first); break;
+        case 5: f(std::integral_constant<int, std::min(5, LARGEST)>(), first); break;
+        case 6: f(std::integral_constant<int, std::min(6, LARGEST)>(), first); break;
+        case 7: f(std::integral_constant<int, std::min(7, LARGEST)>(), first); break;
+        default: break;
+    }
+}
 
 }  // namespace
 }  // namespace semsplat

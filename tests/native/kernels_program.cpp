@@ -1,0 +1,244 @@
+// Runs every native kernel on small generated inputs and prints the results.
+//
+// It needs no Python, so that kernels can be run on other architectures under emulation. Each line
+// is the name of an output, then values: its sum, its sum of squares, and eight samples of it.
+#include <cmath>
+#include <cstdio>
+#include <vector>
+
+#include "alignment/normal_equations.hpp"
+#include "common/constants.hpp"
+#include "depth_filter/depth_filter.hpp"
+#include "losses/rgbd_loss.hpp"
+#include "losses/semantic_loss.hpp"
+#include "losses/ssim.hpp"
+#include "optimisation/adam.hpp"
+#include "rendering/splats.hpp"
+#include "rendering/surface.hpp"
+
+using namespace semsplat;
+
+namespace {
+
+// A linear congruential generator: the same numbers everywhere.
+struct Random {
+    uint32_t state = 1;
+    float operator()(float low, float high) {
+        state = 1664525u * state + 1013904223u;
+        return low + (high - low) * (float)(state >> 8) / 16777216.0f;
+    }
+};
+
+template <class T>
+void print(const char* name, const T* values, size_t count) {
+    double sum = 0, squares = 0;
+    for (size_t i = 0; i < count; ++i) {
+        sum += values[i];
+        squares += (double)values[i] * values[i];
+    }
+    std::printf("%s %.9g %.9g", name, sum, squares);
+    for (size_t k = 0; k < 8; ++k) std::printf(" %.9g", (double)values[k * (count - 1) / 7]);
+    std::printf("\n");
+}
+
+template <class T>
+void print(const char* name, const std::vector<T>& values) {
+    print(name, values.data(), values.size());
+}
+
+enum { WIDTH = 53, HEIGHT = 38, PIXELS = WIDTH * HEIGHT, COUNT = 900 };
+const Pinhole CAMERA{48.0f, 47.0f, 26.0f, 19.5f, WIDTH, HEIGHT};
+const double POSE[12] = {1, 0, 0, 0.02, 0, 1, 0, -0.01, 0, 0, 1, 0.03};
+
+struct Scene {
+    std::vector<float> means, log_radii, logits, colours, features;
+    Scene(int channels) {
+        Random random;
+        for (int i = 0; i < COUNT; ++i) {
+            const float z = random(1.0f, 3.0f);
+            means.push_back(random(-0.6f, 0.6f) * z);
+            means.push_back(random(-0.45f, 0.45f) * z);
+            means.push_back(z);
+            log_radii.push_back(std::log(random(0.5f, 4.0f) * z / 48.0f));
+            logits.push_back(random(-4.0f, 6.0f));
+            for (int c = 0; c < 3; ++c) colours.push_back(random(0.0f, 1.0f));
+            for (int c = 0; c < channels; ++c) features.push_back(random(-1.0f, 1.0f));
+        }
+    }
+    Gaussians gaussians(int channels, bool centres) const {
+        return {COUNT,          means.data(),    log_radii.data(), logits.data(),
+                colours.data(), features.data(), channels,         centres};
+    }
+};
+
+void start(Rasterisation& state, const Gaussians& map) {
+    state.camera = CAMERA;
+    state.tiles_x = (WIDTH + TILE - 1) / TILE;
+    state.tiles_y = (HEIGHT + TILE - 1) / TILE;
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) state.R[3 * i + j] = (float)POSE[4 * i + j];
+        state.t[i] = (float)POSE[4 * i + 3];
+    }
+    project(map, state);
+    bin(nullptr, state);
+}
+
+void rendering(int channels) {
+    const Scene scene(channels);
+    const Gaussians map = scene.gaussians(channels, false);
+    Rasterisation state;
+    start(state, map);
+    std::vector<float> images((size_t)(BASE_CHANNELS + channels) * PIXELS);
+    composite(map, nullptr, state, images.data());
+    std::printf("channels-%d-", channels);
+    print("images", images);
+
+    Random random;
+    std::vector<float> gradients(images.size());
+    for (float& g : gradients) g = random(-1.0f, 1.0f);
+    const size_t visible = state.splats.size();
+    for (const bool detached : {false, true}) {
+        std::vector<float> means(3 * visible), radii(visible), logits(visible), colours(3 * visible),
+            features(visible * channels);
+        std::vector<double> pose(12);
+        differentiate(map, nullptr, state, gradients.data(), detached,
+                      {means.data(), radii.data(), logits.data(), colours.data(), features.data(), pose.data()});
+        const char* const mode = detached ? "detached" : "joint";
+        std::printf("channels-%d-%s-", channels, mode);
+        print("means", means);
+        std::printf("channels-%d-%s-", channels, mode);
+        print("radii", radii);
+        std::printf("channels-%d-%s-", channels, mode);
+        print("opacities", logits);
+        std::printf("channels-%d-%s-", channels, mode);
+        print("colours", colours);
+        std::printf("channels-%d-%s-", channels, mode);
+        print("pose", pose);
+        if (channels) {
+            std::printf("channels-%d-%s-", channels, mode);
+            print("features", features);
+        }
+    }
+}
+
+void surfaces_and_losses() {
+    const int channels = 11;
+    const Scene scene(channels);
+    const Gaussians map = scene.gaussians(channels, true);
+    Rasterisation state;
+    start(state, map);
+    std::vector<float> images((size_t)(BASE_CHANNELS + channels + 3) * PIXELS);
+    composite(map, nullptr, state, images.data());
+    const float* const centres = images.data() + (size_t)(BASE_CHANNELS + channels) * PIXELS;
+    std::vector<float> depth(PIXELS), intensity(PIXELS), moved((size_t)3 * PIXELS), rgb((size_t)3 * PIXELS);
+    Random random;
+    for (float& value : rgb) value = random(0.0f, 1.0f);
+    surface_depth(CAMERA, POSE, images.data(), centres, 0.5f, depth.data());
+    print("surface-depth", depth);
+    centred_intensity(CAMERA, POSE, images.data(), centres, 0.5f, intensity.data());
+    print("centred-intensity", intensity);
+    texture_at_centres(CAMERA, POSE, images.data(), centres, 0.5f, rgb.data(), moved.data());
+    print("texture-at-centres", moved);
+
+    std::vector<float> measured(depth), gradient((size_t)BASE_CHANNELS * PIXELS);
+    for (float& z : measured) z *= random(0.95f, 1.05f);
+    const RgbdLoss weights{0.6f, 1.0f, 0.1f, 0.2f, 0.1f, 0.01f, 0.5f};
+    double value = rgbd_loss(images.data(), rgb.data(), measured.data(), depth.data(), HEIGHT, WIDTH, weights,
+                             gradient.data());
+    print("rgbd-loss", &value, 1);
+    print("rgbd-gradient", gradient);
+
+    const int32_t first[] = {0, 3, 7}, width[] = {3, 4, 4};
+    const float head_weights[] = {1.0f, 0.7f, 0.4f};
+    const int32_t targets[] = {0, 1, 2, 1, 3, 0, 2, 0, 3, 1, 2, 1};
+    std::vector<int32_t> labels(PIXELS);
+    for (int i = 0; i < PIXELS; ++i) labels[(size_t)i] = (i / 7) % 5;
+    for (const bool bits : {false, true}) {
+        const SemanticHeads heads{3, first, width, head_weights, targets, bits};
+        std::vector<float> by_features((size_t)channels * PIXELS), by_silhouette(PIXELS, 0.0f);
+        value = semantic_loss(images.data() + (size_t)BASE_CHANNELS * PIXELS, images.data() + (size_t)SILHOUETTE * PIXELS,
+                              labels.data(), HEIGHT, WIDTH, heads, 0.5f, by_features.data(), by_silhouette.data());
+        std::printf("semantic-%s-", bits ? "bits" : "one-hot");
+        print("loss", &value, 1);
+        std::printf("semantic-%s-", bits ? "bits" : "one-hot");
+        print("features", by_features);
+        std::printf("semantic-%s-", bits ? "bits" : "one-hot");
+        print("silhouette", by_silhouette);
+    }
+}
+
+// A tilted plane with a pattern and a step.
+void fill_view(std::vector<float>& intensity, std::vector<float>& depth, float shift) {
+    for (int y = 0; y < HEIGHT; ++y) {
+        for (int x = 0; x < WIDTH; ++x) {
+            const size_t i = (size_t)y * WIDTH + x;
+            intensity[i] = 0.5f + 0.2f * std::sin(0.35f * (x + shift)) + 0.2f * std::cos(0.3f * y);
+            depth[i] = x > 38 ? 2.6f : 1.5f + 0.01f * (x + shift) + 0.005f * y;
+        }
+    }
+}
+
+void alignment() {
+    std::vector<float> intensity(PIXELS), depth(PIXELS), texture((size_t)4 * PIXELS), surface((size_t)4 * PIXELS);
+    fill_view(intensity, depth, 0.0f);
+    build_model_level(CAMERA, intensity.data(), depth.data(), texture.data(), surface.data());
+    print("level-texture", texture);
+    print("level-surface", surface);
+    fill_view(intensity, depth, 0.3f);
+    for (size_t i = 0; i < depth.size(); i += 17) depth[i] = 0.0f;
+    AlignmentSettings settings{{}, 1.05, -0.02, 0.05, 0.01, 0.2, 0.5};
+    for (int k = 0; k < 12; ++k) settings.T_model_frame[k] = POSE[k];
+    NormalEquations found;
+    accumulate({CAMERA, texture.data(), surface.data()}, {CAMERA, intensity.data(), depth.data()}, settings, found);
+    print("normal-equations-H", found.H, NORMAL_SIZE);
+    print("normal-equations-g", found.g, PARAMETERS);
+    const double counts[] = {found.intensity_pixels, found.depth_pixels, found.intensity_squares,
+                             found.depth_squares, found.frame_pixels};
+    print("normal-equations-sums", counts, 5);
+    std::vector<float> half_intensity(PIXELS / 4), half_depth(PIXELS / 4);
+    halve(WIDTH, HEIGHT, intensity.data(), depth.data(), 0.05f, half_intensity.data(), half_depth.data());
+    const size_t half = (size_t)(WIDTH / 2) * (HEIGHT / 2);
+    print("half-intensity", half_intensity.data(), half);
+    print("half-depth", half_depth.data(), half);
+}
+
+void depth_filter() {
+    Random random;
+    std::vector<float> inverse(PIXELS), smooth(PIXELS);
+    for (int i = 0; i < PIXELS; ++i) {
+        const bool missing = random(0.0f, 1.0f) < 0.05f;
+        inverse[(size_t)i] = missing ? 0.0f : 1.0f / (1.5f + 0.01f * (i % WIDTH)) + random(-0.002f, 0.002f);
+    }
+    const int radii[] = {7, 4, 2};
+    smooth_inverse_depth(inverse.data(), WIDTH, HEIGHT, {radii, 3, 0.0015, 3.0, 0.5, 3, 0.01}, smooth.data());
+    print("smooth-inverse-depth", smooth);
+}
+
+void adam() {
+    Random random;
+    enum { ROWS = 300, WIDE = 3 };
+    std::vector<float> parameter(ROWS * WIDE), first(ROWS * WIDE), second(ROWS * WIDE), gradient(ROWS / 2 * WIDE),
+        log_unit(ROWS);
+    std::vector<int64_t> ids;
+    std::vector<int32_t> steps(ROWS);
+    for (int i = 0; i < ROWS; i += 2) ids.push_back(i);
+    for (float& value : parameter) value = random(-1.0f, 1.0f);
+    for (float& value : log_unit) value = random(-4.0f, -2.0f);
+    const AdamGroup group{parameter.data(), first.data(), second.data(), gradient.data(), WIDE, 0.01f, log_unit.data()};
+    for (int step = 0; step < 5; ++step) {
+        for (float& value : gradient) value = random(-1.0f, 1.0f);
+        adam_step(ids.data(), (int64_t)ids.size(), steps.data(), &group, 1, {0.9f, 0.99f, 1e-8f, 50.0f});
+    }
+    print("adam", parameter);
+}
+
+}  // namespace
+
+int main() {
+    for (const int channels : {0, 1, 3, 6, 9, 20, 35}) rendering(channels);
+    surfaces_and_losses();
+    alignment();
+    depth_filter();
+    adam();
+    return 0;
+}
