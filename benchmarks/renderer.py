@@ -1,10 +1,11 @@
 """Times the native renderer.
 
-    python -m benchmarks.renderer [--repeats 9] [--rival RAS_SO] [--quick]
+    python -m benchmarks.renderer [--repeats 9] [--rival RAS_CPP] [--quick]
 
---rival takes a compiled rasteriser with the C functions `bin`, `fwd` and `bwd` (widths 4, 7, 24 and
-32) and adds a table of its times beside ours. SEMSPLAT_ISA forces an instruction set. --quick
-leaves out the larger scenes and the growth tables: a check that the program works.
+All instruction sets that this CPU supports are measured in turn, or only that of SEMSPLAT_ISA.
+--rival takes the C++ source of a rasteriser with the functions `bin`, `fwd` and `bwd` (widths 4, 7,
+24 and 32), compiles it for each instruction set, and adds a table of its times and ours. --quick
+omits the larger scenes and the growth tables: a check that the program works.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ from __future__ import annotations
 import argparse
 import ctypes
 import math
+import os
 import statistics
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +31,9 @@ from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.native import require_kernels
+from toolkit.losses.options import RgbdLossWeights
+from toolkit.native import ISA_VARIABLE, available_instruction_sets, load_variant
+from toolkit.native.tensors import address
 from toolkit.rendering.backend import ForwardPass
 from toolkit.rendering.native import NativeBackend
 
@@ -41,8 +47,12 @@ Forward is one call that projects, sorts, bins and composites; backward returns 
 parameters and of the pose. A width of C channels is 3 colour, 1 depth and C - 4 features; the
 silhouette is included. All cases of a row take turns within each repetition. Scene: one Gaussian
 per pixel and layer around a wavy surface at 2 m, standard deviation 0.7-1.5 px, opacity 0.3-0.95.
-An exponent of 1 is linear growth. A rival's forward pass is argsort, binning and compositing; its
-ratio is its time divided by ours."""
+An exponent of 1 is linear growth. The mapping loss consists of colour, SSIM and depth; its time
+includes the gradient. The other rasteriser is compiled with -O3 -ffast-math for the same
+instruction set. Its forward pass is argsort, binning and compositing; its ratio is its time divided
+by ours."""
+# Compiler targets of a rival for the instruction sets of ours.
+TARGETS = {"base": "x86-64", "avx2": "haswell", "avx512": "native"}
 Array = NDArray[np.float32]
 Step = Callable[[], None]
 
@@ -105,8 +115,9 @@ def make_scene(width: int, height: int, layers: int, seed: int = 0) -> PixelScen
 class Ours:
     """The native backend on one cloud and camera."""
 
-    def __init__(self, cloud: GaussianCloud, camera: Camera):
-        self._backend, self._cloud, self._camera = NativeBackend(), cloud, camera
+    def __init__(self, cloud: GaussianCloud, camera: Camera, instruction_set: str):
+        self._backend = NativeBackend(load_variant(instruction_set))
+        self._cloud, self._camera = cloud, camera
         self._drawn: ForwardPass | None = None
         self._gradients = torch.empty(0)
 
@@ -204,13 +215,25 @@ def interleaved_medians_ms(steps: dict[str, tuple[int, Step]], repeats: int) -> 
     return {name: statistics.median(values) for name, values in times.items()}
 
 
-def measure(ours: Ours, repeats: int, threads: tuple[int, ...] = (THREADS,)) -> dict[str, float]:
-    """Medians named "forward 1", "backward 1", ... by the number of threads."""
+def measure(
+    contestants: dict[str, Ours], repeats: int, threads: tuple[int, ...] = (THREADS,)
+) -> dict[tuple[str, str, int], float]:
+    """Median times by instruction set, step ("forward" or "backward") and number of threads."""
     steps: dict[str, tuple[int, Step]] = {}
-    for count in threads:
-        steps[f"forward {count}"] = (count, ours.forward)
-        steps[f"backward {count}"] = (count, ours.backward)
-    return interleaved_medians_ms(steps, repeats)
+    keys = {}
+    for name, ours in contestants.items():
+        for count in threads:
+            for step, call in (("forward", ours.forward), ("backward", ours.backward)):
+                steps[f"{name} {step} {count}"] = (count, call)
+                keys[f"{name} {step} {count}"] = (name, step, count)
+    ms = interleaved_medians_ms(steps, repeats)
+    return {key: ms[name] for name, key in keys.items()}
+
+
+def instruction_sets() -> list[str]:
+    """The instruction sets to measure, the best one last."""
+    forced = os.environ.get(ISA_VARIABLE)
+    return [forced] if forced else available_instruction_sets()
 
 
 def row(*cells: object) -> tuple[str, ...]:
@@ -219,18 +242,41 @@ def row(*cells: object) -> tuple[str, ...]:
 
 
 def width_table(scenes: tuple[tuple[int, int, int], ...], repeats: int) -> Table:
-    """Every width on every scene, and what a second thread gains."""
-    columns = ("Gaussians", "image", "channels", "forward ms", "backward ms")
+    """Every width on every scene and instruction set, and the gain of a second thread."""
+    columns = ("Gaussians", "image", "channels", "instruction set", "forward ms", "backward ms")
     gains = (f"gain of {THREADS} threads, forward", "gain, backward")
     rows = []
     for width, height, layers in scenes:
         scene = make_scene(width, height, layers)
         for channels in CHANNELS:
-            ms = measure(Ours(scene.cloud(channels), scene.camera), repeats, (1, THREADS))
-            forward, backward = ms[f"forward {THREADS}"], ms[f"backward {THREADS}"]
-            cells = (len(scene), f"{width}x{height}", channels, forward, backward)
-            rows.append(row(*cells, ms["forward 1"] / forward, ms["backward 1"] / backward))
+            cloud = scene.cloud(channels)
+            ours = {name: Ours(cloud, scene.camera, name) for name in instruction_sets()}
+            ms = measure(ours, repeats, (1, THREADS))
+            for name in ours:
+                times = [ms[name, step, THREADS] for step in ("forward", "backward")]
+                single = [ms[name, step, 1] for step in ("forward", "backward")]
+                cells = (len(scene), f"{width}x{height}", channels, name, *times)
+                rows.append(row(*cells, single[0] / times[0], single[1] / times[1]))
     return Table((*columns, *gains), tuple(rows))
+
+
+def loss_table(repeats: int) -> Table:
+    """The mapping loss with its gradient on every instruction set."""
+    height, width = 240, 320
+    generator = torch.Generator().manual_seed(0)
+    images, rgb, depth = (torch.rand(c, height, width, generator=generator) for c in (5, 3, 1))
+    gradient = torch.empty_like(images)
+    addresses = [address(t) for t in (images, rgb, depth, depth.clone())]
+
+    def loss(name: str) -> Step:
+        module, weights = load_variant(name), astuple(RgbdLossWeights())
+        return lambda: module.rgbd_loss((width, height), addresses, weights, address(gradient))
+
+    steps = {name: (THREADS, loss(name)) for name in instruction_sets()}
+    ms = interleaved_medians_ms(steps, 3 * repeats)
+    rows = [row(name, ms[name], ms[name] / ms[instruction_sets()[-1]]) for name in steps]
+    columns = ("instruction set", f"mapping loss at {width}x{height}, ms", "times the last row's")
+    return Table(columns, tuple(rows), "Mapping loss")
 
 
 def growth_tables(repeats: int) -> Iterator[Table]:
@@ -245,13 +291,14 @@ def growth_tables(repeats: int) -> Iterator[Table]:
     for scale in (1, 2, 4):
         zoomed = camera.scaled(scale, scale, scale * camera.width, scale * camera.height)
         finer.append((zoomed.width * zoomed.height, cloud, zoomed))
+    best = instruction_sets()[-1]
     for name, points in (("Gaussians at 320x240", more), ("pixels of 153600 Gaussians", finer)):
         columns = (name, "forward ms", "backward ms", "forward exponent", "backward exponent")
         rows = []
         before: tuple[int, float, float] | None = None
         for size, gaussians, view in points:
-            ms = measure(Ours(gaussians, view), repeats)
-            now = size, ms[f"forward {THREADS}"], ms[f"backward {THREADS}"]
+            ms = measure({best: Ours(gaussians, view, best)}, repeats)
+            now = size, ms[best, "forward", THREADS], ms[best, "backward", THREADS]
             rows.append(row(*now, *(exponents(before, now) if before else ("", ""))))
             before = now
         yield Table(columns, tuple(rows), f"Growth with {name}")
@@ -263,45 +310,64 @@ def exponents(a: tuple[int, float, float], b: tuple[int, float, float]) -> tuple
     return math.log(b[1] / a[1]) / growth, math.log(b[2] / a[2]) / growth
 
 
-def rival_table(library: Path, scenes: tuple[tuple[int, int, int], ...], repeats: int) -> Table:
+def compiled(source: Path, instruction_set: str, folder: Path) -> Path:
+    """A rival's source as a shared library for an instruction set."""
+    library = folder / f"{instruction_set}.so"
+    flags = ["-O3", "-ffast-math", "-fopenmp", "-shared", "-fPIC"]
+    target = f"-march={TARGETS[instruction_set]}"
+    subprocess.run(["g++", *flags, target, str(source), "-o", str(library)], check=True)
+    return library
+
+
+def rival_table(source: Path, scenes: tuple[tuple[int, int, int], ...], repeats: int) -> Table:
     """Our times and the rival's; a ratio above 1 means that ours is faster."""
-    columns = ("Gaussians", "image", "channels", "forward ms", "rival's forward ms", "ratio")
-    rows = []
-    for width, height, layers in scenes:
-        scene = make_scene(width, height, layers)
-        for channels in RIVAL_CHANNELS:
-            ours = Ours(scene.cloud(channels), scene.camera)
-            rival = Rival(library, scene, channels)
-            steps = {
-                "ours forward": (THREADS, ours.forward),
-                "rival forward": (THREADS, rival.forward),
-                "ours backward": (THREADS, ours.backward),
-                "rival backward": (THREADS, rival.backward),
-            }
-            ms = interleaved_medians_ms(steps, repeats)
-            pairs = [(ms[f"ours {step}"], ms[f"rival {step}"]) for step in ("forward", "backward")]
-            cells = [cell for a, b in pairs for cell in (a, b, b / a)]
-            rows.append(row(len(scene), f"{width}x{height}", channels, *cells))
+    columns = ("Gaussians", "image", "channels", "instruction set")
+    forward = ("forward ms", "rival's forward ms", "ratio")
     backward = ("backward ms", "rival's backward ms", "ratio, backward")
-    return Table((*columns, *backward), tuple(rows), "Beside another rasteriser")
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        libraries = {name: compiled(source, name, Path(folder)) for name in instruction_sets()}
+        for width, height, layers in scenes:
+            scene = make_scene(width, height, layers)
+            for channels in RIVAL_CHANNELS:
+                cloud = scene.cloud(channels)
+                steps: dict[str, tuple[int, Step]] = {}
+                for name, library in libraries.items():
+                    ours = Ours(cloud, scene.camera, name)
+                    rival = Rival(library, scene, channels)
+                    steps[f"{name} forward"] = (THREADS, ours.forward)
+                    steps[f"{name} rival forward"] = (THREADS, rival.forward)
+                    steps[f"{name} backward"] = (THREADS, ours.backward)
+                    steps[f"{name} rival backward"] = (THREADS, rival.backward)
+                ms = interleaved_medians_ms(steps, repeats)
+                for name in libraries:
+                    cells: list[object] = [len(scene), f"{width}x{height}", channels, name]
+                    for step in ("forward", "backward"):
+                        own, other = ms[f"{name} {step}"], ms[f"{name} rival {step}"]
+                        cells += [own, other, other / own]
+                    rows.append(row(*cells))
+    title = "Compared with another rasteriser"
+    return Table((*columns, *forward, *backward), tuple(rows), title)
 
 
 def main() -> None:
     """Measure all tables."""
     parser = argparse.ArgumentParser(description="Time the native renderer.")
     parser.add_argument("--repeats", type=int, default=9, help="runs behind each median")
-    parser.add_argument("--rival", type=Path, help="the rough prototype's compiled library")
+    parser.add_argument("--rival", type=Path, help="C++ source of the rough prototype")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results file")
     parser.add_argument("--quick", action="store_true", help="only check that this works")
     arguments = parser.parse_args()
     if arguments.repeats < 1:
         parser.error("--repeats must be at least 1")
     if arguments.rival and not arguments.rival.is_file():
-        parser.error(f"--rival {arguments.rival} is not a file; compile the prototype first")
+        parser.error(f"--rival {arguments.rival} is not a file")
     scenes = SCENES[:1] if arguments.quick else SCENES
-    require_kernels()
+    if not instruction_sets():
+        parser.error("the native kernels are not built; run make ready")
     header = current_header([0], MEASURES, str(THREADS))
-    tables = [width_table(scenes, arguments.repeats)]
+    header = replace(header, instruction_set=", ".join(instruction_sets()))
+    tables = [width_table(scenes, arguments.repeats), loss_table(arguments.repeats)]
     if not arguments.quick:
         tables += growth_tables(arguments.repeats)
     if arguments.rival:

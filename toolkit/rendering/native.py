@@ -103,12 +103,16 @@ class NativeForwardPass:
 
 
 class NativeBackend:
-    """C++ kernels on the CPU: tiles of 16x16 pixels, processed in 4x4 blocks per SIMD vector."""
+    """C++ kernels on the CPU: tiles of 16x16 pixels, in blocks of one vector each.
+
+    Args:
+        module: kernels of one instruction set; by default the best one that the CPU supports.
+    """
 
     name = "native"
 
-    def __init__(self) -> None:
-        self._module = require_kernels()
+    def __init__(self, module: ModuleType | None = None) -> None:
+        self._module = require_kernels() if module is None else module
         self._idle: list[Any] = []  # states of released views, for reuse
 
     def forward(
