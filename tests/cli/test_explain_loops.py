@@ -21,9 +21,13 @@ CANDIDATE = {
     "cosine": 0.994,
     "landmark_distance": None,
     "accepted": True,
-    "reason": "number 1 of 1 by landmarks",
+    "reason": "rank 1 of 1 by landmarks, 1 in its submap",
 }
-REFUSED = CANDIDATE | {"match": 2, "accepted": False, "reason": "descriptors differ by 0.5"}
+REFUSED = CANDIDATE | {
+    "match": 2,
+    "accepted": False,
+    "reason": "descriptor distance 0.5, not below 0.2",
+}
 BETWEEN = {
     "kind": "between",
     "first": 0,

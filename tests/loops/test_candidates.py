@@ -79,7 +79,7 @@ def test_different_landmarks_reject_a_similar_place():
     _, found = run_path()
     twin = next(c for c in found[PLACES + 20] if c.match // 5 == 5)
     assert not twin.accepted
-    assert "landmarks differ by 1.4" in twin.reason
+    assert "landmark divergence 1.4" in twin.reason
 
 
 def test_best_candidate_of_each_submap_comes_first():

@@ -11,7 +11,9 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.log import LoopLog, read_loop_log
 
-CANDIDATE = LoopCandidate(120, 15, 3, 0, 0.19, 0.98195, None, "number 1 of 2 by landmarks", True)
+CANDIDATE = LoopCandidate(
+    120, 15, 3, 0, 0.19, 0.98195, None, "rank 1 of 2 by landmarks, 1 in its submap", True
+)
 
 
 def test_records_are_read_in_order(tmp_path):

@@ -174,7 +174,7 @@ def test_loop_that_contradicts_the_others_is_rejected() -> None:
     found = consistent_loops(chain, [*right, wrong])
     assert found.odometry_chi2[4] < found.odometry_bound
     assert found.kept == (0, 1, 2, 3)
-    assert found.reason(4) == "contradicts 4 of the 4 loops that agree"
+    assert found.reason(4) == "inconsistent with 4 of 4 consistent loops"
 
 
 def test_invalid_chains_and_loops_raise() -> None:

@@ -29,9 +29,9 @@ def failure_reason(
     if visible_fraction < limits.min_visible:
         return f"the map explains only {100 * visible_fraction:.0f} % of the frame"
     if scales.depth_m > limits.max_depth_residual_m:
-        return f"depth disagrees by {100 * scales.depth_m:.1f} cm at 1 m"
+        return f"depth residual of {100 * scales.depth_m:.1f} cm at 1 m"
     if scales.intensity > limits.max_intensity_residual:
-        return f"intensity disagrees by {scales.intensity:.2f}"
+        return f"intensity residual of {scales.intensity:.2f}"
     if not np.isfinite(information).all():
         return "the images hold values that are not finite"
     min_eigenvalue = float(np.linalg.eigvalsh(information)[0])

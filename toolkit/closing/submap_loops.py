@@ -108,7 +108,7 @@ class SubmapLoops:
         reason = reason or self._contradiction(odometry, edge)
         chi2 = edge.chi2(np.eye(4), registration.T_before)
         if not reason and chi2 <= quantile(self._options.drift_confidence, 6):
-            reason = "the submaps lie so already"
+            reason = "the registration agrees with the current poses"
         return edge if self._accept(registration, reason) else None
 
     def _registered(
@@ -154,7 +154,7 @@ class SubmapLoops:
             T_first_query = edge.T_first_second @ query.T_map_camera
             apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
             enough = shared >= self._options.min_shared
-            reason = "" if enough else f"the views share only {100 * shared:.0f} %"
+            reason = "" if enough else f"only {100 * shared:.0f} % of the view is shared"
             values = {
                 "first": edge.first,
                 "second": edge.second,

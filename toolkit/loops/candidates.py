@@ -243,10 +243,10 @@ class CandidateFinder:
         accepted, reason = True, ""
         if near.distance >= limit:
             accepted = False
-            reason = f"descriptors differ by {near.distance:.3f}, {limit:.3f} or more"
+            reason = f"descriptor distance {near.distance:.3f}, not below {limit:.3f}"
         elif landmarks is not None and landmarks > maximum:
             accepted = False
-            reason = f"landmarks differ by {landmarks:.3f}, more than {maximum:.3f}"
+            reason = f"landmark divergence {landmarks:.3f}, above {maximum:.3f}"
         return LoopCandidate(
             query=self._frames[number],
             match=self._frames[near.keyframe],
@@ -275,7 +275,7 @@ def _select(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
         turns[candidate.match_submap] += 1
     chosen: list[LoopCandidate] = []
     for turn, rank, candidate in sorted(numbered, key=lambda entry: entry[:2]):
-        reason = f"number {rank + 1} of {len(ranked)} by landmarks, {turn + 1} of its submap"
+        reason = f"rank {rank + 1} of {len(ranked)} by landmarks, {turn + 1} in its submap"
         accepted = len(chosen) < kept
         if not accepted:
             reason += f"; {kept} are kept"

@@ -20,15 +20,15 @@ def rejection_reason(result: RegistrationResult, options: VerificationOptions) -
     if result.overlap < options.min_overlap:
         return f"only {100 * result.overlap:.0f} % overlap"
     if result.inliers < options.min_inliers:
-        return f"surfaces agree on {100 * result.inliers:.0f} % of the overlap alone"
+        return f"only {100 * result.inliers:.0f} % inliers in the overlap"
     # Without semantics the agreement is NaN and this comparison is false.
     if result.class_agreement < options.min_class_agreement:
-        return f"classes agree on {100 * result.class_agreement:.0f} % of it alone"
+        return f"classes agree in only {100 * result.class_agreement:.0f} % of the overlap"
     if not result.residual.depth_m <= options.max_depth_residual_m:
-        return f"depth disagrees by {100 * result.residual.depth_m:.1f} cm at 1 m"
+        return f"depth residual of {100 * result.residual.depth_m:.1f} cm at 1 m"
     if not result.residual.intensity <= options.max_intensity_residual:
-        return f"intensity disagrees by {result.residual.intensity:.2f}"
+        return f"intensity residual of {result.residual.intensity:.2f}"
     weakest = float(np.linalg.eigvalsh(result.information)[0])
     if not weakest > options.min_information:
-        return f"the overlap does not fix the motion (information {weakest:.1e})"
+        return f"the overlap does not constrain the motion (information {weakest:.1e})"
     return ""

@@ -186,7 +186,7 @@ class ConsistentLoops:
                 f"above {self.odometry_bound:.1f}"
             )
         against = sum(bool(self.pair_chi2[index, k] > self.pair_bound) for k in self.kept)
-        return f"contradicts {against} of the {len(self.kept)} loops that agree"
+        return f"inconsistent with {against} of {len(self.kept)} consistent loops"
 
 
 def consistent_loops(

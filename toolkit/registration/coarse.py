@@ -102,7 +102,7 @@ def register_coarse(
         if pooled is not None:
             return pooled
     if average is None:
-        reason = f"none of {tried} alike pairs of keyframes fixes an offset"
+        reason = f"none of {tried} similar pairs of keyframes determines an offset"
         return CoarseRegistration(failed("coarse", reason, start), [])
     ranked = np.argsort(-average.weights, kind="stable")
     views = [usable[i][0].source for i in ranked if average.inliers[i]]
@@ -181,7 +181,7 @@ def _result(
         iterations=average.iterations,
         renders=0,
         method="coarse",
-        reason="" if enough else f"only {agreeing} of {tried} alike pairs of keyframes agree",
+        reason="" if enough else f"only {agreeing} of {tried} similar pairs of keyframes agree",
     )
 
 

@@ -180,7 +180,7 @@ class FineRegistration:
         if check.overlap < self.options.min_overlap:
             reason = f"the submaps share only {100 * check.overlap:.0f} % of the views"
         elif not estimate.converged:
-            reason = "the optimiser did not come to rest"
+            reason = "the optimiser did not converge"
         return RegistrationResult(
             T_target_source=estimate.T_target_source,
             converged=not reason,

@@ -50,5 +50,5 @@ class SecondOpinion:
         angle_rad = float(se3.rotation_angle_rad(T[:3, :3]))
         if distance_m <= self.options.max_distance_m and angle_rad <= self.options.max_angle_rad:
             return replace(result, renders=renders)
-        reason = f"{other.method} has it {100 * distance_m:.0f} cm and {angle_rad:.2f} rad off"
+        reason = f"{other.method} differs by {100 * distance_m:.0f} cm and {angle_rad:.2f} rad"
         return replace(result, converged=False, renders=renders, reason=reason)

@@ -66,22 +66,22 @@ private:
 void centred_intensity(const Pinhole& camera, const double* T, const float* images, const float* centres,
                        float min_silhouette, float* intensity) {
     const int W = camera.width, H = camera.height;
-    std::vector<float> drawn((size_t)W * H);
-    intensity_of(camera, images, min_silhouette, drawn.data());
+    std::vector<float> rendered((size_t)W * H);
+    intensity_of(camera, images, min_silhouette, rendered.data());
     const CentreOffsets offsets(camera, T, images, centres, min_silhouette);
 #pragma omp parallel for schedule(static)
     for (int y = 0; y < H; ++y) {
         for (int x = 0; x < W; ++x) {
             const size_t i = (size_t)y * W + x;
-            intensity[i] = drawn[i];
+            intensity[i] = rendered[i];
             if (x == 0 || y == 0 || x == W - 1 || y == H - 1 || !offsets.solid(i)) continue;
             // Next to a hole, the derivatives would be those of its border.
             if (!(offsets.solid(i - 1) && offsets.solid(i + 1) && offsets.solid(i - W) && offsets.solid(i + W)))
                 continue;
             float across, down;
             offsets.at(x, y, across, down);
-            intensity[i] -= 0.5f * (drawn[i + 1] - drawn[i - 1]) * across;
-            intensity[i] -= 0.5f * (drawn[i + W] - drawn[i - W]) * down;
+            intensity[i] -= 0.5f * (rendered[i + 1] - rendered[i - 1]) * across;
+            intensity[i] -= 0.5f * (rendered[i + W] - rendered[i - W]) * down;
         }
     }
 }
