@@ -14,6 +14,11 @@ namespace {
 
 // Maximum number of feature channels whose sums over a pair's blocks fit into the registers.
 enum { MAX_DIFFERENTIATED = LANES == 16 ? 16 : 8 };
+// Up to this number of feature channels, their gradients are computed together with the others if the
+// target has enough registers.
+enum { FEW = 4 };
+constexpr bool CAN_FUSE = LANES == 16;
+// Whether loading alpha and its derived values again is faster than computing them again.
 constexpr bool KEEP_ALPHA = LANES < 16;
 enum { SUMS = 8, POSE_CHUNK = 4096 };
 // Sums of one pair: e = alpha dL/dalpha, its moments, and the base channels' gradients.
@@ -69,8 +74,8 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     }
 }
 
-// dL/df of N feature channels over one or more blocks; if they are propagated to all parameters, adds <f, d> to each block's
-// dot product.
+// dL/df of N feature channels over one or more blocks; if they are propagated to all parameters, adds
+// <f, d> to each block's dot product.
 template <int N, bool MOVE>
 SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, const float* f, int first,
                                   float* gradient) {
@@ -109,7 +114,7 @@ void feature_steps(BackwardScratch& scratch, uint32_t blocks, const float* f, in
 }
 
 // Processes all blocks of one pair: back-to-front state in `scratch`, sums in `out` (SUMS floats).
-template <bool COLOUR, Features FEATURES>
+template <bool COLOUR, Features FEATURES, bool FUSED>
 SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntry& e, uint32_t blocks,
                                         const float* f, int S, float* out, float* d_features) {
     if (!blocks) {
@@ -117,7 +122,8 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
         if (FEATURES != Features::NONE) std::fill_n(d_features, S, 0.0f);
         return;
     }
-    if (FEATURES != Features::NONE) {
+    constexpr bool MOVE = FEATURES == Features::MOVE, SEPARATE = FEATURES != Features::NONE && !FUSED;
+    if (SEPARATE) {
         for (uint32_t m = blocks; m; m &= m - 1) {
             const int block = __builtin_ctz(m);
             for (int part = 0; part < PARTS; ++part) {
@@ -128,13 +134,17 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
                     store(scratch.inverse[block] + at, inverse);
                 }
                 store(scratch.weight[block] + at, alpha * (load(scratch.T[block] + at) * inverse));
-                if (FEATURES == Features::MOVE) store(scratch.dot[block] + at, all(0.0f));
+                if (MOVE) store(scratch.dot[block] + at, all(0.0f));
             }
         }
-        feature_steps<FEATURES == Features::MOVE>(scratch, blocks, f, S, d_features);
+        feature_steps<MOVE>(scratch, blocks, f, S, d_features);
     }
-    Floats acc[SUMS];
+    constexpr int FUSED_CHANNELS = FUSED ? FEW : 0;
+    float values[FEW] = {0};
+    if (FUSED) std::copy_n(f, S, values);
+    Floats acc[SUMS], by_feature[FEW];
     for (Floats& a : acc) a = all(0.0f);
+    for (int c = 0; c < FUSED_CHANNELS; ++c) by_feature[c] = all(0.0f);
     for (uint32_t m = blocks; m; m &= m - 1) {
         const int block = __builtin_ctz(m);
         Floats column_sums = all(0.0f);  // of gradients with the same dx
@@ -142,7 +152,7 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             const int at = LANES * part;
             float *const T_at = scratch.T[block] + at, *const behind_at = scratch.behind[block] + at;
             Floats alpha, inverse;
-            if (!KEEP_ALPHA || FEATURES == Features::NONE) {
+            if (!KEEP_ALPHA || !SEPARATE) {
                 alpha = alpha_of(e, block, part);
                 inverse = reciprocal(all(1.0f) - alpha);
             } else {
@@ -152,7 +162,12 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             const Floats T = load(T_at) * inverse, w = alpha * T;
             const Floats dr = load(scratch.d[0][block] + at), dg = load(scratch.d[1][block] + at);
             const Floats db = load(scratch.d[2][block] + at), dz = load(scratch.d[3][block] + at);
-            Floats dot = FEATURES == Features::MOVE ? load(scratch.dot[block] + at) : all(0.0f);
+            Floats dot = MOVE && SEPARATE ? load(scratch.dot[block] + at) : all(0.0f);
+            for (int c = 0; c < FUSED_CHANNELS; ++c) {
+                const Floats dc = load(scratch.d_features.data() + c * TILE_PIXELS + block * BLOCK_PIXELS + at);
+                if (MOVE) dot = fma(dc, all(values[c]), dot);
+                by_feature[c] = fma(w, dc, by_feature[c]);
+            }
             dot = fma(dr, all(e.r), fma(dg, all(e.g), fma(db, all(e.b), fma(dz, all(e.z), dot))));
             const Floats behind = load(behind_at);
             // Alpha is differentiable where it is neither cut, where it is zero, nor clamped.
@@ -177,6 +192,11 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
         acc[E_SQUARE] = fma(gx, dx, acc[E_SQUARE]);
     }
     sum8(acc, out);
+    if (FUSED) {
+        float sums[FEW];
+        sum_lanes(by_feature, sums);
+        std::copy_n(sums, S, d_features);
+    }
 }
 
 // Storage of the sums of pairs: a splat on a single tile has one row, others have a row per tile.
@@ -191,7 +211,7 @@ struct PairSums {
     }
 };
 
-template <bool COLOUR, Features FEATURES>
+template <bool COLOUR, Features FEATURES, bool FUSED>
 void differentiate_tile(const Gaussians& map, const Rasterisation& state, int tile, BackwardScratch& scratch,
                         PairSums& sums, float* d_features) {
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
@@ -222,7 +242,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
             }
             const TileEntry& e = scratch.entries[k - start];
             float* fg = FEATURES != Features::NONE ? sums.feature_row(d_features, e.splat, e.slot, S) : nullptr;
-            differentiate_pair<COLOUR, FEATURES>(scratch, e, e.blocks & open,
+            differentiate_pair<COLOUR, FEATURES, FUSED>(scratch, e, e.blocks & open,
                                                  fg ? map.features + (size_t)e.id * S : nullptr, S,
                                                  sums.row(e.splat, e.slot), fg);
         }
@@ -284,19 +304,19 @@ void finish(const Gaussians& map, const Rasterisation& state, const PairSums& su
     }
 }
 
-template <bool COLOUR, Features FEATURES>
+template <bool COLOUR, Features FEATURES, bool FUSED>
 void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                          const float* d_images, PairSums& sums, float* d_features) {
     const int tiles = state.tiles(), S = FEATURES != Features::NONE ? map.feature_channels : 0;
 #pragma omp parallel
     {
         auto scratch = std::make_unique<BackwardScratch>();
-        scratch->d_features.resize((size_t)S * TILE_PIXELS);
+        scratch->d_features.resize((size_t)(FUSED ? (int)FEW : S) * TILE_PIXELS);
 #pragma omp for schedule(dynamic, 4)
         for (int tile = 0; tile < tiles; ++tile) {
             if ((region && !region[tile]) || state.tile_begin[tile] == state.tile_begin[tile + 1]) continue;
             load_tile(state, tile, S, d_images, *scratch);
-            differentiate_tile<COLOUR, FEATURES>(map, state, tile, *scratch, sums, d_features);
+            differentiate_tile<COLOUR, FEATURES, FUSED>(map, state, tile, *scratch, sums, d_features);
         }
     }
 }
@@ -304,7 +324,11 @@ void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rast
 template <Features FEATURES>
 void differentiate_tiles_of(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                             const float* d_images, PairSums& sums, const GradientSinks& out) {
-    const auto run = out.colours ? differentiate_tiles<true, FEATURES> : differentiate_tiles<false, FEATURES>;
+    constexpr bool FUSED = CAN_FUSE && FEATURES != Features::NONE;
+    auto run = out.colours ? differentiate_tiles<true, FEATURES, false> : differentiate_tiles<false, FEATURES, false>;
+    if (FUSED && map.feature_channels <= FEW) {
+        run = out.colours ? differentiate_tiles<true, FEATURES, FUSED> : differentiate_tiles<false, FEATURES, FUSED>;
+    }
     run(map, region, state, d_images, sums, out.features);
 }
 
