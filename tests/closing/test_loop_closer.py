@@ -381,7 +381,7 @@ def test_objections_name_what_is_wrong():
     for change, word in (
         ({"converged": False, "reason": "went astray"}, "astray"),
         ({"overlap": 0.1}, "overlap"),
-        ({"inliers": 0.5}, "surfaces"),
+        ({"inliers": 0.5}, "inliers"),
         ({"class_agreement": 0.5}, "classes"),
         ({"residual": ResidualScales(0.02, 0.1)}, "depth"),
         ({"residual": ResidualScales(0.5, 0.005)}, "intensity"),

@@ -48,7 +48,7 @@ def test_two_that_agree_are_the_first_ones_answer():
 def test_two_that_do_not_are_refused_with_the_reason(step):
     result = verdict(Says(method="sgr"), Says(step, method="clouds"))
     assert not result.converged
-    assert result.reason.startswith("clouds has it")
+    assert result.reason.startswith("clouds differs by")
 
 
 def test_an_opinion_that_is_none_changes_nothing():
