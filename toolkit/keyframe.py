@@ -112,8 +112,8 @@ class Keyframe:
     ) -> Keyframe:
         """Create the keyframe of a tracked frame."""
         levels = torch.from_numpy(np.rint(frame.rgb * 255.0).astype(np.uint8))
-        half = _STRIDE // 2  # points on the border leave the view with the smallest motion
-        sparse = frame.camera.unproject(frame.depth_m)[half::_STRIDE, half::_STRIDE]
+        # The grid leaves out the border, whose points leave the view with the smallest motion.
+        sparse = frame.camera.unproject(frame.depth_m, _STRIDE)
         return cls(
             index=frame.index,
             timestamp_s=frame.timestamp_s,
@@ -170,8 +170,8 @@ class Keyframe:
 
     def reaches(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] that lie between the camera and the measured surface."""
-        inside, points = self._in_image(points_map)
-        inside[inside] = self.in_front_of_surface(points)
+        inside, z, depth_m = self._depths_at(points_map)
+        inside[inside] = _not_behind(z, depth_m)
         return inside
 
     def in_front_of_surface(self, points_camera: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -180,30 +180,28 @@ class Keyframe:
         Args:
             points_camera: points in camera coordinates that project into the image.
         """
-        depth_m = self._measured_at(points_camera)
-        # Where depth is missing, the viewing volume is unbounded.
-        return (depth_m == 0) | (points_camera[:, 2] <= _MAX_BEHIND * depth_m)
+        depth_m = self._measured_at(self.camera.project(points_camera))
+        return _not_behind(points_camera[:, 2], depth_m)
 
     def fraction_observed(self, points_map: NDArray[np.float64]) -> float:
         """Fraction of map points [P, 3] that lie on the surface measured by this keyframe."""
         if len(points_map) == 0:
             return 0.0
-        _, points = self._in_image(points_map)
-        depth_m = self._measured_at(points)
-        near = np.abs(points[:, 2] - depth_m) < _ON_SURFACE * depth_m
+        _, z, depth_m = self._depths_at(points_map)
+        near = np.abs(z - depth_m) < _ON_SURFACE * depth_m
         return float(near.sum() / len(points_map))
 
-    def _in_image(
+    def _depths_at(
         self, points_map: NDArray[np.float64]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Mask [P] of the map points inside the image, and these in camera coordinates."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
+        """Mask [P] of the map points inside the image; their depths; the measured depths there."""
         points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
-        inside, _ = self._projected(points)
-        return inside, points[inside]
+        inside, uv = self._projected(points)
+        return inside, points[inside, 2], self._measured_at(uv[inside])
 
-    def _measured_at(self, points_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Depth [P] at the nearest pixels of camera points [P, 3] inside the image."""
-        column, row = np.rint(self.camera.project(points_camera)).astype(np.intp).T
+    def _measured_at(self, uv: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Measured depth [P] at the pixels nearest to image points [P, 2] inside the image."""
+        column, row = np.rint(uv).astype(np.intp).T
         return self.depth_m.numpy()[row, column]
 
     def _projected(
@@ -223,6 +221,12 @@ class Keyframe:
         T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
         points = se3.transform_points(T_other_self, self.points)
         return float(self._projected(points)[0].mean())
+
+
+def _not_behind(z_m: NDArray[np.float64], measured_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Mask [P] of depths that are not behind the measured ones, 0 where nothing was measured."""
+    # Where depth is missing, the viewing volume is unbounded.
+    return (measured_m == 0) | (z_m <= _MAX_BEHIND * measured_m)
 
 
 def _tensor(array: NDArray | None) -> Tensor | None:

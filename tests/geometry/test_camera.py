@@ -103,6 +103,14 @@ def test_halving_averages_two_by_two(size: tuple[int, int], expected: tuple[int,
         np.testing.assert_allclose(half.rays()[0, 0], rays[:2, :2].mean(axis=(0, 1)), atol=1e-12)
 
 
+@pytest.mark.parametrize("step", [1, 3, 16])
+def test_every_nth_pixel_is_unprojected_as_in_the_whole_image(step: int) -> None:
+    camera = Camera(40.0, 55.0, 23.2, 16.7, 48, 37)
+    depth_m = np.random.default_rng(0).uniform(0.5, 4.0, (37, 48)).astype(np.float32)
+    expected = camera.unproject(depth_m)[step // 2 :: step, step // 2 :: step]
+    np.testing.assert_array_equal(camera.unproject(depth_m, step), expected)
+
+
 def test_focal_is_the_geometric_mean() -> None:
     assert Camera(200.0, 50.0, 0, 0, 4, 4).focal == pytest.approx(100.0)
 

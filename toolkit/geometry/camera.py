@@ -86,18 +86,23 @@ class Camera:
         """
         return self.scaled(0.5, 0.5, max(1, self.width // 2), max(1, self.height // 2))
 
-    def rays(self) -> NDArray[np.float64]:
-        """Return the intersections [height, width, 3] of the pixels' rays with the plane z = 1."""
-        x = (np.arange(self.width) - self.cx) / self.fx
-        y = (np.arange(self.height) - self.cy) / self.fy
+    def rays(self, step: int = 1) -> NDArray[np.float64]:
+        """Return the intersections [height, width, 3] of the pixels' rays with the plane z = 1.
+
+        Args:
+            step: use only every step-th pixel in each direction, starting at pixel step // 2.
+        """
+        x = (np.arange(self.width)[step // 2 :: step] - self.cx) / self.fx
+        y = (np.arange(self.height)[step // 2 :: step] - self.cy) / self.fy
         grid_x, grid_y = np.meshgrid(x, y)
         return np.stack([grid_x, grid_y, np.ones_like(grid_x)], axis=-1)
 
-    def unproject(self, depth_m: NDArray) -> NDArray[np.float64]:
+    def unproject(self, depth_m: NDArray, step: int = 1) -> NDArray[np.float64]:
         """Unproject a z-depth image to points [height, width, 3] in camera coordinates (m).
 
         Args:
             depth_m: [height, width] z-depths.
+            step: unproject only every step-th pixel in each direction, as in `rays`.
 
         Raises:
             ValueError: the depth image has a different size.
@@ -106,7 +111,7 @@ class Camera:
             raise ValueError(
                 f"depth must have shape [{self.height}, {self.width}], got {list(depth_m.shape)}"
             )
-        return self.rays() * depth_m[..., None]
+        return self.rays(step) * depth_m[step // 2 :: step, step // 2 :: step, None]
 
     def project(self, points: NDArray) -> NDArray[np.float64]:
         """Project points [..., 3] with z > 0 to pixel coordinates [..., 2] (x, y)."""

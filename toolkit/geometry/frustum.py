@@ -116,8 +116,7 @@ def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
         image size and `count`.
     """
     stride = max(1, int(np.sqrt(depth_m.size / count)))
-    half = stride // 2
-    sparse = camera.unproject(depth_m)[half::stride, half::stride].reshape(-1, 3)
+    sparse = camera.unproject(depth_m, stride).reshape(-1, 3)
     return np.where(sparse[:, 2:] > 0, sparse, np.nan)
 
 

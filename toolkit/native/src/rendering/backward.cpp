@@ -33,7 +33,8 @@ struct BackwardScratch {
     alignas(64) float d[SILHOUETTE][BLOCKS][BLOCK_PIXELS];  // dL/d red, green, blue, depth
     std::vector<float> d_features;                          // [S, BLOCKS, BLOCK_PIXELS]
     // Of the current pair, stored by the pass over its features.
-    alignas(64) float alpha[BLOCKS][BLOCK_PIXELS], inverse[BLOCKS][BLOCK_PIXELS], weight[BLOCKS][BLOCK_PIXELS], dot[BLOCKS][BLOCK_PIXELS];
+    alignas(64) float alpha[BLOCKS][BLOCK_PIXELS], inverse[BLOCKS][BLOCK_PIXELS];
+    alignas(64) float weight[BLOCKS][BLOCK_PIXELS], dot[BLOCKS][BLOCK_PIXELS];
 };
 
 // Alpha of an entry at the pixels of one part of a block: zero below MIN_ALPHA, at most MAX_ALPHA.

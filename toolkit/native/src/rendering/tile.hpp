@@ -36,6 +36,7 @@ struct alignas(64) TileEntry {
 static_assert(sizeof(TileEntry) == 192, "three cache lines");
 
 alignas(64) constexpr float COUNTING[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+
 SEMSPLAT_INLINE int block_column(int block) { return 4 * (block & 3); }
 SEMSPLAT_INLINE int block_row(int block) { return BLOCK_ROWS * (block >> 2); }
 
