@@ -46,6 +46,9 @@ SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {_mm512_max_ps(a.v, 
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_GE_OQ); }
 SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ); }
 SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {_mm512_maskz_mov_ps(m, a.v)}; }
+SEMSPLAT_INLINE Floats select(Mask m, Floats a, Floats b) {
+    return {_mm512_mask_blend_ps(m, b.v, a.v)};
+}
 SEMSPLAT_INLINE uint32_t bits(Mask m) { return m; }
 // 1 / a in full single precision, for a whose reciprocal neither overflows nor underflows.
 SEMSPLAT_INLINE Floats reciprocal(Floats a) {
@@ -55,8 +58,25 @@ SEMSPLAT_INLINE Floats reciprocal(Floats a) {
 SEMSPLAT_INLINE Floats round_nearest(Floats a) {
     return {_mm512_roundscale_ps(a.v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)};
 }
+SEMSPLAT_INLINE Floats truncate(Floats a) {
+    return {_mm512_roundscale_ps(a.v, _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC)};
+}
 SEMSPLAT_INLINE Floats times_power_of_two(Floats a, Floats exponent) {
     return {_mm512_scalef_ps(a.v, exponent.v)};
+}
+SEMSPLAT_INLINE Floats load_quads(const float* p, const int32_t* index) {
+    __m512 r = _mm512_castps128_ps512(_mm_loadu_ps(p + 4 * (size_t)index[0]));
+    r = _mm512_insertf32x4(r, _mm_loadu_ps(p + 4 * (size_t)index[4]), 1);
+    r = _mm512_insertf32x4(r, _mm_loadu_ps(p + 4 * (size_t)index[8]), 2);
+    return {_mm512_insertf32x4(r, _mm_loadu_ps(p + 4 * (size_t)index[12]), 3)};
+}
+SEMSPLAT_INLINE void transpose_quads(const Floats* q, Floats* x) {
+    const __m512 a = _mm512_unpacklo_ps(q[0].v, q[1].v), b = _mm512_unpacklo_ps(q[2].v, q[3].v);
+    const __m512 c = _mm512_unpackhi_ps(q[0].v, q[1].v), d = _mm512_unpackhi_ps(q[2].v, q[3].v);
+    x[0] = {_mm512_shuffle_ps(a, b, 0x44)};
+    x[1] = {_mm512_shuffle_ps(a, b, 0xee)};
+    x[2] = {_mm512_shuffle_ps(c, d, 0x44)};
+    x[3] = {_mm512_shuffle_ps(c, d, 0xee)};
 }
 // Adds the halves of a and of b: lanes 0-7 of the result belong to a, lanes 8-15 to b. The
 // following functions do the same with groups of 8, 4 and 2 lanes.
@@ -126,12 +146,30 @@ SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {_mm256_max_ps(a.v, 
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {_mm256_cmp_ps(a.v, b.v, _CMP_GE_OQ)}; }
 SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return {_mm256_cmp_ps(a.v, b.v, _CMP_LT_OQ)}; }
 SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {_mm256_and_ps(m.v, a.v)}; }
+SEMSPLAT_INLINE Floats select(Mask m, Floats a, Floats b) {
+    return {_mm256_blendv_ps(b.v, a.v, m.v)};
+}
 SEMSPLAT_INLINE uint32_t bits(Mask m) { return (uint32_t)_mm256_movemask_ps(m.v); }
 SEMSPLAT_INLINE Floats reciprocal(Floats a) {
     return {_mm256_div_ps(_mm256_set1_ps(1.0f), a.v)};
 }
 SEMSPLAT_INLINE Floats round_nearest(Floats a) {
     return {_mm256_round_ps(a.v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)};
+}
+SEMSPLAT_INLINE Floats truncate(Floats a) {
+    return {_mm256_round_ps(a.v, _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC)};
+}
+SEMSPLAT_INLINE Floats load_quads(const float* p, const int32_t* index) {
+    const __m256 low = _mm256_castps128_ps256(_mm_loadu_ps(p + 4 * (size_t)index[0]));
+    return {_mm256_insertf128_ps(low, _mm_loadu_ps(p + 4 * (size_t)index[4]), 1)};
+}
+SEMSPLAT_INLINE void transpose_quads(const Floats* q, Floats* x) {
+    const __m256 a = _mm256_unpacklo_ps(q[0].v, q[1].v), b = _mm256_unpacklo_ps(q[2].v, q[3].v);
+    const __m256 c = _mm256_unpackhi_ps(q[0].v, q[1].v), d = _mm256_unpackhi_ps(q[2].v, q[3].v);
+    x[0] = {_mm256_shuffle_ps(a, b, 0x44)};
+    x[1] = {_mm256_shuffle_ps(a, b, 0xee)};
+    x[2] = {_mm256_shuffle_ps(c, d, 0x44)};
+    x[3] = {_mm256_shuffle_ps(c, d, 0xee)};
 }
 SEMSPLAT_INLINE Floats times_power_of_two(Floats a, Floats exponent) {
     const __m256i shifted = _mm256_slli_epi32(_mm256_cvtps_epi32(exponent.v), 23);
@@ -183,6 +221,26 @@ SEMSPLAT_INLINE Floats fnma(Floats a, Floats b, Floats c) { return {c.v - a.v * 
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {a.v >= b.v}; }
 SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return {a.v < b.v}; }
 SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {(Float4)((Int4)a.v & m.v)}; }
+SEMSPLAT_INLINE Floats select(Mask m, Floats a, Floats b) {
+    return {(Float4)(((Int4)a.v & m.v) | ((Int4)b.v & ~m.v))};
+}
+// Valid for |a| < 2^31.
+SEMSPLAT_INLINE Floats truncate(Floats a) {
+    return {__builtin_convertvector(__builtin_convertvector(a.v, Int4), Float4)};
+}
+SEMSPLAT_INLINE Floats load_quads(const float* p, const int32_t* index) {
+    return load(p + 4 * (size_t)index[0]);
+}
+SEMSPLAT_INLINE void transpose_quads(const Floats* q, Floats* x) {
+    const Float4 a = __builtin_shufflevector(q[0].v, q[1].v, 0, 4, 1, 5);
+    const Float4 b = __builtin_shufflevector(q[2].v, q[3].v, 0, 4, 1, 5);
+    const Float4 c = __builtin_shufflevector(q[0].v, q[1].v, 2, 6, 3, 7);
+    const Float4 d = __builtin_shufflevector(q[2].v, q[3].v, 2, 6, 3, 7);
+    x[0] = {__builtin_shufflevector(a, b, 0, 1, 4, 5)};
+    x[1] = {__builtin_shufflevector(a, b, 2, 3, 6, 7)};
+    x[2] = {__builtin_shufflevector(c, d, 0, 1, 4, 5)};
+    x[3] = {__builtin_shufflevector(c, d, 2, 3, 6, 7)};
+}
 SEMSPLAT_INLINE Floats reciprocal(Floats a) { return {1.0f / a.v}; }
 #if defined(__SSE2__)
 SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {(Float4)_mm_min_ps(a.v, b.v)}; }
@@ -227,9 +285,20 @@ SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
 //   load_columns(p): four floats repeated, lane i is p[i % 4].
 //   load_rows(p): each of LANES / 4 floats four times, lane i is p[i / 4].
 //   fma(a, b, c): a * b + c. fnma(a, b, c): c - a * b.
-//   keep(m, a): a where the mask is set, else 0. bits(m): bit i is set if lane i is.
+//   keep(m, a): a where the mask is set, else 0. select(m, a, b): a where it is set, else b.
+//   bits(m): bit i is set if lane i is.
+//   truncate(a): rounded towards zero.
+//   load_quads(p, index): lanes 4 g to 4 g + 3 are the four floats at p + 4 * index[4 g].
+//   transpose_quads(q, x): lane 4 g + j of x[k] is lane 4 g + k of q[j], for four vectors.
 //   times_power_of_two(a, e): a * 2^e for a in [0.5, 2] and integers |e| < 125.
 //   sum8(x, out): the sums of the lanes of eight vectors, in order.
+
+// Gathers groups of four floats: lane i of x[k] is p[4 * index[i] + k].
+SEMSPLAT_INLINE void gather4(const float* p, const int32_t* index, Floats (&x)[4]) {
+    Floats quads[4];
+    for (int j = 0; j < 4; ++j) quads[j] = load_quads(p, index + j);
+    transpose_quads(quads, x);
+}
 
 // The sums of the lanes of N vectors, in order.
 template <int N>
