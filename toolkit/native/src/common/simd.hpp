@@ -45,6 +45,7 @@ SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {_mm512_min_ps(a.v, 
 SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {_mm512_max_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_GE_OQ); }
 SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return _mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ); }
+SEMSPLAT_INLINE Mask both(Mask a, Mask b) { return _kand_mask16(a, b); }
 SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {_mm512_maskz_mov_ps(m, a.v)}; }
 SEMSPLAT_INLINE Floats select(Mask m, Floats a, Floats b) {
     return {_mm512_mask_blend_ps(m, b.v, a.v)};
@@ -145,6 +146,7 @@ SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {_mm256_min_ps(a.v, 
 SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {_mm256_max_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {_mm256_cmp_ps(a.v, b.v, _CMP_GE_OQ)}; }
 SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return {_mm256_cmp_ps(a.v, b.v, _CMP_LT_OQ)}; }
+SEMSPLAT_INLINE Mask both(Mask a, Mask b) { return {_mm256_and_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {_mm256_and_ps(m.v, a.v)}; }
 SEMSPLAT_INLINE Floats select(Mask m, Floats a, Floats b) {
     return {_mm256_blendv_ps(b.v, a.v, m.v)};
@@ -220,6 +222,7 @@ SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) { return {a.v * b.v + c
 SEMSPLAT_INLINE Floats fnma(Floats a, Floats b, Floats c) { return {c.v - a.v * b.v}; }
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {a.v >= b.v}; }
 SEMSPLAT_INLINE Mask lt(Floats a, Floats b) { return {a.v < b.v}; }
+SEMSPLAT_INLINE Mask both(Mask a, Mask b) { return {a.v & b.v}; }
 SEMSPLAT_INLINE Floats keep(Mask m, Floats a) { return {(Float4)((Int4)a.v & m.v)}; }
 SEMSPLAT_INLINE Floats select(Mask m, Floats a, Floats b) {
     return {(Float4)(((Int4)a.v & m.v) | ((Int4)b.v & ~m.v))};
