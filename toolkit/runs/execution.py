@@ -20,6 +20,7 @@ from toolkit.frame import Frame
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import load_lpips
+from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
@@ -97,8 +98,12 @@ def _execute(
             load_saved_map(slam, saved)
             # The checkpoint contains the saved map, so that resuming does not need the saved run.
             _save(slam, folder, 0)
-        frames = prefetched(dataset, range(start or 0, len(dataset)), prepare=slam.prepare)
-        _process(slam, progress(frames, len(dataset), start or 0), folder, settings, recorder)
+        indices = range(start or 0, len(dataset))
+        expected = ExpectedTime(settings, dataset.camera, indices, recorder)
+        frames = progress(
+            prefetched(dataset, indices, prepare=slam.prepare), len(dataset), indices.start
+        )
+        _process(slam, frames, folder, settings, recorder, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
                 f"no frame of {settings.dataset.path} could start a map; check that the frames "
@@ -159,6 +164,7 @@ def _process(
     folder: RunFolder,
     settings: RunSettings,
     recorder: StageRecorder,
+    expected: ExpectedTime,
 ) -> None:
     """Process the remaining frames, saving checkpoints on the way."""
     saved_at, new_keyframes = time.monotonic(), 0
@@ -173,6 +179,7 @@ def _process(
         if due or new_keyframes >= settings.checkpoint.every_keyframes:
             _save(slam, folder, frame.index + 1)
             saved_at, new_keyframes = time.monotonic(), 0
+        expected.frame_processed(result.keyframe)
 
 
 def _finish(slam: Slam) -> SlamResult:

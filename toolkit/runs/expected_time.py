@@ -1,0 +1,110 @@
+"""Estimates the duration of a run from its first frames, and proposes smaller images."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.geometry.camera import Camera
+from toolkit.runs.settings import RunSettings
+
+_log = logging.getLogger(__name__)
+
+# The first frame starts the map and loads libraries, so it is not representative. With the default
+# settings, 20 more frames contain at least four keyframes.
+_MIN_FRAMES = 20
+_MIN_KEYFRAMES = 2
+
+# Longer runs of larger images are followed by a proposal.
+_LONG_S = 300.0
+_LARGE_PIXELS = 480 * 360
+
+# Stages of an optimisation step of the map; the first one is timed once per step.
+_STEP_STAGES = ("map forward", "map loss", "map semantic loss", "map backward", "map update")
+
+
+class ExpectedTime:
+    """Logs the expected duration of a run once, after its first frames.
+
+    The log is written after at least 20 frames and two keyframes beside the first frame.
+
+    Args:
+        settings: of the run.
+        camera: intrinsics of the processed images.
+        frames: indices of the frames to process; a resumed run does not start at 0.
+        recorder: has the times of the optimisation steps.
+        clock: returns a time in seconds.
+    """
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        camera: Camera,
+        frames: range,
+        recorder: StageRecorder,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._settings, self._camera, self._frames = settings, camera, frames
+        self._recorder, self._clock = recorder, clock
+        self._begin_s = clock()
+        self._first_s = 0.0
+        self._processed = self._keyframes = 0
+        self._done = False
+
+    def frame_processed(self, keyframe: bool) -> None:
+        """Count a frame; write the log as soon as the estimate is meaningful.
+
+        Args:
+            keyframe: whether the frame became a keyframe.
+        """
+        if self._done:
+            return
+        if self._processed == 0:
+            self._first_s = self._clock() - self._begin_s
+        else:
+            self._keyframes += keyframe
+        self._processed += 1
+        if self._processed > _MIN_FRAMES and self._keyframes >= _MIN_KEYFRAMES:
+            self._done = True
+            if self._processed < len(self._frames):
+                _log.info("%s", self._message())
+
+    def _message(self) -> str:
+        others = self._processed - 1
+        frame_s = (self._clock() - self._begin_s - self._first_s) / others
+        refined_s = self._refined_keyframe_s() * self._keyframes / others
+        count, resumed = len(self._frames), self._frames.start > 0
+        # The refinement includes the keyframes before a resumed run.
+        total_s = self._first_s + frame_s * (count - 1) + refined_s * self._frames.stop
+        text = (
+            f"About {_duration(total_s)} expected for "
+            f"{'the remaining ' if resumed else ''}{count:,} frames "
+            f"({total_s / count:.2g} s per frame, refinement included)"
+        )
+        # A resumed run must keep its settings.
+        large = self._camera.width * self._camera.height > _LARGE_PIXELS
+        if self._settings.image_size is None and large and total_s > _LONG_S and not resumed:
+            width, height = self._camera.width // 2, self._camera.height // 2
+            text += f"; --image-size {width} {height} would take about a quarter of it"
+        return f"{text}."
+
+    def _refined_keyframe_s(self) -> float:
+        """Expected time of the final refinement per keyframe."""
+        mapping = self._settings.mapping
+        steps = mapping.final_iterations
+        if self._recorder.durations_ms.get("labelling"):
+            # Each vote on the labels takes about as long as a step.
+            steps += mapping.consensus.rounds + 1
+        taken = len(self._recorder.durations_ms.get(_STEP_STAGES[0], ()))
+        total_ms = self._recorder.total_ms(*_STEP_STAGES)
+        return 0.0 if total_ms is None or not taken else steps * total_ms / (1e3 * taken)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{max(10, 10 * round(seconds / 10)):d} seconds"
+    if seconds < 90.0 * 60.0:
+        return f"{round(seconds / 60):d} minutes"
+    return f"{seconds / 3600:.1f} hours"
