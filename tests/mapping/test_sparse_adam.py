@@ -59,22 +59,30 @@ def ids_of(count: int, seed: int) -> Tensor:
     return (torch.rand(count, generator=torch.Generator().manual_seed(seed)) < 0.5).nonzero()[:, 0]
 
 
-def run(steps: int = 6, count: int = 103) -> tuple[GaussianCloud, SparseAdam]:
+def runs_of(count: int, seed: int) -> Tensor:
+    """Runs of consecutive Gaussians, ascending, as in a view."""
+    return torch.cat([torch.arange(seed, count // 8), torch.arange(count // 2 + seed, count)])
+
+
+def run(
+    steps: int = 6, count: int = 103, choose: Callable[[int, int], Tensor] = ids_of
+) -> tuple[GaussianCloud, SparseAdam]:
     cloud = cloud_of(count)
     optimiser = SparseAdam(LearningRates(), feature_channels=2)
     optimiser.extend(count)
     for seed in range(steps):
-        ids = ids_of(count, seed)
+        ids = choose(count, seed)
         optimiser.step(cloud, gradients_for(cloud, ids, seed), ids)
     return cloud, optimiser
 
 
+@pytest.mark.parametrize(("count", "choose"), [(103, ids_of), (1100, runs_of)])
 @pytest.mark.parametrize("name", available_instruction_sets())
-def test_kernels_agree_with_torch(use, name):
+def test_kernels_agree_with_torch(use, name, count, choose):
     use("torch")
-    expected, slow = run()
+    expected, slow = run(count=count, choose=choose)
     use(name)
-    actual, fast = run()
+    actual, fast = run(count=count, choose=choose)
     for field in PARAMETERS:
         assert torch.allclose(
             getattr(actual, field), getattr(expected, field), rtol=1e-4, atol=1e-5

@@ -217,11 +217,13 @@ void depth_filter() {
 void adam() {
     Random random;
     enum { ROWS = 300, WIDE = 3 };
-    std::vector<float> parameter(ROWS * WIDE), first(ROWS * WIDE), second(ROWS * WIDE), gradient(ROWS / 2 * WIDE),
+    std::vector<float> parameter(ROWS * WIDE), first(ROWS * WIDE), second(ROWS * WIDE), gradient(ROWS * WIDE),
         log_unit(ROWS);
     std::vector<int64_t> ids;
     std::vector<int32_t> steps(ROWS);
-    for (int i = 0; i < ROWS; i += 2) ids.push_back(i);
+    for (int i = 0; i < ROWS; ++i) {
+        if (i % 3 || i > 100) ids.push_back(i);
+    }
     for (float& value : parameter) value = random(-1.0f, 1.0f);
     for (float& value : log_unit) value = random(-4.0f, -2.0f);
     const AdamGroup group{parameter.data(), first.data(), second.data(), gradient.data(), WIDE, 0.01f, log_unit.data()};

@@ -2,6 +2,7 @@
 // SSE2 and NEON.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 
@@ -35,6 +36,8 @@ SEMSPLAT_INLINE Floats load_rows(const float* p) {
 SEMSPLAT_INLINE Floats operator+(Floats a, Floats b) { return {_mm512_add_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Floats operator-(Floats a, Floats b) { return {_mm512_sub_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Floats operator*(Floats a, Floats b) { return {_mm512_mul_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats operator/(Floats a, Floats b) { return {_mm512_div_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats square_root(Floats a) { return {_mm512_sqrt_ps(a.v)}; }
 SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) {
     return {_mm512_fmadd_ps(a.v, b.v, c.v)};
 }
@@ -136,6 +139,8 @@ SEMSPLAT_INLINE Floats load_rows(const float* p) {
 SEMSPLAT_INLINE Floats operator+(Floats a, Floats b) { return {_mm256_add_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Floats operator-(Floats a, Floats b) { return {_mm256_sub_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Floats operator*(Floats a, Floats b) { return {_mm256_mul_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats operator/(Floats a, Floats b) { return {_mm256_div_ps(a.v, b.v)}; }
+SEMSPLAT_INLINE Floats square_root(Floats a) { return {_mm256_sqrt_ps(a.v)}; }
 SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) {
     return {_mm256_fmadd_ps(a.v, b.v, c.v)};
 }
@@ -218,6 +223,7 @@ SEMSPLAT_INLINE Floats load_rows(const float* p) { return all(p[0]); }
 SEMSPLAT_INLINE Floats operator+(Floats a, Floats b) { return {a.v + b.v}; }
 SEMSPLAT_INLINE Floats operator-(Floats a, Floats b) { return {a.v - b.v}; }
 SEMSPLAT_INLINE Floats operator*(Floats a, Floats b) { return {a.v * b.v}; }
+SEMSPLAT_INLINE Floats operator/(Floats a, Floats b) { return {a.v / b.v}; }
 SEMSPLAT_INLINE Floats fma(Floats a, Floats b, Floats c) { return {a.v * b.v + c.v}; }
 SEMSPLAT_INLINE Floats fnma(Floats a, Floats b, Floats c) { return {c.v - a.v * b.v}; }
 SEMSPLAT_INLINE Mask ge(Floats a, Floats b) { return {a.v >= b.v}; }
@@ -246,6 +252,7 @@ SEMSPLAT_INLINE void transpose_quads(const Floats* q, Floats* x) {
 }
 SEMSPLAT_INLINE Floats reciprocal(Floats a) { return {1.0f / a.v}; }
 #if defined(__SSE2__)
+SEMSPLAT_INLINE Floats square_root(Floats a) { return {(Float4)_mm_sqrt_ps(a.v)}; }
 SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {(Float4)_mm_min_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {(Float4)_mm_max_ps(a.v, b.v)}; }
 SEMSPLAT_INLINE uint32_t bits(Mask m) { return (uint32_t)_mm_movemask_ps((__m128)m.v); }
@@ -254,6 +261,9 @@ SEMSPLAT_INLINE Floats round_nearest(Floats a) {
     return {(Float4)_mm_cvtepi32_ps(_mm_cvtps_epi32(a.v))};
 }
 #else
+SEMSPLAT_INLINE Floats square_root(Floats a) {
+    return {Float4{std::sqrt(a.v[0]), std::sqrt(a.v[1]), std::sqrt(a.v[2]), std::sqrt(a.v[3])}};
+}
 SEMSPLAT_INLINE Floats minimum(Floats a, Floats b) { return {a.v < b.v ? a.v : b.v}; }
 SEMSPLAT_INLINE Floats maximum(Floats a, Floats b) { return {a.v > b.v ? a.v : b.v}; }
 SEMSPLAT_INLINE uint32_t bits(Mask m) {
