@@ -13,7 +13,7 @@ from torchmetrics.functional.image import structural_similarity_index_measure
 
 from toolkit.geometry.camera import Camera
 from toolkit.losses.options import RgbdLossWeights
-from toolkit.losses.photometric import rgbd_loss, ssim_torch
+from toolkit.losses.photometric import mean_ssim, rgbd_loss, ssim_torch
 from toolkit.rendering import SurfaceView
 
 PLACE = Camera(40.0, 41.0, 20.0, 17.0, 45, 37), np.eye(4)  # of a view; the losses use neither
@@ -224,3 +224,16 @@ def test_result_does_not_depend_on_the_number_of_threads(kernels):
     finally:
         torch.set_num_threads(before)
     assert one == many and torch.equal(by_one, by_many)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_mean_ssim_agrees_with_the_convolutions(size):
+    x, y = drawn(*size)[:3], drawn(*size, seed=3)[:3]
+    gradients, values = [], []
+    for similarity in (mean_ssim, ssim_torch):
+        leaf = x.clone().requires_grad_()
+        value = 3.0 * similarity(leaf, y)
+        gradients += torch.autograd.grad(value, leaf)
+        values.append(float(value.detach()))
+    assert values[0] == pytest.approx(values[1], abs=1e-5)
+    torch.testing.assert_close(*gradients, rtol=1e-3, atol=1e-6)

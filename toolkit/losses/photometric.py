@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -96,6 +97,34 @@ def rgbd_loss_torch(
 
 def _charbonnier(error: Tensor, scale: Tensor) -> Tensor:
     return scale * ((1.0 + (error / scale) ** 2).sqrt() - 1.0)
+
+
+def mean_ssim(x: Tensor, y: Tensor) -> Tensor:
+    """Compute the mean SSIM of images [C, H, W] as `ssim_torch`, differentiable in `x` only.
+
+    float32 images in CPU memory are compared by the native kernel.
+    """
+    if x.dtype == torch.float32 and kernels_for(x) is not None:
+        found: Tensor = _NativeSsim.apply(x.contiguous(), y.contiguous())
+        return found
+    return ssim_torch(x, y.detach())
+
+
+class _NativeSsim(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, y: Tensor) -> Tensor:
+        module = kernels_for(x)
+        assert module is not None
+        gradient = torch.zeros_like(x)
+        shape = (x.shape[0], x.shape[1], x.shape[2])
+        value = module.mean_ssim(address(x), address(y), shape, 1.0 / x.numel(), address(gradient))
+        ctx.save_for_backward(gradient)
+        return x.new_tensor(value)
+
+    @staticmethod
+    def backward(ctx: Any, *by_value: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = ctx.saved_tensors
+        return by_value[0] * gradient, None
 
 
 def ssim_torch(x: Tensor, y: Tensor) -> Tensor:

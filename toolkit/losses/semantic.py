@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toolkit.losses.photometric import ssim_torch
+from toolkit.losses.photometric import mean_ssim
 from toolkit.native import address, kernels_for
 from toolkit.semantics.codes import Heads, SemanticCode
 from toolkit.semantics.decoder import NetworkDecoder
@@ -156,7 +156,7 @@ def semantic_loss_torch(
         if structure > 0:
             safe_silhouette = torch.where(valid, leaves[1], torch.ones_like(silhouette))
             colours = torch.where(valid, leaves[0] / safe_silhouette, torch.zeros_like(features))
-            similarity = ssim_torch(colours, _class_colours(code, labels * valid))
+            similarity = mean_ssim(colours, _class_colours(code, labels * valid))
             loss = loss + scale * structure * (1.0 - similarity) * labels.numel()
         by_features, by_silhouette = torch.autograd.grad(loss, leaves)
     return SemanticGradient(
