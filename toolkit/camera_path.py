@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,11 +42,14 @@ class CameraPath:
     Attributes:
         lost_frames: indices of the frames without a pose.
         lost_in_a_row: number of lost frames with depth since the last tracked frame.
+        dropped_frames: indices of the frames that were not processed; those dropped while the
+            camera was lost are lost frames as well.
     """
 
     def __init__(self) -> None:
         self.lost_frames: list[int] = []
         self.lost_in_a_row = 0
+        self.dropped_frames: list[int] = []
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
 
@@ -72,6 +75,31 @@ class CameraPath:
         self.lost_frames.append(frame.index)
         self.lost_in_a_row += has_depth(frame)
 
+    def add_dropped(self, frame: Frame) -> bool:
+        """Add a frame that was not processed, at the pose of the frame before it.
+
+        While the camera is lost, the frame is lost as well, but it does not count as an attempt to
+        locate the camera.
+
+        Returns:
+            Whether the frame has a pose.
+        """
+        self.dropped_frames.append(frame.index)
+        if self._is_lost:
+            self.lost_frames.append(frame.index)
+            return False
+        last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
+        self._frames.append(last)
+        self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
+        return True
+
+    @property
+    def _is_lost(self) -> bool:
+        """Whether the newest frame has no pose, or there is none yet."""
+        if not self._frames:
+            return True
+        return bool(self.lost_frames) and self.lost_frames[-1] > self._frames[-1].index
+
     @property
     def indices(self) -> list[int]:
         """Indices of the frames."""
@@ -86,7 +114,9 @@ class CameraPath:
         """Submap and pose [4, 4] of the newest frame; without frames, the active anchor."""
         if not self._frames:
             return atlas.active, np.eye(4)
-        return self._frames[-1].submap, self.poses_in_submaps(atlas)[-1]
+        last = self._frames[-1]
+        T_submap_keyframe = atlas.keyframe_poses(last.submap)[last.keyframe]
+        return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
 
     def last_position(self, atlas: Atlas) -> LastPosition | None:
         """Time and position in the world frame of the newest frame; None without frames."""
@@ -129,6 +159,7 @@ class CameraPath:
             "tracked": [asdict(f) for f in self._frames],
             "lost_frames": self.lost_frames,
             "lost_in_a_row": self.lost_in_a_row,
+            "dropped_frames": self.dropped_frames,
         }
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
@@ -139,3 +170,4 @@ class CameraPath:
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
         self.lost_frames = [int(i) for i in values["lost_frames"]]
         self.lost_in_a_row = int(values["lost_in_a_row"])
+        self.dropped_frames = [int(i) for i in values["dropped_frames"]]

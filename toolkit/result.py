@@ -33,6 +33,7 @@ class FrameResult:
         mapping: result of mapping; None unless the frame became a keyframe of an existing submap.
         T_world_camera: the same pose in the world frame; loop closure may change it later.
         keyframe: whether the frame became a keyframe.
+        dropped: whether the frame was not processed (`Slam.drop_frame`).
     """
 
     index: int
@@ -41,6 +42,7 @@ class FrameResult:
     mapping: MappingResult | None = None
     T_world_camera: NDArray[np.float64] | None = None
     keyframe: bool = False
+    dropped: bool = False
 
     @property
     def lost(self) -> bool:
@@ -85,6 +87,8 @@ class SlamResult:
         taxonomy: the classes of the map, None for a map without semantics.
         covariances: [M, 6, 6] of x in T_world_camera exp(x), x = (translation m, rotation rad);
             None before `finish` and without loop closure.
+        dropped_frames: indices of the frames that were not processed. They have the pose of the
+            frame before, or are lost as well.
     """
 
     trajectory: Trajectory
@@ -99,6 +103,7 @@ class SlamResult:
     semantics: SemanticMapping = field(repr=False)
     taxonomy: Taxonomy | None = field(repr=False)
     covariances: NDArray[np.float64] | None = field(default=None, repr=False)
+    dropped_frames: list[int] = field(default_factory=list)
 
     @property
     def gaussians(self) -> GaussianCloud:

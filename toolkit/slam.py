@@ -16,6 +16,7 @@ from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
@@ -131,6 +132,36 @@ class Slam:
             frame.index, T_map_camera, tracking, mapping, T_world_camera, is_keyframe
         )
 
+    def drop_frame(self, frame: Frame) -> FrameResult:
+        """Record a frame without processing it; its pose is that of the frame before.
+
+        While the camera is lost, the frame is lost as well.
+        """
+        if not self._path.add_dropped(frame):
+            return FrameResult(frame.index, None, None, dropped=True)
+        number, T_map_camera = self._path.last_pose(self.atlas)
+        T_world_camera = self.atlas.T_world_submap(number) @ T_map_camera
+        return FrameResult(
+            frame.index, T_map_camera, None, T_world_camera=T_world_camera, dropped=True
+        )
+
+    def defer_work(self) -> DeferredSteps:
+        """Defer work that poses do not depend on: most optimisation steps, and loop closing.
+
+        The steps are taken by `take_deferred_step`. Loops between submaps are closed by `finish`.
+
+        Returns:
+            The deferred steps.
+        """
+        self.mapper.deferred = DeferredSteps()
+        self._closer.defer()
+        return self.mapper.deferred
+
+    def take_deferred_step(self) -> None:
+        """Take one of the deferred optimisation steps, if there are any."""
+        with self._recorder.timed("mapping"):
+            self.mapper.take_deferred_step()
+
     def finish(self) -> SlamResult:
         """Close the remaining loops, refine every submap over its keyframes, and fuse them."""
         if self.mapper.keyframes:
@@ -170,6 +201,7 @@ class Slam:
             semantics=self.mapper.semantics,
             taxonomy=None if self._labeller is None else self._labeller.taxonomy,
             covariances=covariances,
+            dropped_frames=list(path.dropped_frames),
         )
 
     def _denoised(self, frame: Frame) -> Frame:

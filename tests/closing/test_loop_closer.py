@@ -148,6 +148,20 @@ class TestBetween:
         assert error < 0.5 * np.linalg.norm((se3.inverse(true) @ before)[:3, 3]) + 1e-3
         assert bits(atlas)[1] == contents, "nothing inside a submap changes"
 
+    @pytest.mark.parametrize("deferred", [False, True])
+    def test_loops_of_an_ended_submap_are_closed_by_finish_if_deferred(self, frames, deferred):
+        atlas, closer, registrar = closed(frames)
+        if deferred:
+            closer.defer()
+        ended = atlas.active
+        atlas.start_next()
+        registrar.truth[atlas.active] = frames[-1][1]
+        closer.submap_started(atlas, np.eye(6) * 1e6)
+        assert bool(registrar.asked) is not deferred
+        closer.finish(atlas)
+        assert any(second == ended for _, second in registrar.asked)
+        assert closer.loops
+
     @pytest.mark.parametrize(
         "changes",
         [{"fails": True}, {"overlap": 0.1}, {"inliers": 0.3}, {"class_agreement": 0.2}],

@@ -63,6 +63,7 @@ class LoopCloser:
         self._recorder = recorder or NullRecorder()
         self._links: list[PoseEdge] = []
         self._pending: list[LoopCandidate] = []
+        self._deferred = False
         self._between = SubmapLoops(parts, self.options, self._record)
 
     def map_loaded(self, atlas: Atlas) -> None:
@@ -71,6 +72,10 @@ class LoopCloser:
         for first, second in pairwise(range(atlas.saved)):
             T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
             self._links.append(PoseEdge(first, second, T, _RIGID))
+
+    def defer(self) -> None:
+        """Close loops between submaps in `finish` only, because registration takes long."""
+        self._deferred = True
 
     def keyframe_added(self, atlas: Atlas) -> None:
         """Search for loops at the newest keyframe of the active submap."""
@@ -96,19 +101,25 @@ class LoopCloser:
     def submap_started(self, atlas: Atlas, information: Array) -> None:
         """Add the odometry edge to the new submap, and close the loops of the previous submap."""
         self.add_odometry(atlas, information)
-        self.close_between(atlas, atlas.active - 1)
+        self._submap_ended(atlas)
 
     def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """Connect a submap that started at a lost frame, and close the previous submap's loops."""
         self._connect(atlas, found)
-        self.close_between(atlas, atlas.active - 1)
+        self._submap_ended(atlas)
         self.keyframe_added(atlas)
+
+    def _submap_ended(self, atlas: Atlas) -> None:
+        """Close the loops of the submap before the active one, unless this is deferred."""
+        if not self._deferred:
+            self.close_between(atlas, atlas.active - 1)
 
     def finish(self, atlas: Atlas) -> None:
         """Close all remaining loops, and register overlapping submaps once more."""
         # Before refinement, which changes the map that frames and submaps are registered against.
         self.submap_ending(atlas)
-        self.close_between(atlas, atlas.active)
+        for number in sorted({c.query_submap for c in self._pending} | {atlas.active}):
+            self.close_between(atlas, number)
         self.register_overlaps(atlas)
 
     def close_within(self, atlas: Atlas) -> bool:

@@ -32,6 +32,10 @@ class LoopClosing(Protocol):
         """The atlas has loaded the map of an earlier run."""
         ...
 
+    def defer(self) -> None:
+        """Close loops between submaps in `finish` only, because registration takes long."""
+        ...
+
     def keyframe_added(self, atlas: Atlas) -> None:
         """The active submap has a new keyframe."""
         ...
@@ -86,6 +90,9 @@ class NoLoopClosing:
     relocaliser: Relocaliser | None = None
 
     def map_loaded(self, atlas: Atlas) -> None:
+        """Do nothing."""
+
+    def defer(self) -> None:
         """Do nothing."""
 
     def keyframe_added(self, atlas: Atlas) -> None:

@@ -1,10 +1,20 @@
-"""Selection of the keyframes that a mapping call optimises."""
+"""Which frames become keyframes, and which keyframes a mapping call optimises."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 
 from toolkit.keyframe import Keyframe
+
+
+class KeyframeChoice(Protocol):
+    """Decides which tracked frames become keyframes; by default a `KeyframePolicy`."""
+
+    def wants(self, frames_since_last: int, overlap: float) -> bool:
+        """Whether the newest frame should become a keyframe; see `KeyframePolicy.wants`."""
+        ...
 
 
 def choose_window(

@@ -17,10 +17,11 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.consensus import label_consensus
+from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
-from toolkit.mapping.keyframes import choose_window
+from toolkit.mapping.keyframes import KeyframeChoice, choose_window
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
@@ -35,7 +36,7 @@ class MappingResult:
 
     Attributes:
         seeded, pruned: number of Gaussians added and removed.
-        loss: loss of the last optimisation step, nan if there was none.
+        loss: loss of the last optimisation step, nan if there was none or steps are deferred.
     """
 
     seeded: int
@@ -50,6 +51,10 @@ class Mapper:
         generator: chooses keyframes, and pixels if only a random fraction of them is seeded.
         semantics: semantics of the map; none by default.
         device: device that stores and optimises the map, "cpu" or "cuda".
+
+    Attributes:
+        keyframe_choice: decides which tracked frames become keyframes.
+        deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
 
     def __init__(
@@ -67,6 +72,8 @@ class Mapper:
         rates = self.options.rates
         rates = replace(rates, features=rates.features * self.semantics.unit)
         self.map = GaussianMap(rates, self.semantics.channels, self.device, self.options.centred)
+        self.keyframe_choice: KeyframeChoice = self.options.keyframes
+        self.deferred: DeferredSteps | None = None
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -94,7 +101,7 @@ class Mapper:
             return True
         last = self.keyframes[-1]
         overlap = last.fraction_seen_by(T_map_camera)
-        return self.options.keyframes.wants(frame.index - last.index, overlap)
+        return self.keyframe_choice.wants(frame.index - last.index, overlap)
 
     def add_keyframe(self, keyframe: Keyframe) -> MappingResult:
         """Extend and optimise the map with a keyframe.
@@ -114,16 +121,40 @@ class Mapper:
         with self._recorder.timed("seeding"):
             seeded = self._densification.seed(self.map, keyframe, self.view(keyframe), depth_m)
         all_new = seeded == len(self.gaussians)
-        loss = self._optimise(self.options.first_iterations if all_new else self.options.iterations)
+        steps = self.options.first_iterations if all_new else self.options.iterations
+        if self.deferred is None:
+            loss = self._optimise(steps)
+        else:
+            loss = float("nan")
+            self.deferred.add(keyframe, steps)
+            # Tracking is more accurate after a single step than after none.
+            self.take_deferred_step()
         return MappingResult(seeded, self._densification.prune(self.map), loss)
+
+    def take_deferred_step(self) -> None:
+        """Take one of the deferred steps, if there are any."""
+        due = None if self.deferred is None else self.deferred.next()
+        if self.deferred is None or due is None:
+            return
+        if not due.window:
+            position = next(i for i, k in enumerate(self.keyframes) if k is due.keyframe)
+            due.window = self._window(self.keyframes[: position + 1])
+        objective = Objective(self.options.bundle_adjustment)
+        self.step(self._pick(due.window), (due.taken, due.total), objective)
+        self.deferred.take(due)
 
     def optimise_window(self, steps: int, poses: bool = False) -> None:
         """Optimise the window of the newest keyframe (G: at a boundary between submaps).
+
+        If steps are deferred, these are skipped.
 
         Args:
             steps: number of optimisation steps.
             poses: optimise the poses of keyframes too, except the first keyframe's.
         """
+        if self.deferred is not None:
+            self.deferred.skip(steps)
+            return
         self._optimise(steps, poses)
         self._densification.prune(self.map)
 
@@ -166,6 +197,8 @@ class Mapper:
 
     def replace_content(self, content: MapContent) -> None:
         """Replace the Gaussians, keyframes and step counts of the map."""
+        if self.deferred is not None:
+            self.deferred.clear()
         self.map.replace_content(content)
 
     @property
@@ -202,15 +235,18 @@ class Mapper:
 
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""
-        window = choose_window(
-            self.keyframes, self.options.window, self.options.min_overlap, self._generator
-        )
+        window = self._window(self.keyframes)
         adjust_poses = poses or self.options.bundle_adjustment
         objective = Objective(adjust_poses)
         loss = float("nan")
         for number in range(steps):
             loss = self.step(self._pick(window), (number, steps), objective)
         return loss
+
+    def _window(self, keyframes: list[Keyframe]) -> list[Keyframe]:
+        """Keyframes to optimise together with the newest of some keyframes, which comes first."""
+        options = self.options
+        return choose_window(keyframes, options.window, options.min_overlap, self._generator)
 
     def _pick(self, window: list[Keyframe]) -> Keyframe:
         if len(window) == 1 or self._generator.random() < self.options.newest_share:

@@ -1,0 +1,1 @@
+"""Real-time operation: frames arrive at camera rate, and mapping uses the time that remains."""
