@@ -28,6 +28,7 @@ API_PAGE = "reference/python-api.md"
 # Classes and functions of the API page, beyond the names that `import toolkit` offers.
 API = {
     "Run SLAM": ("toolkit.slam.Slam", "toolkit.result.SlamResult", "toolkit.result.FrameResult"),
+    "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.record.PaceSummary"),
     "Maps": (
         "toolkit.gaussians.cloud.GaussianCloud",
         "toolkit.rendering.RenderOutput",

@@ -10,6 +10,8 @@ BAD_OPTIONS = {
         *("--max-frames 0", "--max-frames -1", "--max-frames many", "--max-frames 1.5"),
         *("--hold-out 1", "--hold-out 0", "--hold-out -3"),
         *("--seed -1", "--seed x"),
+        *("--pace -1", "--pace nan", "--pace inf", "--pace 1001", "--pace fast", "--pace"),
+        *("--pacing.max-delay-s 0", "--pacing.max-delay-s -1", "--pacing.max-delay-s nan"),
         *("--image-size 100000 100000", "--image-size 0 0", "--image-size -5 5"),
         *("--image-size 64", "--image-size a b", "--image-size 1 100000000"),
         *("--poses nowhere", "--backend abacus", "--device abacus", "--backend gsplat"),

@@ -8,6 +8,7 @@ import importlib
 import re
 import runpy
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,14 @@ def camera_images() -> list[tuple[float, np.ndarray, np.ndarray]]:
     return [(index / 30.0, rgb, depth_mm) for index in range(2)]
 
 
-GIVEN: dict[str, Callable[[], Any]] = {"images": camera_images}
+def camera_receiver() -> Callable[[], tuple[float, float, np.ndarray, np.ndarray] | None]:
+    """A driver with one image for every second call; an image comes with its time of arrival."""
+    images = iter(camera_images())
+    ready = iter([False, True] * len(camera_images()))
+    return lambda: (time.monotonic(), *next(images)) if next(ready) else None
+
+
+GIVEN: dict[str, Callable[[], Any]] = {"images": camera_images, "receive": camera_receiver}
 
 
 @pytest.mark.parametrize("block", PYTHON_BLOCKS, ids=lambda block: block.place)

@@ -36,6 +36,7 @@ COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
         "output": ("out", "resume", "config"),
         "quality and speed": (
             "mapping.iterations",
+            "pace",
             "denoise",
             "device",
             "seed",

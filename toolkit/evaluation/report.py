@@ -66,6 +66,21 @@ class ReportView:
 
 
 @dataclass(frozen=True)
+class DelaySeries:
+    """Delays of a run in real time.
+
+    Attributes:
+        arrival_s: time of arrival of each frame.
+        delay_s: time from the arrival to the pose; nan for dropped frames.
+        max_delay_s: the bound of the delay.
+    """
+
+    arrival_s: Sequence[float]
+    delay_s: Sequence[float]
+    max_delay_s: float
+
+
+@dataclass(frozen=True)
 class ReportContent:
     """Content of the report.
 
@@ -82,6 +97,7 @@ class ReportContent:
         settings: the settings as YAML.
         warnings: warnings of one line each.
         machine: description of the software and machine.
+        delays: delays of a run in real time; None for other runs.
     """
 
     title: str
@@ -96,6 +112,7 @@ class ReportContent:
     settings: str = ""
     warnings: Sequence[str] = field(default_factory=tuple)
     machine: str = ""
+    delays: DelaySeries | None = None
 
 
 def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
@@ -125,6 +142,7 @@ def render_report(content: ReportContent) -> str:
         headlines=_headlines(content.metrics),
         path_chart=Markup(_trajectory_chart(content, error)),
         error_chart=Markup(_error_chart(content, error)),
+        delay_chart=Markup("" if content.delays is None else _delay_chart(content.delays)),
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
         memory=_memory(content.metrics),
@@ -176,6 +194,21 @@ def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) 
         level=(rmse_cm, f"RMSE {rmse_cm:.2f} cm"),
         marks_x=[float(time_s) for time_s in lost_s - start_s],
         marks_name="frame lost",
+    )
+    return line_chart([Series(points, "", "estimate")], axes)
+
+
+def _delay_chart(delays: DelaySeries) -> str:
+    """Draw the delay over time and mark dropped frames."""
+    points = np.stack([delays.arrival_s, delays.delay_s], axis=1)
+    points[:, 1] *= 1e3
+    max_ms = 1e3 * delays.max_delay_s
+    axes = Axes(
+        "time of arrival, s",
+        "delay of the pose, ms",
+        level=(max_ms, f"maximum {max_ms:.0f} ms"),
+        marks_x=[float(x) for x, y in points if np.isnan(y)],
+        marks_name="frame dropped",
     )
     return line_chart([Series(points, "", "estimate")], axes)
 

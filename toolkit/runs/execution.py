@@ -17,6 +17,8 @@ from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
+from toolkit.pacing.paced import PacedSlam
+from toolkit.pacing.record import PaceSummary
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import load_lpips
@@ -89,31 +91,41 @@ def _execute(
 ) -> None:
     recorder = StageRecorder()
     slam = build_slam(dataset, settings, folder, recorder)
+    paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
+    system = slam if paced is None else paced
     folder.check_taxonomy(slam.result().taxonomy)
-    start = _restore(slam, dataset, folder)
+    start = _restore(system, dataset, folder)
     with _logged_to(folder.log):
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
             load_saved_map(slam, saved)
             # The checkpoint contains the saved map, so that resuming does not need the saved run.
-            _save(slam, folder, 0)
+            _save(system, folder, 0)
         indices = range(start or 0, len(dataset))
         expected = ExpectedTime(settings, dataset.camera, indices, recorder)
         frames = progress(
             prefetched(dataset, indices, prepare=slam.prepare), len(dataset), indices.start
         )
-        _process(slam, frames, folder, settings, recorder, expected)
+        if paced is not None:
+            _log.info(
+                "Frames arrive at %g per second; the results depend on the speed of this machine "
+                "and are not repeatable.",
+                settings.pace,
+            )
+            frames = paced.arriving(frames)
+        _process(system, frames, folder, settings, recorder, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
                 f"no frame of {settings.dataset.path} could start a map; check that the frames "
                 "have depth"
             )
-        _save(slam, folder, len(dataset))
-        write_results(_finish(slam), dataset, folder, settings, recorder)
+        _save(system, folder, len(dataset))
+        pace = None if paced is None else _log_pace(paced.summary())
+        write_results(_finish(slam), dataset, folder, settings, recorder, pace)
 
 
-def _restore(slam: Slam, dataset: Dataset, folder: RunFolder) -> int | None:
+def _restore(system: Slam | PacedSlam, dataset: Dataset, folder: RunFolder) -> int | None:
     """Restore the newest checkpoint.
 
     Returns:
@@ -131,7 +143,7 @@ def _restore(slam: Slam, dataset: Dataset, folder: RunFolder) -> int | None:
             f"{dataset.name} has {len(dataset)} frames; resume with the run's dataset"
         )
     try:
-        slam.restore(checkpoint.arrays, checkpoint.values)
+        system.restore(checkpoint.arrays, checkpoint.values)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise RunFolderError(
             f"the checkpoint in {folder.checkpoints} is damaged ({error!r}); start a new run"
@@ -159,7 +171,7 @@ def _with_path(settings: RunSettings, path: Path) -> RunSettings:
 
 
 def _process(
-    slam: Slam,
+    system: Slam | PacedSlam,
     frames: Iterable[Frame],
     folder: RunFolder,
     settings: RunSettings,
@@ -170,14 +182,14 @@ def _process(
     saved_at, new_keyframes = time.monotonic(), 0
     for frame in frames:
         with recorder.timed("frame"):
-            result = slam.process_frame(frame, may_map=not held_out(frame.index, settings))
-        if result.lost:
+            result = system.process_frame(frame, may_map=not held_out(frame.index, settings))
+        if result.lost and not result.dropped:
             reason = result.tracking.reason if result.tracking else "no map exists yet"
             _log.warning("Frame %d is lost: %s.", frame.index, reason)
         due = time.monotonic() - saved_at > settings.checkpoint.every_s
         new_keyframes += result.keyframe
         if due or new_keyframes >= settings.checkpoint.every_keyframes:
-            _save(slam, folder, frame.index + 1)
+            _save(system, folder, frame.index + 1)
             saved_at, new_keyframes = time.monotonic(), 0
         expected.frame_processed(result.keyframe)
 
@@ -192,9 +204,30 @@ def _finish(slam: Slam) -> SlamResult:
     return slam.finish()
 
 
-def _save(slam: Slam, folder: RunFolder, next_frame: int) -> None:
-    folder.save_checkpoint(next_frame, *slam.state())
-    slam.atlas.checkpointed()
+def _log_pace(summary: PaceSummary) -> PaceSummary:
+    metrics, steps = summary.metrics(), summary.steps
+    if metrics["delay_median_ms"] is not None:
+        _log.info(
+            "Delay from arrival to pose: median %.0f ms, 95th percentile %.0f ms, maximum %.0f ms.",
+            *(metrics[f"delay_{name}_ms"] for name in ("median", "p95", "max")),
+        )
+    level = logging.WARNING if summary.dropped else logging.INFO
+    _log.log(
+        level,
+        "Dropped %d of %d frames, postponed keyframes in %d frames, and skipped %d of %d "
+        "optimisation steps.",
+        summary.dropped,
+        len(summary.delays),
+        summary.keyframes_thinned,
+        steps.due - steps.taken,
+        steps.due,
+    )
+    return summary
+
+
+def _save(system: Slam | PacedSlam, folder: RunFolder, next_frame: int) -> None:
+    folder.save_checkpoint(next_frame, *system.state())
+    system.atlas.checkpointed()
 
 
 @contextmanager

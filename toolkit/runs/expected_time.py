@@ -85,7 +85,9 @@ class ExpectedTime:
         )
         # A resumed run must keep its settings.
         large = self._camera.width * self._camera.height > _LARGE_PIXELS
-        if self._settings.image_size is None and large and total_s > _LONG_S and not resumed:
+        # Frames that arrive at camera rate take as long at any size.
+        proposes = self._settings.image_size is None and self._settings.pace == 0 and not resumed
+        if proposes and large and total_s > _LONG_S:
             width, height = self._camera.width // 2, self._camera.height // 2
             text += f"; --image-size {width} {height} would take about a quarter of it"
         return f"{text}."

@@ -2,6 +2,7 @@
 
     config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
     report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
+    delays.csv (of runs with --pace)
 
 Checkpoints alternate between two folders: the older one is replaced, so that a complete checkpoint
 exists at any time. They are saved between frames and do not change the state of the run.
@@ -70,6 +71,7 @@ class RunFolder:
         self.metrics = path / "metrics.json"
         self.report = path / "report.html"
         self.loops = path / "loops.jsonl"
+        self.delays = path / "delays.csv"
         self.log = path / "log.txt"
         self.checkpoints = path / "checkpoint"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
-from toolkit.evaluation.report import ReportContent, ReportView, write_report
+from toolkit.evaluation.report import DelaySeries, ReportContent, ReportView, write_report
 from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.storage import gaussian_bytes
@@ -27,11 +27,13 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.io.atomic import write_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.splats import SplatLabels
 from toolkit.io.visualisation import view_strip
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.pacing.record import PaceSummary
 from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
@@ -62,8 +64,13 @@ def write_results(
     folder: RunFolder,
     settings: RunSettings,
     recorder: StageRecorder,
+    pace: PaceSummary | None = None,
 ) -> None:
-    """Write trajectory, map, rendered views, metrics and report of a finished run."""
+    """Write trajectory, map, rendered views, metrics and report of a finished run.
+
+    Args:
+        pace: delays of a run in real time, None for other runs.
+    """
     scene: GaussianScene = result.map
     if result.taxonomy is not None:
         features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
@@ -77,6 +84,9 @@ def write_results(
     frames["camera"] = asdict(dataset.camera)
     if settings.dataset.path is not None:
         frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
+    if pace is not None:
+        frames["dropped"] = result.dropped_frames
+        write_bytes(folder.delays, pace.csv().encode())
     folder.write_json(folder.frames, frames)
     # Measured before the evaluation, whose memory does not count.
     costs = _costs(result, scene, dataset, recorder)
@@ -86,10 +96,14 @@ def write_results(
     )
     metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
     metrics |= _loop_metrics(dataset, folder, settings)
+    metrics |= {} if pace is None else pace.metrics()
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder)
-    write_report(folder.report, _report(result, dataset, settings, metrics, views, recorder))
+    report = _report(result, dataset, settings, metrics, views, recorder)
+    if pace is not None:
+        report = replace(report, delays=_delay_series(pace))
+    write_report(folder.report, report)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
 
 
@@ -236,6 +250,9 @@ def _report(
     recorder: StageRecorder,
 ) -> ReportContent:
     camera = dataset.camera
+    warnings = [f"frame {index} is lost" for index in result.lost_frames]
+    if result.dropped_frames:
+        warnings.append(f"{len(result.dropped_frames)} frames were dropped, see delays.csv")
     return ReportContent(
         title=dataset.name,
         subtitle=f"{len(dataset)} frames, {camera.width}x{camera.height}, seed {settings.seed}",
@@ -246,7 +263,15 @@ def _report(
         views=views,
         stage_times=recorder.stage_times(),
         settings=dump_settings(settings),
-        warnings=[f"frame {index} is lost" for index in result.lost_frames],
+        warnings=warnings,
         machine=f"semsplat {__version__}, torch {torch.__version__}, "
         f"{torch.get_num_threads()} threads",
+    )
+
+
+def _delay_series(pace: PaceSummary) -> DelaySeries:
+    return DelaySeries(
+        arrival_s=[row.arrival_s for row in pace.delays],
+        delay_s=[float("nan") if row.delay_s is None else row.delay_s for row in pace.delays],
+        max_delay_s=pace.max_delay_s,
     )

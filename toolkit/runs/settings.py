@@ -14,6 +14,7 @@ from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.mapping.options import MapperOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
+from toolkit.pacing.options import FramesPerSecond, PacingOptions
 from toolkit.semantics.options import SemanticsOptions
 from toolkit.submaps.options import SubmapOptions
 from toolkit.tracking.options import PlacementOptions, TrackingOptions
@@ -50,6 +51,10 @@ class RunSettings:
     """Smooth depth images according to their estimated noise."""
     poses: Literal["slam", "given"] = "slam"
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
+    pace: FramesPerSecond = 0.0
+    """Frames per second at which frames arrive, as from a live camera. Mapping uses the time that
+    remains, and frames are dropped where it is not enough; results are not repeatable. 0 processes
+    all frames completely, as fast as possible."""
     map: Path | None = None
     """Folder of a finished run whose map is localised in and extended. By default, a new map is
     started."""
@@ -64,6 +69,7 @@ class RunSettings:
     semantics: SemanticsOptions = SemanticsOptions()
     submaps: SubmapOptions = SubmapOptions()
     loops: LoopClosureOptions = LoopClosureOptions()
+    pacing: PacingOptions = PacingOptions()
     checkpoint: CheckpointOptions = CheckpointOptions()
     evaluation: EvaluationOptions = EvaluationOptions()
 

@@ -1,0 +1,112 @@
+"""`semsplat run --pace`: frames arrive faster than they are processed; all of them are scored."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tiny_recording import FRAMES
+
+from toolkit.cli.main import main
+from toolkit.runs.finished import load_run
+
+# The frames arrive within 6 ms, in which no machine processes them all.
+OPTIONS = ("--pace", "1000", "--pacing.max-delay-s", "0.001")
+
+
+@pytest.fixture(scope="module")
+def paced_run(tiny_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("paced") / "run"
+    words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording), *OPTIONS]
+    done = subprocess.run(
+        [sys.executable, "-m", "toolkit.cli.main", "run", *words, "--out", str(out)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def read_json(path: Path):
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_dropped_frames_are_counted_marked_and_logged(paced_run: Path):
+    metrics = read_json(paced_run / "metrics.json")
+    frames = read_json(paced_run / "frames.json")
+    assert metrics["frames_dropped"] == len(frames["dropped"]) > 0
+    assert metrics["frames_lost"] == 0
+    assert metrics["delay_max_ms"] >= metrics["delay_median_ms"] > 1.0
+    assert metrics["mapping_steps_skipped"] > 0
+    log = (paced_run / "log.txt").read_text(encoding="utf-8")
+    assert "not repeatable" in log
+    assert f"Dropped {metrics['frames_dropped']} of {FRAMES} frames" in log
+
+
+def test_all_frames_are_scored_and_dropped_ones_have_the_pose_before(paced_run: Path):
+    run = load_run(paced_run)
+    assert [frame.index for frame in run.tracked] == list(range(FRAMES))
+    for index in read_json(paced_run / "frames.json")["dropped"]:
+        before, dropped = run.tracked[index - 1], run.tracked[index]
+        assert dropped.T_map_camera.tolist() == before.T_map_camera.tolist()
+    metrics = read_json(paced_run / "metrics.json")
+    assert metrics["frames"] == metrics["ate_pairs"] == metrics["views"] == FRAMES
+
+
+def test_delays_are_a_file_and_a_chart(paced_run: Path):
+    with (paced_run / "delays.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    dropped = [int(row["frame"]) for row in rows if row["outcome"] == "dropped"]
+    assert [int(row["frame"]) for row in rows] == list(range(FRAMES))
+    assert dropped == read_json(paced_run / "frames.json")["dropped"]
+    report = (paced_run / "report.html").read_text(encoding="utf-8")
+    assert "Delay over time" in report
+    assert f"{len(dropped)} frames were dropped" in report
+
+
+def test_evaluating_again_keeps_the_delays(paced_run: Path):
+    before = read_json(paced_run / "metrics.json")
+    assert main(["evaluate", str(paced_run)]) == 0
+    after = read_json(paced_run / "metrics.json")
+    for key in ("frames_dropped", "delay_max_ms", "ate_pairs", "pace_fps"):
+        assert after[key] == before[key]
+
+
+def test_other_runs_have_no_delays(tiny_run: Path):
+    assert "frames_dropped" not in read_json(tiny_run / "metrics.json")
+    assert "dropped" not in read_json(tiny_run / "frames.json")
+    assert not (tiny_run / "delays.csv").exists()
+    assert "Delay over time" not in (tiny_run / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_pace_of_zero_is_no_pace(tiny_run: Path, tiny_recording: Path, tmp_path: Path):
+    words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording), "--pace", "0"]
+    assert main(["run", *words, "--out", str(tmp_path / "run")]) == 0
+    for name in ("trajectory.txt", "map.ply", "loops.jsonl", "config.yaml"):
+        assert (tmp_path / "run" / name).read_bytes() == (tiny_run / name).read_bytes(), name
+
+
+def test_a_resumed_run_keeps_its_record(paced_run: Path, tmp_path: Path):
+    """The last checkpoint is that after the last frame."""
+    copy = shutil.copytree(paced_run, tmp_path / "run")
+    before = read_json(copy / "metrics.json")
+    (copy / "metrics.json").unlink()
+    words = ["run", "--config", str(copy / "config.yaml"), "--out", str(copy), "--resume"]
+    assert main(words) == 0
+    after = read_json(copy / "metrics.json")
+    for key in ("frames_dropped", "delay_max_ms", "keyframes_thinned", "mapping_steps_due"):
+        assert after[key] == before[key]
+
+
+def test_mapping_with_given_poses_is_paced(tiny_recording: Path, tmp_path: Path):
+    words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording), *OPTIONS]
+    assert main(["run", *words, "--poses", "given", "--out", str(tmp_path / "run")]) == 0
+    metrics = read_json(tmp_path / "run" / "metrics.json")
+    assert metrics["frames"] == FRAMES
+    assert metrics["pace_fps"] == 1000.0
