@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import tyro
 
-from benchmarks import loops, recordings, ring, semantics, sequences
+from benchmarks import loops, pace, recordings, ring, semantics, sequences
 from toolkit.cli import run as run_program
 from toolkit.options import validated
 from toolkit.runs.settings import RunSettings
@@ -22,6 +22,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 COMMANDS = [
     *sequences.ROWS.values(),
+    *pace.ROWS.values(),
     *(row for table in semantics.PARTS.values() for row in table.rows.values()),
 ]
 
