@@ -23,6 +23,10 @@ _MIN_DEPTH_M = 0.05
 # points on the measured surface.
 _MAX_BEHIND = 1.05
 _ON_SURFACE = 0.05
+# Space is empty in front of the measured depth by more than the larger of these: in metres, and as
+# a fraction of depth.
+_FREE_SPACE_M = 0.05
+_FREE_SPACE = 0.03
 
 
 @dataclass(frozen=True)
@@ -172,6 +176,13 @@ class Keyframe:
         """Mask [P] of the points [P, 3] that lie between the camera and the measured surface."""
         inside, z, depth_m = self._depths_at(points_map)
         inside[inside] = _not_behind(z, depth_m)
+        return inside
+
+    def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
+        inside, z, depth_m = self._depths_at(points_map)
+        margin = np.maximum(_FREE_SPACE_M, _FREE_SPACE * depth_m)
+        inside[inside] = (depth_m > 0) & (z < depth_m - margin)
         return inside
 
     def in_front_of_surface(self, points_camera: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,6 +22,7 @@ from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
+from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.optimisation import MapOptimisation, Objective
@@ -28,6 +30,8 @@ from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -192,6 +196,9 @@ class Mapper:
                     self.options.consensus,
                 )
             self.map.optimiser.reset("features")
+        if self.options.fill_holes:
+            with self._recorder.timed("hole filling"):
+                self._fill_holes()
         refine(self.map, self._optimisation, self.options, self._generator)
         self._densification.prune(self.map)
 
@@ -227,6 +234,21 @@ class Mapper:
     ) -> SurfaceView:
         """Render Gaussians from a camera at a pose [4, 4], without features."""
         return render_surface(self._backend, gaussians, camera, se3.inverse(T_map_camera))
+
+    def _fill_holes(self) -> None:
+        start_values, options = self.semantics.start_values, self.options
+        filled = sum(
+            fill_holes(
+                self.map,
+                keyframe,
+                self.view(keyframe),
+                options.min_silhouette,
+                options.seeding,
+                start_values,
+            )
+            for keyframe in self.keyframes
+        )
+        _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
     def _render_features(self, gaussians: GaussianCloud, keyframe: Keyframe) -> SurfaceView:
         T_camera_map = se3.inverse(keyframe.T_map_camera)

@@ -86,6 +86,8 @@ class MapperOptions:
     # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
     final_on_surfaces: bool = True
     """Constrain centres to their surfaces during the final refinement."""
+    fill_holes: bool = True
+    """Seed Gaussians where no depth was measured, before the final refinement."""
     final_poses: bool = False
     """Optimise keyframe poses during the final refinement (GauSem-SLAM, stage 1)."""
     final_feature: NonNegativeFloat = 0.0

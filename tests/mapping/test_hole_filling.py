@@ -1,0 +1,121 @@
+"""Gaussians at pixels without a measured depth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.mapping.conftest import MappedRoom
+from toolkit.frame import Frame
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.hole_filling import _nearest_labels, inferred_depth
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
+
+OPTIONS = MapperOptions(first_iterations=5, iterations=2, final_iterations=2)
+HOLE = np.s_[20:40, 30:55]
+
+
+def without_depth(frame: Frame, hole: tuple[slice, slice] = HOLE) -> Frame:
+    depth_m = frame.depth_m.copy()
+    depth_m[hole] = 0.0
+    return replace(frame, depth_m=depth_m)
+
+
+def mapped(frames: list[Frame], poses: np.ndarray, options: MapperOptions = OPTIONS) -> Mapper:
+    mapper = Mapper(options)
+    for frame, pose in zip(frames, poses, strict=True):
+        mapper.add_keyframe(Keyframe.from_frame(frame, pose))
+    mapper.refine()
+    return mapper
+
+
+def colour_error(mapper: Mapper, keyframe: Keyframe) -> float:
+    colour = mapper.view(keyframe).output.colour.permute(2, 0, 1)
+    error = (colour - keyframe.target_rgb()).abs().mean(dim=0)
+    return float(error[HOLE].mean())
+
+
+def test_depth_of_a_fronto_parallel_surface_is_continued():
+    depth_m = np.full((30, 40), 2.0, np.float32)
+    depth_m[5:20, 10:33] = 0.0
+    depth_m[:, 36:] = 0.0
+    np.testing.assert_allclose(inferred_depth(depth_m), 2.0, rtol=1e-5)
+
+
+def test_measured_depth_does_not_change_and_missing_depth_stays_in_its_range():
+    depth_m = np.random.default_rng(0).uniform(1.0, 3.0, (31, 47)).astype(np.float32)
+    depth_m[8:20, 11:29] = 0.0
+    known, filled = depth_m > 0, inferred_depth(depth_m)
+    np.testing.assert_array_equal(filled[known], depth_m[known])
+    assert filled.min() >= 1.0 and filled.max() <= 3.0
+
+
+def test_a_hole_beside_a_depth_edge_belongs_to_the_far_surface():
+    depth_m = np.full((40, 160), 3.0, np.float32)
+    depth_m[:, :80] = 1.0
+    depth_m[:, 78:86] = 0.0
+    assert inferred_depth(depth_m)[20, 78:86].min() > 2.5
+
+
+def test_refinement_fills_a_hole_that_no_keyframe_measured(room: MappedRoom):
+    frame, pose = without_depth(room.frames[0]), room.T_map_camera[:1]
+    empty = mapped([frame], pose, replace(OPTIONS, fill_holes=False))
+    filled = mapped([frame], pose)
+    assert colour_error(empty, empty.keyframes[0]) > 0.2
+    assert colour_error(filled, filled.keyframes[0]) < 0.05
+    assert len(filled.gaussians) > len(empty.gaussians)
+
+
+def test_a_hole_that_another_keyframe_measured_stays_as_measured(room: MappedRoom):
+    frames = [without_depth(room.frames[0]), room.frames[1]]
+    poses = room.T_map_camera[:2]
+    maps = [mapped(frames, poses, replace(OPTIONS, fill_holes=fill)) for fill in (False, True)]
+    added = len(maps[1].gaussians) - len(maps[0].gaussians)
+    # The second view sees everything but a border of the hole in the first.
+    assert added < 0.1 * 20 * 25
+
+
+def test_complete_depth_needs_no_filling(room: MappedRoom):
+    frames, poses = room.frames[:2], room.T_map_camera[:2]
+    maps = [mapped(frames, poses, replace(OPTIONS, fill_holes=fill)) for fill in (False, True)]
+    assert torch.equal(maps[0].gaussians.means, maps[1].gaussians.means)
+
+
+def test_points_that_another_keyframe_measured_through_are_moved_away(room: MappedRoom):
+    # The surroundings of a hole in one view are nearer than what the other view measured in it.
+    truth = room.frames[0].depth_m[HOLE].ravel()
+    inferred_m = 0.6 * float(truth.max())
+    near = np.full_like(room.frames[0].depth_m, inferred_m)
+    near[HOLE] = 0.0
+    frames = [replace(room.frames[0], depth_m=near), room.frames[0]]
+    poses = np.stack([room.T_map_camera[0]] * 2)
+    mapper = Mapper(OPTIONS)
+    keyframes = [Keyframe.from_frame(f, T) for f, T in zip(frames, poses, strict=True)]
+    rows, columns = np.mgrid[HOLE]
+    rays = keyframes[0].camera.rays()[rows.ravel(), columns.ravel()]
+    points = rays * inferred_m
+    through = keyframes[1].measures_through(points)
+    np.testing.assert_array_equal(through, truth - np.maximum(0.05, 0.03 * truth) > inferred_m)
+    assert through.any()
+    mapper.add_keyframe(keyframes[0])
+    mapper.map.keyframes.append(keyframes[1])
+    before = len(mapper.gaussians)
+    mapper._fill_holes()
+    added = mapper.gaussians.means[before:].double().numpy()
+    assert len(added)
+    assert not keyframes[1].measures_through(added).any()
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_filled_pixels_have_the_nearest_label(labelled: bool):
+    labels = np.zeros((20, 30), np.int32)
+    if labelled:
+        labels[:, :5], labels[:, 25:] = 3, 7
+    filled = _nearest_labels(labels)
+    assert np.array_equal(np.unique(filled), [3, 7] if labelled else [0])
+    if labelled:
+        assert (filled[:, :14] == 3).all() and (filled[:, 16:] == 7).all()

@@ -1,0 +1,161 @@
+"""Hole filling: Gaussians where no keyframe measured a depth, for renderings without black areas.
+
+Sensors return no depth for shiny, dark, close and distant surfaces and at the border of the image.
+Before the final refinement, such pixels are seeded at a depth inferred from the rendered depth
+around them. Where another keyframe measured through the inferred point, the point is moved away
+along its ray. The final refinement then fits its colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.options import SeedingOptions
+from toolkit.gaussians.seeding import seed
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.gaussian_map import GaussianMap
+from toolkit.rendering import SurfaceView
+
+# Smaller holes are covered by the Gaussians around them, as a fraction of the image.
+_MIN_HOLE = 0.002
+# Factors of the inferred depth at which a point is tried, from near to far. A point that other
+# keyframes measured through at all of them is dropped.
+_DEPTH_FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0, 3.0)
+# There is a depth edge beside a hole if the mean inverse depth around it exceeds the mean that is
+# weighted by this power of the depth, and so dominated by the far surface, by this factor.
+_DISTANCE_POWER = 6
+_EDGE_RATIO = 1.2
+# Largest width of the shadow beside a depth edge, as a fraction of the image's width.
+_MAX_SHADOW = 0.06
+
+
+def fill_holes(
+    gaussian_map: GaussianMap,
+    keyframe: Keyframe,
+    view: SurfaceView,
+    min_silhouette: float,
+    seeding: SeedingOptions,
+    start_values: Tensor,
+) -> int:
+    """Seed the pixels of a keyframe that have neither a measured nor a rendered depth.
+
+    Args:
+        gaussian_map: the complete map, to which the Gaussians are added.
+        view: the map rendered from the keyframe.
+        min_silhouette: pixels below it are not covered by the map.
+        start_values: features [C + 1, S] of new Gaussians by class id.
+
+    Returns:
+        Number of Gaussians.
+    """
+    covered = (view.output.silhouette >= min_silhouette).cpu().numpy()
+    holes = ~covered & ~(keyframe.depth_m.numpy() > 0)
+    if holes.mean() < _MIN_HOLE or not covered.any():
+        return 0
+    depth_m = inferred_depth(np.where(covered, view.depth_m.cpu().numpy(), 0.0))
+    frame = replace(keyframe.as_frame(), depth_m=depth_m)
+    if frame.labels is not None:
+        frame = replace(frame, labels=_nearest_labels(frame.labels))
+    seeds = seed(frame, keyframe.T_map_camera, holes, seeding, start_values)
+    others = [other for other in gaussian_map.keyframes if other is not keyframe]
+    seeds = _outside_free_space(seeds, keyframe, others)
+    if len(seeds):
+        gaussian_map.append(seeds, keyframe)
+    return len(seeds)
+
+
+def inferred_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Fill the missing values of a depth image. At least one value must be present.
+
+    A hole inside a surface is interpolated. A hole beside a depth edge is the shadow that the near
+    surface casts on the far one, so it continues the far one.
+
+    Args:
+        depth_m: [H, W] in metres, 0 where missing.
+
+    Returns:
+        [H, W] in metres, positive everywhere and unchanged where it was present.
+    """
+    known = depth_m > 0
+    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0).astype(np.float32)
+    weight = known.astype(np.float32)
+    near_and_far = _mean_around(inverse, weight)
+    far = _mean_around(inverse, weight * depth_m**_DISTANCE_POWER)
+    at_edge = near_and_far > _EDGE_RATIO * far
+    filled = np.where(at_edge, far, _interpolated(inverse, weight))
+    return np.where(known, depth_m, 1.0 / np.where(known, 1.0, filled)).astype(np.float32)
+
+
+def _interpolated(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Fill values [H, W] whose weight is 0 from the smallest cells of a pyramid with values."""
+    if (weight > 0).all() or values.size == 1:
+        return values
+    height, width = values.shape
+    half = ((width + 1) // 2, (height + 1) // 2)
+    total = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(values * weight, half, interpolation=cv2.INTER_AREA)
+    mean = np.divide(mean, total, out=np.zeros_like(mean), where=total > 0)
+    coarse = cv2.resize(_interpolated(mean, total), (width, height))
+    return np.where(weight > 0, values, coarse)
+
+
+def _mean_around(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean around each pixel without a weight, over a window that grows with the hole's size."""
+    height, width = values.shape
+    missing = weight == 0
+    distance = cv2.distanceTransform(missing.astype(np.uint8), cv2.DIST_L2, 5)
+    # The window must reach the other side of a shadow: its half width counts, not the distance.
+    side = 2 * round(_MAX_SHADOW * width / 2) + 1
+    distance = cv2.dilate(distance, np.ones((side, side), np.uint8)) * missing
+    weighted, mean = values * weight, np.zeros_like(values)
+    below, cell = 0.0, 4
+    while below < distance.max():
+        pixels = (distance > below) & (distance <= cell / 4)
+        size = (-(-width // cell), -(-height // cell))
+        cells = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (weighted, weight))
+        total, weights = (cv2.resize(a, (width, height)) for a in cells)
+        mean[pixels] = total[pixels] / weights[pixels]
+        below, cell = cell / 4, 2 * cell
+    return mean
+
+
+def _nearest_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Labels [H, W] in which each unlabelled pixel has the label of the nearest labelled one."""
+    if not (labels > 0).any():
+        return labels
+    unlabelled = (labels == 0).astype(np.uint8)
+    _, nearest = cv2.distanceTransformWithLabels(
+        unlabelled, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    by_number = np.zeros(nearest.max() + 1, labels.dtype)
+    by_number[nearest[labels > 0]] = labels[labels > 0]
+    return by_number[nearest]
+
+
+def _outside_free_space(
+    seeds: GaussianCloud, keyframe: Keyframe, others: Sequence[Keyframe]
+) -> GaussianCloud:
+    """Move Gaussians away from their keyframe until no other keyframe measured through them."""
+    centre = keyframe.T_map_camera[:3, 3]
+    rays = seeds.means.double().numpy() - centre
+    chosen = np.zeros(len(seeds))
+    for factor in _DEPTH_FACTORS:
+        left = np.flatnonzero(chosen == 0)
+        free = np.zeros(len(left), bool)
+        for other in others:
+            free |= other.measures_through(centre + factor * rays[left])
+        chosen[left[~free]] = factor
+    factors = seeds.log_radii.new_tensor(chosen)
+    moved = replace(
+        seeds,
+        means=(seeds.means.new_tensor(centre) + seeds.means.new_tensor(rays) * factors[:, None]),
+        log_radii=seeds.log_radii + factors.clamp(min=1.0).log(),
+    )
+    return moved.select(factors > 0)
