@@ -34,6 +34,8 @@ COSTS = RunCosts(
     labelling_ms=None,
     mapping_ms=500.0,
     refinement_ms=None,
+    online_ms=400.0,
+    total_ms=480.0,
     peak_memory_mb=321.0,
     map_mb=0.1,
 )
@@ -97,6 +99,7 @@ def test_times_are_per_frame_of_the_whole_run() -> None:
     assert metrics["tracking_ms_per_frame"] == 25.0
     assert metrics["mapping_ms_per_frame"] == 50.0
     assert metrics["refinement_ms_per_frame"] is None
+    assert metrics["total_ms_per_frame"] == 1.2 * metrics["online_ms_per_frame"]
 
 
 def test_the_file_is_stable_and_turns_missing_numbers_into_null(tmp_path: Path) -> None:

@@ -74,6 +74,9 @@ class RunCosts:
         keyframes, gaussians: numbers in the final map.
         tracking_ms, labelling_ms, mapping_ms, refinement_ms: total times over all frames, in
             milliseconds.
+        online_ms: wall-clock time of the loop over all frames, with loop closing, relocalisation,
+            waiting for images and checkpoints.
+        total_ms: the same with everything after the last frame, without evaluation.
         peak_memory_mb: peak resident memory of the process, in MB.
         map_mb: size of the map's parameters, in MB.
     """
@@ -86,6 +89,8 @@ class RunCosts:
     labelling_ms: float | None
     mapping_ms: float | None
     refinement_ms: float | None
+    online_ms: float | None
+    total_ms: float | None
     peak_memory_mb: float | None
     map_mb: float | None
 
@@ -179,6 +184,8 @@ def cost_metrics(costs: RunCosts) -> Metrics:
         "labelling_ms_per_frame": costs.labelling_ms,
         "mapping_ms_per_frame": costs.mapping_ms,
         "refinement_ms_per_frame": costs.refinement_ms,
+        "online_ms_per_frame": costs.online_ms,
+        "total_ms_per_frame": costs.total_ms,
     }
     frames = max(costs.frames, 1)
     return {

@@ -114,7 +114,8 @@ def _execute(
                 settings.pace,
             )
             frames = paced.arriving(frames)
-        _process(system, frames, folder, settings, recorder, expected)
+        with recorder.timed("online"):
+            _process(system, frames, folder, settings, recorder, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
                 f"no frame of {settings.dataset.path} could start a map; check that the frames "
@@ -122,7 +123,9 @@ def _execute(
             )
         _save(system, folder, len(dataset))
         pace = None if paced is None else _log_pace(paced.summary())
-        write_results(_finish(slam), dataset, folder, settings, recorder, pace)
+        with recorder.timed("finish"):
+            result = _finish(slam)
+        write_results(result, dataset, folder, settings, recorder, pace)
 
 
 def _restore(system: Slam | PacedSlam, dataset: Dataset, folder: RunFolder) -> int | None:

@@ -191,6 +191,8 @@ def _costs(
         labelling_ms=recorder.total_ms("labelling"),
         mapping_ms=recorder.total_ms("placing", "mapping"),
         refinement_ms=recorder.total_ms("refinement"),
+        online_ms=recorder.total_ms("online"),
+        total_ms=recorder.total_ms("online", "finish"),
         peak_memory_mb=peak_memory_mb(),
         map_mb=count * gaussian_bytes(result.semantics.channels) / 1e6,
     )
