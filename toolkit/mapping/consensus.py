@@ -51,9 +51,10 @@ def label_consensus(
         gaussians = votes.fitted()
         changed = False
         for keyframe in labelled:
-            corrected = _corrected(gaussians, votes.views, keyframe, semantics, render, options)
+            view = _counted_view(gaussians, votes.views, keyframe, render)
+            corrected = _corrected(view, keyframe, semantics, options)
             if corrected is not None:
-                votes.change(keyframe, corrected)
+                votes.change(keyframe, corrected, view)
                 keyframe.class_ids = corrected
                 changed = True
         if not changed:
@@ -80,21 +81,23 @@ class _FeatureVotes:
         labels = keyframe.labels
         assert labels is not None
         codewords = self._semantics.codewords(labels)
-        ids, votes, total = self._semantics.votes(self._view(keyframe), codewords, labels > 0)
+        view = self._render(self._gaussians, keyframe)
+        ids, votes, total = self._semantics.votes(view, codewords, labels > 0)
         weight = _view_weight(total)
         self._votes[ids] += votes * weight[:, None]
         self.views[ids] += total * weight
 
-    def change(self, keyframe: Keyframe, corrected: Tensor) -> None:
-        """Replace a keyframe's votes by those of corrected labels; void pixels stay void."""
+    def change(self, keyframe: Keyframe, corrected: Tensor, view: SurfaceView) -> None:
+        """Replace a keyframe's votes by those of corrected labels; void pixels stay void.
+
+        Args:
+            view: any view from the keyframe; votes do not depend on colours and features.
+        """
         labels = keyframe.labels
         assert labels is not None
         change = self._semantics.codewords(corrected) - self._semantics.codewords(labels)
-        ids, votes, total = self._semantics.votes(self._view(keyframe), change, labels > 0)
+        ids, votes, total = self._semantics.votes(view, change, labels > 0)
         self._votes[ids] += votes * _view_weight(total)[:, None]
-
-    def _view(self, keyframe: Keyframe) -> SurfaceView:
-        return self._render(self._gaussians, keyframe)
 
     def fitted(self) -> GaussianCloud:
         """The Gaussians with features fitted to the votes."""
@@ -110,18 +113,22 @@ def _view_weight(total: Tensor) -> Tensor:
     return 1.0 / total.clamp(min=1.0)
 
 
-def _corrected(
-    gaussians: GaussianCloud,
-    views: Tensor,
-    keyframe: Keyframe,
-    semantics: SemanticMapping,
-    render: Render,
-    options: ConsensusOptions,
-) -> Tensor | None:
-    """Labels of a keyframe with corrected segments; None if no segment changes."""
-    # Render the number of views in place of the colour.
+def _counted_view(
+    gaussians: GaussianCloud, views: Tensor, keyframe: Keyframe, render: Render
+) -> SurfaceView:
+    """View with features, and with the Gaussians' numbers of views [N] in place of the colour."""
     counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
-    view = render(counted, keyframe)
+    return render(counted, keyframe)
+
+
+def _corrected(
+    view: SurfaceView, keyframe: Keyframe, semantics: SemanticMapping, options: ConsensusOptions
+) -> Tensor | None:
+    """Labels of a keyframe with corrected segments; None if no segment changes.
+
+    Args:
+        view: see `_counted_view`.
+    """
     silhouette = view.output.silhouette.clamp(min=0.5)
     known = (view.images[0] / silhouette >= options.min_views).view(-1).cpu().numpy()
     class_ids, probabilities = semantics.probabilities(view)
