@@ -18,13 +18,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.options import ConsensusOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 
-Render = Callable[[GaussianCloud, Keyframe], SurfaceView]
+Render = Callable[[GaussianCloud, Camera, NDArray[np.float64]], SurfaceView]
 
+# Votes and comparisons use every n-th pixel in each direction. Half the resolution takes half the
+# time or less; mIoU changes by less than 0.1 points.
+_STRIDE = 2
 # Gaussians with a smaller number of votes keep their features.
 _MIN_VOTES = 1e-6
 
@@ -41,7 +45,7 @@ def label_consensus(
     Corrects `class_ids` of keyframes in place.
 
     Args:
-        render: renders Gaussians with their features from a keyframe.
+        render: renders Gaussians with their features from a camera at a pose.
     """
     labelled = [keyframe for keyframe in keyframes if keyframe.class_ids is not None]
     votes = _FeatureVotes(gaussians, semantics, render)
@@ -78,11 +82,9 @@ class _FeatureVotes:
 
     def add(self, keyframe: Keyframe) -> None:
         """Add a keyframe's votes."""
-        labels = keyframe.labels
-        assert labels is not None
-        codewords = self._semantics.codewords(labels)
-        view = self._render(self._gaussians, keyframe)
-        ids, votes, total = self._semantics.votes(view, codewords, labels > 0)
+        labels = _sampled_labels(keyframe)
+        view = _sampled_view(self._gaussians, keyframe, self._render)
+        ids, votes, total = self._votes_of(view, self._semantics.codewords(labels), labels > 0)
         weight = _view_weight(total)
         self._votes[ids] += votes * weight[:, None]
         self.views[ids] += total * weight
@@ -91,13 +93,19 @@ class _FeatureVotes:
         """Replace a keyframe's votes by those of corrected labels; void pixels stay void.
 
         Args:
-            view: any view from the keyframe; votes do not depend on colours and features.
+            view: any sampled view from the keyframe; votes do not depend on colours and features.
         """
-        labels = keyframe.labels
-        assert labels is not None
-        change = self._semantics.codewords(corrected) - self._semantics.codewords(labels)
-        ids, votes, total = self._semantics.votes(view, change, labels > 0)
+        labels = _sampled_labels(keyframe)
+        change = self._semantics.codewords(_sampled(corrected)) - self._semantics.codewords(labels)
+        ids, votes, total = self._votes_of(view, change, labels > 0)
         self._votes[ids] += votes * _view_weight(total)[:, None]
+
+    def _votes_of(
+        self, view: SurfaceView, codewords: Tensor, valid: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """As `SemanticMapping.votes`, with sums as large as those over all pixels of the image."""
+        ids, votes, total = self._semantics.votes(view, codewords, valid)
+        return ids, votes * _STRIDE**2, total * _STRIDE**2
 
     def fitted(self) -> GaussianCloud:
         """The Gaussians with features fitted to the votes."""
@@ -116,9 +124,33 @@ def _view_weight(total: Tensor) -> Tensor:
 def _counted_view(
     gaussians: GaussianCloud, views: Tensor, keyframe: Keyframe, render: Render
 ) -> SurfaceView:
-    """View with features, and with the Gaussians' numbers of views [N] in place of the colour."""
+    """Sampled view with features, and with numbers of views [N] in place of the colour."""
     counted = replace(gaussians, colours=views[:, None].expand(-1, 3).contiguous())
-    return render(counted, keyframe)
+    return _sampled_view(counted, keyframe, render)
+
+
+def _sampled_view(gaussians: GaussianCloud, keyframe: Keyframe, render: Render) -> SurfaceView:
+    """Render the sampled pixels of a keyframe."""
+    camera = keyframe.camera
+    sampled = Camera(
+        camera.fx / _STRIDE,
+        camera.fy / _STRIDE,
+        camera.cx / _STRIDE,
+        camera.cy / _STRIDE,
+        -(-camera.width // _STRIDE),
+        -(-camera.height // _STRIDE),
+    )
+    return render(gaussians, sampled, keyframe.T_map_camera)
+
+
+def _sampled(image: Tensor) -> Tensor:
+    """The sampled pixels of an image [H, W]."""
+    return image[::_STRIDE, ::_STRIDE]
+
+
+def _sampled_labels(keyframe: Keyframe) -> Tensor:
+    assert keyframe.class_ids is not None
+    return _sampled(keyframe.class_ids)
 
 
 def _corrected(
@@ -134,7 +166,7 @@ def _corrected(
     class_ids, probabilities = semantics.probabilities(view)
     assert keyframe.class_ids is not None
     segments, own_class = connected_segments(keyframe.class_ids.numpy())
-    flat = segments.reshape(-1)
+    flat = segments[::_STRIDE, ::_STRIDE].reshape(-1)
     count = len(own_class)
     area = np.bincount(flat, minlength=count)
     evidence = np.bincount(flat[known], minlength=count)

@@ -250,10 +250,12 @@ class Mapper:
         )
         _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
-    def _render_features(self, gaussians: GaussianCloud, keyframe: Keyframe) -> SurfaceView:
-        T_camera_map = se3.inverse(keyframe.T_map_camera)
+    def _render_features(
+        self, gaussians: GaussianCloud, camera: Camera, T_map_camera: NDArray[np.float64]
+    ) -> SurfaceView:
+        T_camera_map = se3.inverse(T_map_camera)
         options = RenderOptions(features=True)
-        return render_surface(self._backend, gaussians, keyframe.camera, T_camera_map, options)
+        return render_surface(self._backend, gaussians, camera, T_camera_map, options)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""
