@@ -18,6 +18,7 @@ __all__ = [
     "build_slam",
     "evaluate",
     "load_run",
+    "load_settings",
     "open_dataset",
     "render",
     "run",
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from toolkit.runs.evaluation import evaluate
     from toolkit.runs.execution import run
     from toolkit.runs.finished import load_run
-    from toolkit.runs.settings import RunSettings
+    from toolkit.runs.settings import RunSettings, load_settings
 
 _MODULES = {
     "Camera": "toolkit.geometry.camera",
@@ -41,6 +42,7 @@ _MODULES = {
     "build_slam": "toolkit.runs.building",
     "evaluate": "toolkit.runs.evaluation",
     "load_run": "toolkit.runs.finished",
+    "load_settings": "toolkit.runs.settings",
     "open_dataset": "toolkit.datasets.registry",
     "render": "toolkit.rendering",
     "run": "toolkit.runs.execution",

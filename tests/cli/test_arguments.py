@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
+from toolkit.cli import run
 from toolkit.cli.arguments import parse_arguments
 from toolkit.errors import SettingsError
 from toolkit.runs.settings import RunSettings
@@ -53,3 +54,23 @@ def test_help_is_no_error(capsys):
         parse_arguments(_Program, ["--help"], "job")
     assert not end.value.code
     assert "--number" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_preset_then_file_then_command_line(tmp_path, monkeypatch, joined):
+    file = tmp_path / "settings.yaml"
+    file.write_text("seed: 5\nmapping: {iterations: 9, final_iterations: 8}\n")
+    given: list[RunSettings] = []
+    monkeypatch.setattr("toolkit.runs.execution.run", lambda settings, *_: given.append(settings))
+    flags = {"--preset": "hier-slam", "--config": str(file), "--mapping.iterations": "7"}
+    words = [w for k, v in flags.items() for w in ([f"{k}={v}"] if joined else [k, v])]
+    assert run.main(["--out", "out", *words]) == 0
+    (settings,) = given
+    assert settings.tracking.kind == "first-order"  # preset
+    assert (settings.seed, settings.mapping.final_iterations) == (5, 8)  # file
+    assert settings.mapping.iterations == 7  # command line
+
+
+def test_an_unknown_preset_is_named():
+    with pytest.raises(SettingsError, match="there is no preset 'nope'"):
+        run.main(["--out", "out", "--preset", "nope"])

@@ -1,17 +1,22 @@
-"""The shipped presets: they load by name, and build a system that runs."""
+"""The presets: every value is applied, files take precedence, each system runs."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
+import yaml
 
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.errors import SettingsError
+from toolkit.evaluation.timing import StageRecorder
 from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
-from toolkit.runs.settings import RunSettings, load_settings, preset_names
+from toolkit.runs.settings import PRESETS, PresetName, RunSettings, load_settings
+
+NAMES = get_args(PresetName)
 
 
 class TinyDataset:
@@ -24,13 +29,46 @@ class TinyDataset:
         return {number: name for name, number in CLASS_IDS.items()}
 
 
+def leaves(values: dict, prefix: str = "") -> dict[str, object]:
+    """Values of nested dictionaries by dotted key."""
+    found: dict[str, object] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            found |= leaves(value, f"{prefix}{key}.")
+        else:
+            found[prefix + key] = value
+    return found
+
+
+def shortened(name: str, **mapping) -> RunSettings:
+    """A preset with few iterations."""
+    values = as_plain(load_settings(preset=name))
+    values["mapping"] |= {"first_iterations": 3, "iterations": 2, "final_iterations": 1} | mapping
+    values["tracking"]["first_order"]["iterations"] = 3
+    return validated(RunSettings, values)
+
+
+def test_every_preset_has_a_file():
+    assert sorted(NAMES) == sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_value_is_applied_and_no_other(name):
+    chosen = leaves(yaml.safe_load((PRESETS / f"{name}.yaml").read_text()))
+    defaults = leaves(as_plain(RunSettings()))
+    assert set(chosen) <= set(defaults)
+    assert leaves(as_plain(load_settings(preset=name))) == defaults | chosen
+
+
 def test_gausem_has_the_values_of_the_paper():
-    settings = load_settings(Path("gausem"))
+    settings = load_settings(preset="gausem")
     tracking, mapping, loops = settings.tracking, settings.mapping, settings.loops
     assert (tracking.kind, tracking.first_order.preset) == ("first-order", "gausem")
     assert (mapping.loss.colour, mapping.loss.depth) == (1.0, 0.5)  # G-3
     assert (settings.semantics.loss.weight, settings.semantics.loss.structure) == (0.5, 0.2)
     assert settings.semantics.code.kind == "colour"
+    assert mapping.first_iterations == 1000
+    assert not settings.submaps.boundary.inherit  # otherwise a submap has no 1000 iterations
     assert (loops.landmarks.counted, loops.landmarks.weighting) == ("gaussians", "paper")  # G-7
     fine = loops.registration.fine
     assert (fine.optimiser, fine.first_order.semantic) == ("first-order", 1.0)  # G-6
@@ -38,26 +76,61 @@ def test_gausem_has_the_values_of_the_paper():
     assert loops.closing.mapping_iterations == 10
 
 
-@pytest.mark.parametrize("name", preset_names())
+def test_hier_slam_has_the_values_of_the_paper():
+    settings = load_settings(preset="hier-slam")
+    mapping, semantics = settings.mapping, settings.semantics
+    assert (mapping.loss.depth, mapping.loss.colour, semantics.loss.weight) == (1.0, 0.5, 0.2)
+    assert (semantics.loss.intra, semantics.loss.inter, semantics.loss.inter_from) == (1.0, 5.0, 15)
+    assert semantics.code.start == "random" and not semantics.code.normalise
+    assert not settings.submaps.use and not settings.loops.use
+    assert (settings.tracking.first_order.iterations, mapping.iterations) == (40, 60)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_preset_builds_a_system_that_tracks_and_maps(name):
-    frames, _ = tiny_room(2, 48, 36)
-    settings = as_plain(load_settings(Path(name)))
-    settings["mapping"] |= {"first_iterations": 3, "iterations": 2, "final_iterations": 1}
-    settings["tracking"]["first_order"]["iterations"] = 3
-    slam = build_slam(TinyDataset(), validated(RunSettings, settings))
-    for frame in frames:
-        slam.process_frame(frame)
+    frames, _ = tiny_room(3, 64, 48)
+    settings, recorder = shortened(name), StageRecorder()
+    slam = build_slam(TinyDataset(), settings, recorder=recorder)
+    results = [slam.process_frame(frame) for frame in frames]
+    assert not any(result.lost for result in results)
     gaussians = slam.finish().gaussians
-    assert len(gaussians) > 0 and gaussians.features.shape[1] == 3
+    assert len(gaussians) > 0
+    assert (gaussians.features.shape[1] == 3) == (name == "gausem")
+    assert ("map consensus" in recorder.durations_ms) == settings.mapping.consensus.use
 
 
-def test_a_name_that_is_no_file_and_no_preset_is_an_error():
-    with pytest.raises(SettingsError, match="cannot read settings"):
-        load_settings(Path("gausen"))
+def test_random_codes_are_drawn_for_each_gaussian():
+    frames, _ = tiny_room(1, 64, 48)
+    features = []
+    for _ in range(2):
+        slam = build_slam(TinyDataset(), shortened("hier-slam", first_iterations=0))
+        slam.process_frame(frames[0])
+        features.append(slam.mapper.gaussians.features)
+    assert features[0].equal(features[1])  # same seed
+    assert features[0].mean().abs() < 0.05 and abs(features[0].std() - 1.0) < 0.05
 
 
-def test_a_file_takes_precedence_over_a_preset(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("gausem").write_text("seed: 7\n")
-    assert load_settings(Path("gausem")).seed == 7
-    assert load_settings(Path("gausem")).tracking.kind == "dense"
+def test_a_file_takes_precedence_over_a_preset(tmp_path):
+    file = tmp_path / "settings.yaml"
+    file.write_text("mapping: {final_iterations: 4}\nplacement: {dense: {iterations: 5}}\n")
+    settings = load_settings(file, "hier-slam")
+    assert settings.mapping.final_iterations == 4 and settings.mapping.iterations == 60
+    # Nested options keep the defaults of the place where they are.
+    assert settings.placement.dense.levels == RunSettings().placement.dense.levels
+
+
+def test_an_unknown_preset_is_an_error_that_names_all():
+    with pytest.raises(SettingsError, match=r"no preset 'fats'; presets: .*; did you mean fast\?"):
+        load_settings(preset="fats")
+
+
+def test_a_preset_given_as_a_file_is_an_error_that_names_the_option():
+    with pytest.raises(SettingsError, match="--preset gausem"):
+        load_settings(Path("gausem"))
+
+
+def test_the_colour_code_cannot_start_at_random_values():
+    values = as_plain(shortened("gausem"))
+    values["semantics"]["code"]["start"] = "random"
+    with pytest.raises(SettingsError, match=r"semantics\.code\.start"):
+        build_slam(TinyDataset(), validated(RunSettings, values))

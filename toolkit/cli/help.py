@@ -35,6 +35,7 @@ COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
         ),
         "output": ("out", "resume", "config"),
         "quality and speed": (
+            "preset",
             "mapping.iterations",
             "pace",
             "denoise",
@@ -47,7 +48,7 @@ COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
             "semantics.ignore",
             "semantics.code.kind",
         ),
-        "submaps and loops": ("submaps.use", "submaps.memory_mb", "loops.use"),
+        "submaps and loops": ("submaps.use", "loops.use"),
     },
     "register": {"options": ("run_a", "run_b", "out", "pairs", "registration.kind")},
 }

@@ -12,7 +12,7 @@ import tyro
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
-from toolkit.runs.settings import RunSettings, load_settings
+from toolkit.runs.settings import PresetName, RunSettings, load_settings
 
 if TYPE_CHECKING:
     from toolkit.frame import Frame
@@ -24,9 +24,12 @@ class RunProgram(RunSettings):
 
     out: Path
     """Folder of the run, new or empty unless the run is resumed."""
+    preset: PresetName = "default"
+    """Settings to start from: fast, default or best, or those of the papers' systems, hier-slam and
+    gausem."""
     config: Path | None = None
-    """YAML file of settings, or the preset gausem (the values of GauSem-SLAM's paper). Options on
-    the command line take precedence."""
+    """YAML file of settings. They take precedence over the preset, and options on the command line
+    over both."""
     resume: bool = False
     """Continue an interrupted run from its last checkpoint."""
 
@@ -51,11 +54,21 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _parse(argv: list[str]) -> RunProgram:
-    settings = RunSettings()
-    if "--config" in argv[:-1]:
-        settings = load_settings(Path(argv[argv.index("--config") + 1]))
+    config, preset = _value(argv, "--config"), _value(argv, "--preset")
+    settings = load_settings(Path(config) if config else None, preset or "default")
     default = RunProgram(out=tyro.MISSING, **vars(settings))
     return parse_arguments(RunProgram, argv, "run", default=default)
+
+
+def _value(argv: list[str], flag: str) -> str | None:
+    """The last value of an option on the command line; None where it is not given."""
+    found = None
+    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+        if word == flag:
+            found = following
+        elif word.startswith(f"{flag}="):
+            found = word.partition("=")[2]
+    return found or None
 
 
 def _with_progress(frames: Iterable[Frame], total: int, first: int) -> Iterable[Frame]:

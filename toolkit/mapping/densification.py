@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -11,6 +13,7 @@ from toolkit.gaussians.seeding import seed
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.options import MapperOptions
+from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 
 
@@ -18,14 +21,15 @@ class Densification:
     """Adds and removes Gaussians of a map.
 
     Args:
-        start_values: features [C + 1, S] of new Gaussians by class id.
-        generator: chooses pixels if only a random fraction of them is seeded.
+        semantics: features of new Gaussians.
+        generator: draws random features, and pixels if only a random fraction of them is seeded.
     """
 
     def __init__(
-        self, options: MapperOptions, start_values: Tensor, generator: np.random.Generator
+        self, options: MapperOptions, semantics: SemanticMapping, generator: np.random.Generator
     ) -> None:
-        self._options, self._start_values, self._generator = options, start_values, generator
+        self._options, self._semantics, self._generator = options, semantics, generator
+        self._start_values = semantics.start_values
 
     def seed(
         self, gaussian_map: GaussianMap, keyframe: Keyframe, view: SurfaceView, depth_m: Tensor
@@ -48,6 +52,9 @@ class Densification:
             self._start_values,
             self._generator,
         )
+        if self._semantics.random_start:
+            random = self._generator.standard_normal(seeds.features.shape, np.float32)
+            seeds = replace(seeds, features=torch.from_numpy(random))
         if len(seeds):
             gaussian_map.append(seeds, keyframe)
         return len(seeds)

@@ -82,9 +82,7 @@ class Mapper:
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._observations = Observations(self.device)
-        self._densification = Densification(
-            self.options, self.semantics.start_values, self._generator
-        )
+        self._densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(
             self.options, self.semantics, self._backend, self._observations, self._recorder
         )
@@ -186,7 +184,7 @@ class Mapper:
 
     def refine(self) -> None:
         """Refine the map over all keyframes, at the end of a run; see `refinement.py`."""
-        if self.semantics.channels:
+        if self.semantics.channels and self.options.consensus.use:
             with self._recorder.timed("map consensus"):
                 self.map.gaussians = label_consensus(
                     self.gaussians,

@@ -63,6 +63,8 @@ class LearningRates:
 class ConsensusOptions:
     """Correction of a keyframe's label segments by the labels of other keyframes."""
 
+    use: bool = True
+    """Fit the codes of Gaussians to the labels of all keyframes before the final refinement."""
     rounds: NonNegativeInt = 2
     """Number of rounds of correction and voting; 0 only votes."""
     min_views: NonNegativeFloat = 1.5

@@ -45,6 +45,11 @@ class SemanticMapping:
         """Features [C + 1, S] of a new Gaussian by the class id of its pixel."""
         return torch.zeros(1, 0) if self._loss is None else self._loss.code.start_values
 
+    @property
+    def random_start(self) -> bool:
+        """Whether new Gaussians have random features instead of `start_values`."""
+        return self._loss is not None and self._loss.code.random_start
+
     def is_due(self, step: int) -> bool:
         """Whether a step of a mapping call, counted from 0, includes the semantic loss."""
         return self._loss is not None and step % self._loss.weights.every == 0

@@ -96,7 +96,7 @@ class ExpectedTime:
         """Expected time of the final refinement per keyframe."""
         mapping = self._settings.mapping
         steps = mapping.final_iterations
-        if self._recorder.durations_ms.get("labelling"):
+        if mapping.consensus.use and self._recorder.durations_ms.get("labelling"):
             # Each vote on the labels takes about as long as a step.
             steps += mapping.consensus.rounds + 1
         taken = len(self._recorder.durations_ms.get(_STEP_STAGES[0], ()))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 
@@ -19,7 +20,8 @@ from toolkit.semantics.options import SemanticsOptions
 from toolkit.submaps.options import SubmapOptions
 from toolkit.tracking.options import PlacementOptions, TrackingOptions
 
-# Settings of the papers' systems, for comparison.
+# Sets of settings to start from: one YAML file each in PRESETS, with the source of every value.
+PresetName = Literal["fast", "default", "best", "hier-slam", "gausem"]
 PRESETS = Path(__file__).with_name("presets")
 
 
@@ -74,17 +76,33 @@ class RunSettings:
     evaluation: EvaluationOptions = EvaluationOptions()
 
 
-def load_settings(path: Path) -> RunSettings:
-    """Read settings from a YAML file or a preset; absent keys keep their defaults.
+def load_settings(path: Path | None = None, preset: str = "default") -> RunSettings:
+    """Read settings from a preset and a YAML file; keys of the file take precedence.
 
     Args:
-        path: the file, or the name of a preset. A file of that name takes precedence.
+        path: YAML file. Absent keys keep the values of the preset; None for the preset alone.
+        preset: name of a preset (`PresetName`).
 
     Raises:
-        SettingsError: the file is unreadable, or a key is unknown or a value invalid.
+        SettingsError: the preset is unknown, the file is unreadable, or a key is unknown or a
+            value invalid.
     """
-    if not path.exists() and str(path) in preset_names():
-        path = PRESETS / f"{path}.yaml"
+    names = get_args(PresetName)
+    if preset not in names:
+        similar = difflib.get_close_matches(preset, names, n=1)
+        hint = f"; did you mean {similar[0]}?" if similar else ""
+        raise SettingsError(f"there is no preset '{preset}'; presets: {', '.join(names)}{hint}")
+    # Merged with all defaults, because the defaults of nested options depend on where they are.
+    values = _merged(as_plain(RunSettings()), _read(PRESETS / f"{preset}.yaml"))
+    if path is None:
+        return validated(RunSettings, values, f"preset {preset}")
+    if not path.exists() and str(path) in names:
+        raise SettingsError(f"there is no file {path}; select the preset by --preset {path}")
+    return validated(RunSettings, _merged(values, _read(path)), str(path))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The keys and values of a YAML file."""
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -92,15 +110,19 @@ def load_settings(path: Path) -> RunSettings:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     if content is None:
-        content = {}
+        return {}
     if not isinstance(content, dict):
         raise SettingsError(f"{path} must contain keys and values, not {type(content).__name__}")
-    return validated(RunSettings, content, str(path))
+    return content
 
 
-def preset_names() -> list[str]:
-    """Names of the bundled presets."""
-    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
+def _merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Both nested dictionaries; the second one takes precedence."""
+    merged = dict(values)
+    for key, value in changes.items():
+        nested = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _merged(merged[key], value) if nested else value
+    return merged
 
 
 def dump_settings(settings: RunSettings) -> str:

@@ -39,6 +39,7 @@ class SemanticCode(Protocol):
         is_colour: whether the values are colours that are compared with those of the classes, so
             that SSIM applies.
         unit: scale of a feature; the learning rate is multiplied by it.
+        random_start: new Gaussians have standard normal values instead of `start_values`.
     """
 
     name: str
@@ -47,6 +48,7 @@ class SemanticCode(Protocol):
     unit: float
     heads: Heads | None
     is_colour: bool
+    random_start: bool
 
     @property
     def start_values(self) -> Tensor:
@@ -124,6 +126,7 @@ class HeadedCode:
         options = options or CodeOptions()
         targets, counts = head_values
         self.name, self.taxonomy, self.unit = name, taxonomy, 1.0
+        self.random_start = options.start == "random"
         width = np.ceil(np.log2(counts)).astype(np.int32) if bits else counts.astype(np.int32)
         uniform_loss = width * math.log(2.0) if bits else np.log(counts)
         weight = 1.0 / uniform_loss if options.normalise else np.ones(len(counts))
@@ -249,6 +252,7 @@ class ColourCode:
 
     heads: Heads | None = None
     is_colour = True
+    random_start = False
 
     def __init__(
         self, taxonomy: Taxonomy, palette: NDArray[np.float32], spread: float = 0.05

@@ -26,10 +26,19 @@ _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
 
 
 def build_code(options: CodeOptions, taxonomy: Taxonomy) -> SemanticCode | None:
-    """Build the semantic code; None for a map without semantics."""
+    """Build the semantic code; None for a map without semantics.
+
+    Raises:
+        SettingsError: the colour code is to start at random values.
+    """
     if options.kind == "none":
         return None
     if options.kind == "colour":
+        if options.start == "random":
+            raise SettingsError(
+                "semantics.code.start random is not supported by the colour code; "
+                "set semantics.code.start to labels"
+            )
         palette = Palette(taxonomy).classes[1:].astype(np.float32) / 255.0
         return ColourCode(taxonomy, palette)
     return _HEADED[options.kind](taxonomy, options)

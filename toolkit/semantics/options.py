@@ -79,6 +79,9 @@ class CodeOptions:
     kind: CodeKind = "one-hot"
     """Code of the classes: one softmax (flat), one per level of the tree (one-hot), bits per level
     (binary), colours as in GauSem-SLAM (colour), or no semantics (none)."""
+    start: Literal["labels", "random"] = "labels"
+    """Code of a new Gaussian: that of the class of its pixel (labels), or standard normal values as
+    in Hier-SLAM++ (random), which the colour code does not support."""
     start_confidence: Annotated[float, Range(gt=0.5, lt=1)] = 0.9
     """Probability of the observed class in the code of a new Gaussian."""
     normalise: bool = True
