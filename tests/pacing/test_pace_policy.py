@@ -65,7 +65,8 @@ class TestDurationEstimate:
         for _ in range(50):
             estimate.add(0.04)
             estimate.add(0.06)
-        assert 0.055 < estimate.expected_s < 0.065
+        assert 0.065 < estimate.expected_s < 0.075
+        assert 0.045 < estimate.mean_s < 0.055
 
     def test_it_follows_a_change(self):
         estimate = DurationEstimate()

@@ -121,7 +121,7 @@ class PacedSlam:
 
     def work_until(self, time_s: float) -> None:
         """Take deferred steps until a time on `clock`; sleep when none is left or none fits."""
-        while self._policy.steps(time_s - self.clock.now_s(), self._step.expected_s) > 0:
+        while self._policy.steps(time_s - self.clock.now_s(), self._step.mean_s) > 0:
             if not self.work():
                 break
         self.clock.sleep_until(time_s)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 # Weight of the newest duration in an estimate.
 _WEIGHT = 0.2
+# Number of mean deviations above the mean that is expected: the delay is a bound, not a mean.
+_DEVIATIONS = 2.0
 # Fraction of the maximum delay that a keyframe may use up, so that no frame after it is dropped.
 _KEYFRAME_SHARE = 0.75
 # Overlap with the last keyframe below which a keyframe is urgent, and number of keyframe intervals
@@ -26,9 +28,14 @@ class DurationEstimate:
         self._deviation_s = 0.0
 
     @property
+    def mean_s(self) -> float:
+        """Running mean of the durations; 0 before the first one."""
+        return 0.0 if self._mean_s is None else self._mean_s
+
+    @property
     def expected_s(self) -> float:
-        """Running mean plus mean deviation of the durations; 0 before the first one."""
-        return 0.0 if self._mean_s is None else self._mean_s + self._deviation_s
+        """Running mean of the durations plus two mean deviations; 0 before the first one."""
+        return self.mean_s + _DEVIATIONS * self._deviation_s
 
     def add(self, duration_s: float) -> None:
         """Add a measured duration."""
@@ -59,7 +66,7 @@ class PacePolicy:
 
         Args:
             remaining_s: time until the next frame arrives; negative if it has arrived.
-            step_s: expected duration of a step; 0 if it is unknown, which allows one step.
+            step_s: mean duration of a step; 0 if it is unknown, which allows one step.
         """
         if remaining_s <= 0:
             return 0
