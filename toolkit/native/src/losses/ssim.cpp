@@ -46,11 +46,25 @@ struct Layout {
 enum { X, Y, XX, YY, XY, MAPS };
 enum { BY_MEAN, BY_SQUARE, BY_PRODUCT, DERIVATIVES };
 
-struct Scratch {
-    std::vector<float> a, b, rows[MAPS];
-    explicit Scratch(const Layout& layout) : a(layout.stride()), b(layout.stride()) {
-        for (auto& r : rows) r.resize((STRIP + 2 * HALF) * layout.padded_width());
+// Rows of a strip, filtered horizontally. All that one vector of columns needs is contiguous: the rows
+// of several maps would not fit into the L1 cache otherwise.
+class FilteredRows {
+public:
+    explicit FilteredRows(const Layout& layout) : values_(ROWS * MAPS * layout.padded_width()) {}
+    float* at(int vector, int row) { return values_.data() + ((size_t)vector * ROWS + row) * MAPS * LANES; }
+    const float* at(int vector, int row) const {
+        return values_.data() + ((size_t)vector * ROWS + row) * MAPS * LANES;
     }
+
+private:
+    enum { ROWS = STRIP + 2 * HALF };
+    std::vector<float> values_;
+};
+
+struct Scratch {
+    std::vector<float> a, b;
+    FilteredRows rows;
+    explicit Scratch(const Layout& layout) : a(layout.stride()), b(layout.stride()), rows(layout) {}
 };
 
 SEMSPLAT_INLINE Floats first_lanes(int count, Floats a) {
@@ -82,21 +96,34 @@ void blur_rows(const float* x, const float* y, const Strip& strip, const Layout&
                 sums[YY] = fma(cq, q, sums[YY]);
                 sums[XY] = fma(cp, q, sums[XY]);
             }
-            const size_t at = (row - strip.first) * layout.padded_width() + LANES * (size_t)vector;
-            for (int map = 0; map < MAPS; ++map) store(s.rows[map].data() + at, sums[map]);
+            float* const to = s.rows.at(vector, row - strip.first);
+            for (int map = 0; map < MAPS; ++map) store(to + LANES * map, sums[map]);
         }
     }
 }
 
 // Filters one vector of pixels of row y vertically, from filtered rows.
 template <int COUNT>
-SEMSPLAT_INLINE void blur_column(const Scratch& s, const Strip& strip, int y, int vector, const Layout& layout, Floats* sums) {
+SEMSPLAT_INLINE void blur_column(const Scratch& s, const Strip& strip, int y, int vector, Floats* sums) {
     for (int map = 0; map < COUNT; ++map) sums[map] = all(0);
     const int from = std::max(strip.first, y - HALF), to = std::min(strip.last, y + HALF + 1);
-    for (int k = from; k < to; ++k) {
+    const float* row = s.rows.at(vector, from - strip.first);
+    for (int k = from; k < to; ++k, row += MAPS * LANES) {
         const Floats c = all(WINDOW_WEIGHTS.w[k - y + HALF]);
-        const size_t at = (k - strip.first) * layout.padded_width() + LANES * (size_t)vector;
-        for (int map = 0; map < COUNT; ++map) sums[map] = fma(c, load(s.rows[map].data() + at), sums[map]);
+        for (int map = 0; map < COUNT; ++map) sums[map] = fma(c, load(row + LANES * map), sums[map]);
+    }
+}
+
+// Calls f(row, vector) for the rows written, by blocks of columns. The filtered rows around a row of a
+// block fit into the L1 cache.
+template <class F>
+SEMSPLAT_INLINE void for_blocks(const Strip& strip, const Layout& layout, const F& f) {
+    enum { BLOCK = 64 / LANES };
+    for (int first = 0; first < layout.vectors; first += BLOCK) {
+        const int last = std::min<int>(layout.vectors, first + BLOCK);
+        for (int row = strip.begin; row < strip.end; ++row) {
+            for (int vector = first; vector < last; ++vector) f(row, vector);
+        }
     }
 }
 
@@ -104,34 +131,35 @@ SEMSPLAT_INLINE void blur_column(const Scratch& s, const Strip& strip, int y, in
 // of x are written to `by` in padded rows. Returns the sum over the strip's pixels.
 double compare(const Strip& strip, const Layout& layout, const Scratch& s, float* const by[DERIVATIVES]) {
     const Floats c1 = all(SSIM_K1 * SSIM_K1), c2 = all(SSIM_K2 * SSIM_K2), two = all(2.0f);
+    Floats sums[STRIP];
+    for (Floats& sum : sums) sum = all(0);
+    for_blocks(strip, layout, [&](int row, int vector) {
+        const int lanes = layout.lanes(vector);
+        Floats m[MAPS];
+        blur_column<MAPS>(s, strip, row, vector, m);
+        const Floats mean = m[X] * m[Y], squares = fma(m[X], m[X], m[Y] * m[Y]);
+        // SSIM = A B / (D E).
+        const Floats A = fma(two, mean, c1), B = fma(two, m[XY] - mean, c2);
+        const Floats D = squares + c1, E = m[XX] + m[YY] - squares + c2;
+        const Floats by_d = reciprocal(D), by_e = reciprocal(E), inverse = by_d * by_e;
+        const Floats value = A * B * inverse;
+        sums[row - strip.begin] = sums[row - strip.begin] + first_lanes(lanes, value);
+        const Floats found[DERIVATIVES] = {
+            two * (m[Y] * (B - A) * inverse - m[X] * value * (by_d - by_e)),
+            all(0) - value * by_e,
+            two * A * inverse,
+        };
+        const size_t at = row * layout.stride() + MARGIN + LANES * (size_t)vector;
+        for (int i = 0; i < DERIVATIVES; ++i) store(by[i] + at, first_lanes(lanes, found[i]));
+    });
     double total = 0;
     for (int row = strip.begin; row < strip.end; ++row) {
-        Floats sum = all(0);
-        for (int vector = 0; vector < layout.vectors; ++vector) {
-            Floats m[MAPS];
-            blur_column<MAPS>(s, strip, row, vector, layout, m);
-            const Floats mean = m[X] * m[Y], squares = fma(m[X], m[X], m[Y] * m[Y]);
-            // SSIM = A B / (D E).
-            const Floats A = fma(two, mean, c1), B = fma(two, m[XY] - mean, c2);
-            const Floats D = squares + c1, E = m[XX] + m[YY] - squares + c2;
-            const Floats by_d = reciprocal(D), by_e = reciprocal(E), inverse = by_d * by_e;
-            const Floats value = A * B * inverse;
-            const int lanes = layout.lanes(vector);
-            sum = sum + first_lanes(lanes, value);
-            const Floats found[DERIVATIVES] = {
-                two * (m[Y] * (B - A) * inverse - m[X] * value * (by_d - by_e)),
-                all(0) - value * by_e,
-                two * A * inverse,
-            };
-            const size_t at = row * layout.stride() + MARGIN + LANES * (size_t)vector;
-            for (int i = 0; i < DERIVATIVES; ++i) store(by[i] + at, first_lanes(lanes, found[i]));
-        }
         for (int i = 0; i < DERIVATIVES; ++i) {
             float* const line = by[i] + row * layout.stride();
             std::fill_n(line, (int)MARGIN, 0.0f);
             std::fill_n(line + layout.stride() - MARGIN, (int)MARGIN, 0.0f);
         }
-        total += sum_of(sum);
+        total += sum_of(sums[row - strip.begin]);
     }
     return total;
 }
@@ -148,23 +176,33 @@ void spread(const float* x, const float* y, float* const by[DERIVATIVES], const 
                 const Floats c = all(w[k]);
                 for (int i = 0; i < DERIVATIVES; ++i) sums[i] = fma(c, load(by[i] + from + k), sums[i]);
             }
-            const size_t at = (row - strip.first) * layout.padded_width() + LANES * (size_t)vector;
-            for (int i = 0; i < DERIVATIVES; ++i) store(s.rows[i].data() + at, sums[i]);
+            float* const to = s.rows.at(vector, row - strip.first);
+            for (int i = 0; i < DERIVATIVES; ++i) store(to + LANES * i, sums[i]);
         }
     }
-    for (int row = strip.begin; row < strip.end; ++row) {
-        for (int vector = 0; vector < layout.vectors; ++vector) {
-            Floats sums[DERIVATIVES];
-            blur_column<DERIVATIVES>(s, strip, row, vector, layout, sums);
-            float lines[DERIVATIVES][LANES];
-            for (int i = 0; i < DERIVATIVES; ++i) store(lines[i], sums[i]);
-            const size_t at = (size_t)row * layout.width + LANES * (size_t)vector;
-            for (int i = 0, lanes = layout.lanes(vector); i < lanes; ++i) {
-                gradient[at + i] += weight * (lines[BY_MEAN][i] + 2 * x[at + i] * lines[BY_SQUARE][i] +
-                                              y[at + i] * lines[BY_PRODUCT][i]);
-            }
+    const auto chain = [weight](const Floats* sums, Floats p, Floats q, Floats g) {
+        const Floats slope = fma(q, sums[BY_PRODUCT], fma(p + p, sums[BY_SQUARE], sums[BY_MEAN]));
+        return fma(all(weight), slope, g);
+    };
+    for_blocks(strip, layout, [&](int row, int vector) {
+        const int lanes = layout.lanes(vector);
+        Floats sums[DERIVATIVES];
+        blur_column<DERIVATIVES>(s, strip, row, vector, sums);
+        const size_t at = (size_t)row * layout.width + LANES * (size_t)vector;
+        // Rows of a block are too short for the processor to predict the next one.
+        const size_t next = at + (row + 1 < strip.end ? layout.width : 0);
+        for (const float* image : {x, y, (const float*)gradient}) __builtin_prefetch(image + next);
+        if (lanes == LANES) {
+            store(gradient + at, chain(sums, load(x + at), load(y + at), load(gradient + at)));
+            return;
         }
-    }
+        float parts[3][LANES] = {};
+        std::copy_n(x + at, lanes, parts[0]);
+        std::copy_n(y + at, lanes, parts[1]);
+        std::copy_n(gradient + at, lanes, parts[2]);
+        store(parts[2], chain(sums, load(parts[0]), load(parts[1]), load(parts[2])));
+        std::copy_n(parts[2], lanes, gradient + at);
+    });
 }
 
 }  // namespace
