@@ -124,22 +124,28 @@ def _best_neighbour(
         rays: x and y [N] of the intersection of each pixel's ray with the plane z = 1.
         inverse_depth: [N] in 1/m.
     """
+    # A cell without a plane is compared by its inverse depth, with a penalty.
+    fit = np.where(grid.oriented[..., None], grid.planes, 0.0)
+    fit[..., 2] = np.where(grid.oriented, fit[..., 2], grid.inverse_depth)
+    penalty = np.where(grid.oriented, 0.0, _NO_PLANE)
+    fit[cells == VOID], penalty[cells == VOID] = 0.0, np.inf
+    a, b, c = (np.ascontiguousarray(fit[..., k]).reshape(-1) for k in range(3))
+    penalty = penalty.reshape(-1)
+
     best = np.full(len(inverse_depth), np.inf)
-    chosen = np.zeros(len(inverse_depth), np.uint8)
+    chosen = np.zeros(len(inverse_depth), np.int64)
+    height, width = cells.shape
     for down in (0, -1, 1):
+        row = np.clip(cell[0] + down, 0, height - 1) * width
         for across in (0, -1, 1):
-            row = np.clip(cell[0] + down, 0, cells.shape[0] - 1)
-            column = np.clip(cell[1] + across, 0, cells.shape[1] - 1)
-            plane = grid.planes[row, column]
-            fitted = plane[:, 0] * rays[0] + plane[:, 1] * rays[1] + plane[:, 2]
-            oriented = grid.oriented[row, column]
-            error = np.abs(
-                np.where(oriented, fitted, grid.inverse_depth[row, column]) - inverse_depth
-            )
-            # A cell without a plane is compared by its inverse depth, with a penalty.
-            error += np.where(oriented, 0.0, _NO_PLANE)
-            error[cells[row, column] == VOID] = np.inf
+            index = row + np.clip(cell[1] + across, 0, width - 1)
+            error = a[index] * rays[0]
+            error += b[index] * rays[1]
+            error += c[index]
+            error -= inverse_depth
+            np.abs(error, out=error)
+            error += penalty[index]
             better = error < best
-            best = np.where(better, error, best)
-            chosen = np.where(better, cells[row, column], chosen)
-    return chosen
+            np.copyto(best, error, where=better)
+            np.copyto(chosen, index, where=better)
+    return np.where(np.isfinite(best), cells.reshape(-1)[chosen], np.uint8(VOID))

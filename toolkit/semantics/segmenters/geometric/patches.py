@@ -92,12 +92,23 @@ def _in_box(grid: SurfaceGrid, box: Any) -> NDArray[np.bool_]:
     R, extent_m = np.asarray(box.R).astype(np.float32), np.asarray(box.extent)
     centre = np.asarray(box.center).astype(np.float32)
     normal = R[:, 2] if R[:, 2] @ centre < 0 else -R[:, 2]
-    local = (grid.points - centre) @ R
-    cells = grid.oriented & (grid.normals @ normal > _MIN_COSINE)
-    cells &= np.abs(local[..., 2]) < _DISTANCE_M + _DISTANCE_FRACTION * grid.depth_m
+    similar = np.flatnonzero(
+        grid.oriented.reshape(-1) & (_along(grid.normals, normal) > _MIN_COSINE)
+    )
+    points = grid.points.reshape(-1, 3).take(similar, axis=0)
+    local = np.abs((points - centre) @ R)
+    inside = local[:, 2] < _DISTANCE_M + _DISTANCE_FRACTION * points[:, 2]
     for axis in (0, 1):
-        cells &= np.abs(local[..., axis]) < extent_m[axis] / 2 + _MARGIN_M
+        inside &= local[:, axis] < extent_m[axis] / 2 + _MARGIN_M
+    cells = np.zeros(grid.valid.shape, bool)
+    cells.reshape(-1)[similar[inside]] = True
     return cells
+
+
+def _along(vectors: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the components [h * w] of vectors [h, w, 3] along a direction [3]."""
+    # One product: NumPy would multiply each row of a three-dimensional array separately.
+    return np.asarray(vectors.reshape(-1, 3) @ direction)
 
 
 def _grown(
@@ -105,9 +116,10 @@ def _grown(
 ) -> NDArray[np.bool_]:
     """Extend a core by the connected free cells on its plane; Open3D's boxes are too small."""
     normal, distance_m = _fitted(grid, core)
-    offset = np.abs(grid.points @ normal.astype(np.float32) - np.float32(distance_m))
+    direction = normal.astype(np.float32)
+    offset = np.abs(_along(grid.points, direction) - np.float32(distance_m)).reshape(free.shape)
     cells = free & (offset < _DISTANCE_M + _DISTANCE_FRACTION * grid.depth_m)
-    cells &= grid.normals @ normal.astype(np.float32) > _MIN_COSINE
+    cells &= _along(grid.normals, direction).reshape(free.shape) > _MIN_COSINE
     count, pieces = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
     joined = np.bincount(pieces[core], minlength=count) > 0
     joined[0] = False
@@ -116,6 +128,7 @@ def _grown(
 
 def _fitted(grid: SurfaceGrid, cells: NDArray[np.bool_]) -> tuple[NDArray[np.float64], float]:
     """Return the normal [3] and distance of the plane through some cells."""
-    normal = grid.normals[cells].sum(axis=0, dtype=np.float64)
+    chosen = np.flatnonzero(cells)
+    normal = grid.normals.reshape(-1, 3).take(chosen, axis=0).sum(axis=0, dtype=np.float64)
     normal /= np.linalg.norm(normal)
-    return normal, float(np.median(grid.points[cells] @ normal))
+    return normal, float(np.median(grid.points.reshape(-1, 3).take(chosen, axis=0) @ normal))

@@ -134,17 +134,21 @@ def _fitted_planes(
     windows, in which it is at the centre, at a corner or at the middle of a side.
     """
     planes, residual = _window_fits(inverse_depth, valid, x, y)
+    a, b, c = (np.ascontiguousarray(planes[..., k]) for k in range(3))
+    cell = np.arange(valid.size).reshape(valid.shape)
     best = np.full(valid.shape, _NO_FIT, np.float32)
-    chosen = planes
+    chosen = cell.copy()
     for down in (0, -_RADIUS, _RADIUS):
         for across in (0, -_RADIUS, _RADIUS):
-            plane = moved(planes, down, across, 0.0)
-            error = plane[..., 0] * x + plane[..., 1] * y + plane[..., 2] - inverse_depth
+            error = moved(a, down, across, 0.0) * x
+            error += moved(b, down, across, 0.0) * y
+            error += moved(c, down, across, 0.0)
+            error -= inverse_depth
             fit = moved(residual, down, across, _NO_FIT) + 0.5 * error * error
             better = fit < best
-            best = np.where(better, fit, best)
-            chosen = np.where(better[..., None], plane, chosen)
-    return chosen, valid & (best < _NO_FIT)
+            np.copyto(best, fit, where=better)
+            np.copyto(chosen, moved(cell, down, across, 0), where=better)
+    return planes.reshape(-1, 3)[chosen], valid & (best < _NO_FIT)
 
 
 def _window_fits(
