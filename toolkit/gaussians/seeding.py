@@ -58,39 +58,49 @@ def seed(
     return GaussianCloud.concatenate(parts)
 
 
-def _blocks(image: NDArray, cell: int) -> NDArray:
-    """Split an image into cells [rows, columns, cell * cell, ...]; incomplete cells are dropped."""
-    rows, columns = image.shape[0] // cell, image.shape[1] // cell
-    cut = image[: rows * cell, : columns * cell]
-    cut = cut.reshape(rows, cell, columns, cell, *image.shape[2:]).swapaxes(1, 2)
-    return cut.reshape(rows, columns, cell * cell, *image.shape[2:])
+def _complete_cells(mask: NDArray[np.bool_], cell: int) -> NDArray[np.bool_]:
+    """Mask [rows, columns] of the cells whose pixels are all set; incomplete cells are dropped."""
+    rows, columns = mask.shape[0] // cell, mask.shape[1] // cell
+    cut = mask[: rows * cell, : columns * cell]
+    return np.asarray(cut.reshape(rows, cell, columns, cell).all(axis=(1, 3)))
+
+
+def _pixels_of(
+    image: NDArray, cell: int, rows: NDArray[np.int64], columns: NDArray[np.int64]
+) -> NDArray:
+    """Return the pixels [n, cell * cell, ...] of n cells of an image [H, W, ...]."""
+    offset = np.arange(cell)
+    y = rows[:, None, None] * cell + offset[:, None]
+    x = columns[:, None, None] * cell + offset
+    return image[y, x].reshape(len(rows), cell * cell, *image.shape[2:])
 
 
 def _plain_cells(
     frame: Frame, wanted: NDArray[np.bool_], cell: int, options: SeedingOptions
 ) -> NDArray[np.bool_]:
     """Return a mask [H, W] of complete cells with uniform colour and planar depth."""
-    colour = _blocks(frame.rgb, cell)
-    depth = _blocks(frame.depth_m, cell)
-    full = _blocks(wanted, cell).all(axis=2)
-    plain = (colour.max(axis=2) - colour.min(axis=2)).max(axis=-1) < options.flat_colour
+    full = _complete_cells(wanted, cell)
+    rows, columns = np.nonzero(full)
+    colour = _pixels_of(frame.rgb, cell, rows, columns)
+    depth = _pixels_of(frame.depth_m, cell, rows, columns)
+    plain = (colour.max(axis=1) - colour.min(axis=1)).max(axis=-1) < options.flat_colour
     # Inverse depth is linear on a plane, so the residual of a linear fit measures curvature.
     inverse = 1.0 / np.where(depth > 0, depth, 1.0)
     offset = np.arange(cell) - (cell - 1) / 2
     x, y = np.tile(offset, cell), np.repeat(offset, cell)
-    mean = inverse.mean(axis=2, keepdims=True)
-    slope_x = (inverse * x).sum(axis=2, keepdims=True) / (x**2).sum()
-    slope_y = (inverse * y).sum(axis=2, keepdims=True) / (y**2).sum()
-    bend = abs(inverse - mean - slope_x * x - slope_y * y).max(axis=2)
+    mean = inverse.mean(axis=1, keepdims=True)
+    slope_x = (inverse * x).sum(axis=1, keepdims=True) / (x**2).sum()
+    slope_y = (inverse * y).sum(axis=1, keepdims=True) / (y**2).sum()
+    bend = abs(inverse - mean - slope_x * x - slope_y * y).max(axis=1)
     # On a steep plane there would be gaps between large isotropic Gaussians.
-    steep = cell * np.hypot(slope_x[..., 0], slope_y[..., 0]) > 0.05 * mean[..., 0]
+    steep = cell * np.hypot(slope_x[:, 0], slope_y[:, 0]) > 0.05 * mean[:, 0]
     if frame.labels is not None:
-        labels = _blocks(frame.labels, cell)
-        plain &= (labels == labels[..., :1]).all(axis=2)
-    good = full & plain & (bend < options.flat_depth * mean[..., 0]) & ~steep
+        labels = _pixels_of(frame.labels, cell, rows, columns)
+        plain &= (labels == labels[:, :1]).all(axis=1)
+    full[rows, columns] = plain & (bend < options.flat_depth * mean[:, 0]) & ~steep
     out = np.zeros_like(wanted)
-    rows, columns = good.shape
-    out[: rows * cell, : columns * cell] = good.repeat(cell, 0).repeat(cell, 1)
+    height, width = full.shape
+    out[: height * cell, : width * cell] = full.repeat(cell, 0).repeat(cell, 1)
     return out
 
 
@@ -103,11 +113,11 @@ def _seed_cells(
     start_values: torch.Tensor | None,
 ) -> GaussianCloud:
     """Create one Gaussian per chosen cell, at its mean ray, depth and colour."""
-    rows, columns = np.nonzero(_blocks(chosen, cell).all(axis=2))
+    rows, columns = np.nonzero(_complete_cells(chosen, cell))
     # On a plane, the depth at the cell's centre is the harmonic mean of the depths.
-    inverse = 1.0 / _blocks(frame.depth_m, cell)[rows, columns]
+    inverse = 1.0 / _pixels_of(frame.depth_m, cell, rows, columns)
     depth = 1.0 / inverse.mean(axis=1)
-    colour = _blocks(frame.rgb, cell)[rows, columns].mean(axis=1)
+    colour = _pixels_of(frame.rgb, cell, rows, columns).mean(axis=1)
     u, v = columns * cell + (cell - 1) / 2, rows * cell + (cell - 1) / 2
     camera = frame.camera
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], 1)

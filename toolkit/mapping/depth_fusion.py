@@ -82,44 +82,54 @@ def measured_centres(
     means, newest = gaussians.means, keyframes[-1]
     frame_indices = torch.tensor([k.index for k in keyframes], device=means.device)
     positions = np.array([k.T_map_camera[:3, 3] for k in keyframes], np.float32)
-    row = torch.searchsorted(frame_indices, seeded_by.long()).clamp(max=len(keyframes) - 1)
-    measured_from = torch.from_numpy(positions).to(means)[row]
-
     T_camera_map = torch.from_numpy(se3.inverse(newest.T_map_camera)).to(means)
     points = means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
-    previous_m = (means - measured_from).norm(dim=1)
+    indices = _in_view(points, newest).nonzero().squeeze(1)
+    points, seen = points.index_select(0, indices), means.index_select(0, indices)
+
+    seeded_by = seeded_by.index_select(0, indices).long()
+    row = torch.searchsorted(frame_indices, seeded_by).clamp(max=len(keyframes) - 1)
+    measured_from = torch.from_numpy(positions).to(means).index_select(0, row)
+    previous_m = (seen - measured_from).norm(dim=1)
     ratio = previous_m / points.norm(dim=1).clamp(min=_MIN_DEPTH_M)
     weight = (_WEIGHT * ratio**4).clamp(max=1.0)
-    candidates = (weight > _MIN_WEIGHT) & (points[:, 2] > _MIN_DEPTH_M)
-    (indices,) = torch.nonzero(candidates, as_tuple=True)
-    points = points[indices]
     depth = _surface_depth(depth_m, newest, points)
-    noise = _MAX_INVERSE_DISTANCE * torch.maximum(previous_m[indices], depth) ** 2
+    noise = _MAX_INVERSE_DISTANCE * torch.maximum(previous_m, depth) ** 2
     on_surface = (depth - points[:, 2]).abs() < torch.minimum(noise, _MAX_DISTANCE * depth)
-    indices, points, depth = indices[on_surface], points[on_surface], depth[on_surface]
+    measured = ((weight > _MIN_WEIGHT) & on_surface).nonzero().squeeze(1)
 
-    weight = weight[indices]
+    weight = weight.index_select(0, measured)
     position = torch.from_numpy(newest.T_map_camera[:3, 3]).to(means)
-    scale = 1.0 + weight * (depth / points[:, 2] - 1.0)
-    centres = position + scale[:, None] * (means[indices] - position)
-    return MeasuredCentres(indices, centres, weight >= 1.0)
+    along = depth.index_select(0, measured) / points[:, 2].index_select(0, measured)
+    scale = 1.0 + weight * (along - 1.0)
+    centres = position + scale[:, None] * (seen.index_select(0, measured) - position)
+    return MeasuredCentres(indices.index_select(0, measured), centres, weight >= 1.0)
+
+
+def _in_view(points: Tensor, keyframe: Keyframe) -> Tensor:
+    """Mask [N] of the points [N, 3] in camera coordinates that project between four pixels."""
+    camera = keyframe.camera
+    x, y, z = points.unbind(dim=1)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    inside = (u >= 0) & (v >= 0) & (u < camera.width - 1) & (v < camera.height - 1)
+    return inside & (z > _MIN_DEPTH_M)
 
 
 def _surface_depth(depth_m: Tensor, keyframe: Keyframe, points: Tensor) -> Tensor:
-    """Depth [n] measured at the projections of points [n, 3] in camera coordinates; 0 if none."""
+    """Depth [n] measured at the projections of points [n, 3] in view; 0 if none."""
     camera = keyframe.camera
     u = camera.fx * points[:, 0] / points[:, 2] + camera.cx
     v = camera.fy * points[:, 1] / points[:, 2] + camera.cy
-    inside = (u >= 0) & (v >= 0) & (u < camera.width - 1) & (v < camera.height - 1)
-    u, v = torch.where(inside, u, 0.0), torch.where(inside, v, 0.0)
     column, row = u.long(), v.long()
     right, down = u - column, v - row
-    inverse = torch.where(depth_m > 0, 1.0 / depth_m.clamp(min=1e-6), 0.0)
-    corners = torch.stack([inverse[row + j, column + i] for j in (0, 1) for i in (0, 1)])
+    inverse = torch.where(depth_m > 0, 1.0 / depth_m.clamp(min=1e-6), 0.0).reshape(-1)
+    first = row * camera.width + column
+    offsets = [j * camera.width + i for j in (0, 1) for i in (0, 1)]
+    corners = torch.stack([inverse.index_select(0, first + offset) for offset in offsets])
     # Interpolate inverse depth, which is linear on a plane.
     weights = torch.stack(
         [(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right]
     )
     low, high = corners.min(dim=0).values, corners.max(dim=0).values
-    one_surface = inside & (low > 0) & (high - low < _EDGE * high)
+    one_surface = (low > 0) & (high - low < _EDGE * high)
     return torch.where(one_surface, 1.0 / (weights * corners).sum(dim=0).clamp(min=1e-6), 0.0)
