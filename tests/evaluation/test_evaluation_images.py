@@ -7,7 +7,14 @@ import pytest
 import torch
 
 from toolkit.evaluation.depth import depth_l1
-from toolkit.evaluation.images import MAX_PSNR_DB, mean_or_none, ms_ssim, psnr_db, ssim
+from toolkit.evaluation.images import (
+    MAX_PSNR_DB,
+    mean_or_none,
+    ms_ssim,
+    psnr_db,
+    ssim,
+    ssim_and_ms_ssim,
+)
 
 
 def image_pair(height: int, width: int, noise: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -51,6 +58,11 @@ def test_torch_and_numpy_images_have_the_same_scores() -> None:
         assert metric(*tensors) == metric(rendered, truth)
 
 
+def test_both_similarities_together_equal_each_alone() -> None:
+    pair = image_pair(180, 190)
+    assert ssim_and_ms_ssim(*pair) == (ssim(*pair), ms_ssim(*pair))
+
+
 def test_a_copy_is_perfect() -> None:
     _, truth = image_pair(180, 180)
     assert psnr_db(truth, truth) == MAX_PSNR_DB
@@ -67,6 +79,8 @@ def test_small_images_have_no_score_rather_than_another_metric() -> None:
     rendered, truth = image_pair(175, 300)
     assert ms_ssim(rendered, truth) is None
     assert ssim(rendered[:10], truth[:10]) is None
+    assert ssim_and_ms_ssim(rendered, truth) == (ssim(rendered, truth), None)
+    assert ssim_and_ms_ssim(rendered[:10], truth[:10]) == (None, None)
     assert mean_or_none([None, 0.5, 0.7]) == pytest.approx(0.6)
     assert mean_or_none([None]) is None
 

@@ -61,10 +61,7 @@ def ssim(rendered: Image, truth: Image) -> float | None:
         ValueError: shapes differ or are not [H, W, 3].
     """
     a, b = _as_pair(rendered, truth)
-    if min(a.shape[:2]) < WINDOW_SIZE:
-        return None
-    similarity, _ = _ssim_maps(a, b)
-    return float(similarity.mean())
+    return _ssim_of(_Statistics(a, b)) if _fits(a, 1) else None
 
 
 def ms_ssim(rendered: Image, truth: Image) -> float | None:
@@ -84,19 +81,17 @@ def ms_ssim(rendered: Image, truth: Image) -> float | None:
         ValueError: shapes differ or are not [H, W, 3].
     """
     a, b = _as_pair(rendered, truth)
-    if min(a.shape[:2]) < WINDOW_SIZE * 2 ** (len(MS_SSIM_WEIGHTS) - 1):
-        return None
-    product = 1.0
-    for scale, weight in enumerate(MS_SSIM_WEIGHTS):
-        if scale > 0:
-            a, b = _halved(a), _halved(b)
-        similarity, contrast = _ssim_maps(a, b)
-        is_coarsest = scale == len(MS_SSIM_WEIGHTS) - 1
-        inside = contrast[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
-        factor = float((similarity if is_coarsest else inside).mean())
-        # Anticorrelated structure gives a negative factor, which has no real fractional power.
-        product *= max(factor, 0.0) ** weight
-    return product
+    return _ms_ssim_of(a, b, _Statistics(a, b)) if _fits(a, len(MS_SSIM_WEIGHTS)) else None
+
+
+def ssim_and_ms_ssim(rendered: Image, truth: Image) -> tuple[float | None, float | None]:
+    """Compute `ssim` and `ms_ssim`, which share the finest scale."""
+    a, b = _as_pair(rendered, truth)
+    if not _fits(a, 1):
+        return None, None
+    finest = _Statistics(a, b)
+    several = _fits(a, len(MS_SSIM_WEIGHTS))
+    return _ssim_of(finest), _ms_ssim_of(a, b, finest) if several else None
 
 
 def mean_or_none(values: Sequence[float | None]) -> float | None:
@@ -120,15 +115,47 @@ def _as_pair(rendered: Image, truth: Image) -> tuple[Array, Array]:
     return pair[0], pair[1]
 
 
-def _ssim_maps(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return SSIM and its contrast-structure factor, each [H, W, 3]."""
-    mean_a, mean_b = _blur(a), _blur(b)
-    variance_a = _blur(a * a) - mean_a**2
-    variance_b = _blur(b * b) - mean_b**2
-    covariance = _blur(a * b) - mean_a * mean_b
-    contrast = (2.0 * covariance + _C2) / (variance_a + variance_b + _C2)
-    luminance = (2.0 * mean_a * mean_b + _C1) / (mean_a**2 + mean_b**2 + _C1)
-    return luminance * contrast, contrast
+def _fits(image: Array, scales: int) -> bool:
+    """Whether the window fits into the coarsest of some scales of an image."""
+    return min(image.shape[:2]) >= WINDOW_SIZE * 2 ** (scales - 1)
+
+
+class _Statistics:
+    """Local statistics of two images [H, W, 3].
+
+    Attributes:
+        contrast: contrast-structure factor of SSIM [H, W, 3].
+    """
+
+    def __init__(self, a: Array, b: Array) -> None:
+        mean_a, mean_b = _blur(a), _blur(b)
+        self._product, self._squares = mean_a * mean_b, mean_a**2 + mean_b**2
+        covariance = _blur(a * b) - self._product
+        variances = _blur(a * a + b * b) - self._squares
+        self.contrast: Array = (2.0 * covariance + _C2) / (variances + _C2)
+
+    def similarity(self) -> Array:
+        """SSIM [H, W, 3]."""
+        luminance = (2.0 * self._product + _C1) / (self._squares + _C1)
+        return np.asarray(luminance * self.contrast)
+
+
+def _ssim_of(finest: _Statistics) -> float:
+    return float(finest.similarity().mean())
+
+
+def _ms_ssim_of(a: Array, b: Array, finest: _Statistics) -> float:
+    product, statistics = 1.0, finest
+    for scale, weight in enumerate(MS_SSIM_WEIGHTS):
+        if scale > 0:
+            a, b = _halved(a), _halved(b)
+            statistics = _Statistics(a, b)
+        is_coarsest = scale == len(MS_SSIM_WEIGHTS) - 1
+        inside = statistics.contrast[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
+        factor = float((statistics.similarity() if is_coarsest else inside).mean())
+        # Anticorrelated structure gives a negative factor, which has no real fractional power.
+        product *= max(factor, 0.0) ** weight
+    return product
 
 
 def _blur(image: Array) -> Array:
@@ -141,5 +168,6 @@ def _blur(image: Array) -> Array:
 def _halved(image: Array) -> Array:
     """Average blocks of 2x2 pixels; an odd last row or column is dropped."""
     height, width = image.shape[0] // 2, image.shape[1] // 2
-    blocks = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3)
-    return np.asarray(blocks.mean(axis=(1, 3)))
+    size = (width, height)
+    even = image[: 2 * height, : 2 * width]
+    return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), dtype=np.float64)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.evaluation.depth import depth_l1
-from toolkit.evaluation.images import mean_or_none, ms_ssim, psnr_db, ssim
+from toolkit.evaluation.images import mean_or_none, psnr_db, ssim_and_ms_ssim
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
@@ -116,11 +116,12 @@ def view_quality(
     rgb, depth_m = rendered
     true_rgb, measured_depth_m = measured
     depth = depth_l1(depth_m, measured_depth_m)
+    similarity, multi_scale = ssim_and_ms_ssim(rgb, true_rgb)
     return ViewQuality(
         frame_index=frame_index,
         psnr_db=psnr_db(rgb, true_rgb),
-        ssim=ssim(rgb, true_rgb),
-        ms_ssim=ms_ssim(rgb, true_rgb),
+        ssim=similarity,
+        ms_ssim=multi_scale,
         lpips=None if lpips is None else lpips(rgb, true_rgb),
         depth_l1_m=depth.l1_m,
         depth_coverage=depth.coverage,
