@@ -54,7 +54,7 @@ class LearningRates:
     epsilon: PositiveFloat = 0.05
     """Adam's epsilon. Gradients well below it have little effect, so that Gaussians that fit the
     images do not move."""
-    settle_steps: NonNegativeFloat = 60.0
+    settle_steps: NonNegativeFloat = 120.0
     """Number of iterations of a Gaussian after which its learning rates are halved. 0 keeps them
     constant."""
 
@@ -83,7 +83,7 @@ class MapperOptions:
     # accuracy of the trajectory, in more than twice the time (docs/method.md).
     iterations: NonNegativeInt = 4
     """Number of optimisation iterations per keyframe during mapping."""
-    first_iterations: NonNegativeInt = 40
+    first_iterations: NonNegativeInt = 20
     """Number of optimisation iterations on the first keyframe."""
     final_iterations: NonNegativeInt = 6
     """Number of optimisation iterations per keyframe in the final refinement."""
