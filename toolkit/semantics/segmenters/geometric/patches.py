@@ -13,7 +13,7 @@ from toolkit.geometry.open3d_bridge import open3d
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid
 
 # Approximate number of points in which Open3D detects patches.
-_POINTS = 5000
+_POINTS = 2500
 _NEIGHBOURS = 10
 _MIN_POINTS = 12
 _MIN_EDGE_M = 0.1
