@@ -218,20 +218,26 @@ class Keyframe:
     def _projected(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Mask [P] of the camera points [P, 3] inside the image, and the pixels [P, 2] of all."""
-        ahead = points[:, 2] > _MIN_DEPTH_M
-        uv = self.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
-        inside = ahead & (uv >= 0).all(axis=1)
-        inside &= (uv[:, 0] <= self.camera.width - 1) & (uv[:, 1] <= self.camera.height - 1)
+        """Mask [..., P] of camera points [..., P, 3] inside the image, and all pixels."""
+        ahead = points[..., 2] > _MIN_DEPTH_M
+        uv = self.camera.project(np.where(ahead[..., None], points, [0.0, 0.0, 1.0]))
+        inside = ahead & (uv >= 0).all(axis=-1)
+        inside &= (uv[..., 0] <= self.camera.width - 1) & (uv[..., 1] <= self.camera.height - 1)
         return inside, uv
 
     def fraction_seen_by(self, T_map_camera: NDArray[np.float64]) -> float:
         """Fraction of this keyframe's points inside the image of a camera at a pose [4, 4]."""
+        return float(self.fractions_seen_by(T_map_camera[None])[0])
+
+    def fractions_seen_by(self, T_map_cameras: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As `fraction_seen_by` [K], for cameras at poses [K, 4, 4]."""
         if len(self.points) == 0:
-            return 0.0
-        T_other_self = se3.inverse(T_map_camera) @ self.T_map_camera
-        points = se3.transform_points(T_other_self, self.points)
-        return float(self._projected(points)[0].mean())
+            return np.zeros(len(T_map_cameras))
+        T_others_self = se3.inverse(T_map_cameras) @ self.T_map_camera
+        R_transposed = np.swapaxes(T_others_self[:, :3, :3], -1, -2)
+        points = self.points @ R_transposed + T_others_self[:, None, :3, 3]
+        inside, _ = self._projected(points)
+        return np.asarray(inside.mean(axis=-1))
 
 
 def _not_behind(z_m: NDArray[np.float64], measured_m: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -33,7 +33,9 @@ def choose_window(
     """
     newest = keyframes[-1]
     others = keyframes[:-1]
-    overlapping = [k for k in others if newest.fraction_seen_by(k.T_map_camera) > min_overlap]
+    poses = np.array([k.T_map_camera for k in others]).reshape(-1, 4, 4)
+    overlaps = newest.fractions_seen_by(poses)
+    overlapping = [k for k, overlap in zip(others, overlaps, strict=True) if overlap > min_overlap]
     count = min(size - 1, len(overlapping))
     chosen = (
         [overlapping[i] for i in generator.choice(len(overlapping), count, replace=False)]

@@ -97,21 +97,21 @@ def _sampled_rows(height: int) -> NDArray[np.int64]:
 
 
 def _inverse(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    valid = depth_m > 0
-    return np.where(valid, 1.0 / np.where(valid, depth_m, 1.0), 0.0).astype(np.float32)
+    return np.divide(1.0, depth_m, out=np.zeros(depth_m.shape, np.float32), where=depth_m > 0)
 
 
 def _halved(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
     """Means over 2x2 pixels; 0 unless all four are measured."""
     height, width = (size // 2 * 2 for size in inverse.shape)
-    parts = [inverse[i:height:2, j:width:2] for i in (0, 1) for j in (0, 1)]
-    valid = np.min(parts, axis=0) > 0
-    return np.where(valid, np.mean(parts, axis=0), 0.0).astype(np.float32)
+    a, b, c, d = (inverse[i:height:2, j:width:2] for i in (0, 1) for j in (0, 1))
+    valid = (a > 0) & (b > 0) & (c > 0) & (d > 0)
+    return np.where(valid, (a + b + c + d) / 4.0, 0.0).astype(np.float32)
 
 
 def _noise_between_neighbours(inverse: NDArray[np.float32]) -> float:
     left, centre, right = inverse[:, :-2], inverse[:, 1:-1], inverse[:, 2:]
-    differences = np.abs(left - 2.0 * centre + right)[(left > 0) & (centre > 0) & (right > 0)]
+    measured = (left > 0) & (centre > 0) & (right > 0)
+    differences = np.abs((left - 2.0 * centre + right)[measured])
     if not differences.size:
         return 0.0
     # Median absolute value of a normal variable of variance 1 + 4 + 1.
