@@ -9,10 +9,17 @@ import torch
 from toolkit.losses import semantic
 from toolkit.losses.photometric import ssim_torch
 from toolkit.losses.semantic import SemanticLoss, semantic_loss_torch
+from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.native import available_instruction_sets, load_variant
 from toolkit.semantics.codes import ColourCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
-from toolkit.semantics.options import SemanticLossWeights
+from toolkit.semantics.factory import build_code
+from toolkit.semantics.options import (
+    CodeOptions,
+    NetworkOptions,
+    SemanticLossWeights,
+    SemanticsOptions,
+)
 from toolkit.semantics.taxonomy import Taxonomy
 
 TREE = Taxonomy(
@@ -219,3 +226,18 @@ def test_ssim_does_not_affect_other_codes():
     plain = SemanticLoss(code, SemanticLossWeights())(*images, (0, 1))
     mixed = SemanticLoss(code, SemanticLossWeights(structure=0.2))(*images, (0, 1))
     assert mixed.value == plain.value and torch.equal(mixed.features, plain.features)
+
+
+def test_without_normalisation_the_inter_level_loss_is_the_plain_cross_entropy():
+    """H-13; normalised, it is divided by the loss of a uniform prediction."""
+    images = scene(flat_code(TREE).channels, (8, 8))
+    terms = []
+    for normalise in (True, False):
+        options = SemanticsOptions(
+            code=CodeOptions(kind="flat", normalise=normalise),
+            loss=SemanticLossWeights(intra=0.0, inter_from=0),
+            network=NetworkOptions(use=True),
+        )
+        mapping = build_semantic_mapping(options, build_code(options.code, TREE), 0)
+        terms.append(mapping._loss(*images, (0, 1)).value)
+    assert terms[1] == pytest.approx(np.log(len(TREE)) * terms[0], rel=1e-5)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import torch
 
 from toolkit.losses.semantic import SemanticLoss
@@ -27,5 +30,8 @@ def build_semantic_mapping(
             torch.Generator().manual_seed(seed),
             options.network.replay,
         )
-    loss = SemanticLoss(code, options.loss, network, seed)
-    return SemanticMapping(loss, options.reader)
+    weights = options.loss
+    if not options.code.normalise:
+        # The network divides its loss by that of a uniform prediction.
+        weights = replace(weights, inter=weights.inter * math.log(len(code.taxonomy)))
+    return SemanticMapping(SemanticLoss(code, weights, network, seed), options.reader)

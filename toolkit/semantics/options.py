@@ -85,7 +85,7 @@ class CodeOptions:
     start_confidence: Annotated[float, Range(gt=0.5, lt=1)] = 0.9
     """Probability of the observed class in the code of a new Gaussian."""
     normalise: bool = True
-    """Divide the loss of each level by that of a uniform prediction."""
+    """Divide the loss of each level, and that of the network, by that of a uniform prediction."""
 
 
 @dataclass(frozen=True)
