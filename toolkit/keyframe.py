@@ -143,7 +143,7 @@ class Keyframe:
         """
         rgb = self.rgb if images is None else images.rgb
         gain, bias = self.exposure.gain, self.exposure.bias
-        return (rgb.to(torch.float32) * (gain / 255.0) + bias).clamp(0.0, 1.0)
+        return rgb.to(torch.float32).mul_(gain / 255.0).add_(bias).clamp_(0.0, 1.0)
 
     def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Colour, depth and labels in the form that the losses expect.

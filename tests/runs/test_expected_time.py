@@ -91,7 +91,7 @@ def test_votes_on_labels_count_as_steps(messages):
     run = Run(camera=QVGA)
     run.recorder.durations_ms["labelling"] = [1.0]
     run.process(30)
-    assert "0.53 s per frame" in messages()[0]  # 13 instead of 10 steps per keyframe
+    assert "0.52 s per frame" in messages()[0]  # 12 instead of 10 steps per keyframe
 
 
 @pytest.mark.parametrize(

