@@ -16,39 +16,40 @@ struct Lanes {
     alignas(64) float inverse[LANE];   // 1 / silhouette, 0 for inactive pixels
     alignas(64) float active[LANE];    // 1 or 0
     alignas(64) float value_gradient[LANE];  // sum of gradient * value, for the gradient of the silhouette
-    int32_t target[LANE];
+    alignas(64) float target[LANE];    // an integer
 };
+
+// 1 where a target is a channel, else 0.
+SEMSPLAT_INLINE Floats is_target(Floats target, int channel) {
+    return keep(both(ge(target, all((float)channel)), lt(target, all((float)(channel + 1)))), all(1.0f));
+}
 
 // Softmax head of sixteen pixels (H-10): writes its gradient, adds each pixel's loss to `value`.
 void softmax_head(const float* features, size_t plane, int channels, float weight, Lanes& lanes, float* scratch,
                   float* gradient, float* value) {
-    alignas(64) float sums[LANE], logs[LANE], tops[LANE];
     for (int first = 0; first < LANE; first += LANES) {
-        const Floats inverse = load(lanes.inverse + first);
-        Floats most = load(features + first) * inverse;
-        for (int c = 1; c < channels; ++c) most = maximum(most, load(features + c * plane + first) * inverse);
+        const float* const from = features + first;
+        const Floats inverse = load(lanes.inverse + first), target = load(lanes.target + first);
+        Floats most = load(from) * inverse;
+        for (int c = 1; c < channels; ++c) most = maximum(most, load(from + c * plane) * inverse);
         Floats sum = all(0.0f);
         for (int c = 0; c < channels; ++c) {
-            const Floats e = exp_negative(load(features + c * plane + first) * inverse - most);
-            store(scratch + LANE * c + first, e);
+            const Floats e = exp_negative(load(from + c * plane) * inverse - most);
+            store(scratch + LANES * c, e);
             sum = sum + e;
         }
-        store(sums + first, sum);
-        store(tops + first, most);
-    }
-    for (int i = 0; i < LANE; i += LANES) store(logs + i, logarithm(load(sums + i)));
-    for (int i = 0; i < LANE; ++i) {
-        const float z = features[lanes.target[i] * plane + i] * lanes.inverse[i];
-        value[i] += weight * lanes.active[i] * (logs[i] + tops[i] - z);
-    }
-    for (int c = 0; c < channels; ++c) {
-        float* g = gradient + c * plane;
-        for (int i = 0; i < LANE; ++i) {
-            const float p = scratch[LANE * c + i] / sums[i];
-            const float d = weight * lanes.inverse[i] * (p - (lanes.target[i] == c ? 1.0f : 0.0f));
-            lanes.value_gradient[i] += d * features[c * plane + i] * lanes.inverse[i];
-            g[i] = d;
+        const Floats by_sum = all(1.0f) / sum, scale = all(weight) * inverse;
+        Floats of_target = all(0.0f), by_value = load(lanes.value_gradient + first);
+        for (int c = 0; c < channels; ++c) {
+            const Floats z = load(from + c * plane) * inverse, one = is_target(target, c);
+            const Floats d = scale * fma(load(scratch + LANES * c), by_sum, all(0.0f) - one);
+            of_target = fma(one, z, of_target);
+            by_value = fma(d, z, by_value);
+            store(gradient + c * plane + first, d);
         }
+        const Floats loss = logarithm(sum) + most - of_target;
+        store(lanes.value_gradient + first, by_value);
+        store(value + first, fma(all(weight) * load(lanes.active + first), loss, load(value + first)));
     }
 }
 
@@ -63,7 +64,7 @@ void bits_head(const float* features, size_t plane, int channels, float weight, 
         for (int i = 0; i < LANE; i += LANES) store(logs + i, logarithm(load(grown + i)));
         for (int i = 0; i < LANE; ++i) {
             const float z = features[c * plane + i] * lanes.inverse[i];
-            const float bit = (float)((lanes.target[i] >> c) & 1);
+            const float bit = (float)(((int32_t)lanes.target[i] >> c) & 1);
             value[i] += weight * lanes.active[i] * (logs[i] + std::max(z, 0.0f) - bit * z);
             const float p = (z >= 0 ? 1.0f : e[i]) / grown[i];
             const float d = weight * lanes.inverse[i] * (p - bit);
@@ -86,6 +87,11 @@ struct Patch {
 // Computes the loss of a patch and writes its gradients.
 double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, float min_silhouette,
                   float* scratch) {
+    // The channels are more streams than the processor can predict.
+    for (int c = 0; c < channels; ++c) {
+        __builtin_prefetch(patch.features + c * patch.stride + 2 * LANE);
+        __builtin_prefetch(patch.gradient + c * patch.stride + 2 * LANE, 1);
+    }
     Lanes lanes;
     alignas(64) float value[LANE] = {0};
     bool any = false;
@@ -104,7 +110,7 @@ double patch_loss(const Patch& patch, const SemanticHeads& heads, int channels, 
     for (int h = 0; h < heads.count; ++h) {
         for (int i = 0; i < LANE; ++i) {
             const int32_t label = patch.labels[i];
-            lanes.target[i] = label > 0 ? heads.targets[(label - 1) * heads.count + h] : 0;
+            lanes.target[i] = label > 0 ? (float)heads.targets[(label - 1) * heads.count + h] : 0.0f;
         }
         const size_t at = heads.first[h] * patch.stride;
         head(patch.features + at, patch.stride, heads.width[h], heads.weight[h], lanes, scratch,
