@@ -9,6 +9,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from toolkit.threads import limit_waiting
+
 __version__ = "0.1.0"
 
 __all__ = [
@@ -47,6 +49,8 @@ _MODULES = {
     "render": "toolkit.rendering",
     "run": "toolkit.runs.execution",
 }
+
+limit_waiting()
 
 
 def __getattr__(name: str) -> Any:
