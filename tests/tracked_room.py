@@ -16,6 +16,7 @@ from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import RenderOptions, backend, render, render_surface
 
 
@@ -37,7 +38,7 @@ def first_steps(count: int = 6, width: int = 160, height: int = 120) -> Room:
 @functools.cache
 def map_of_first_frame() -> GaussianCloud:
     """A map of the first frame alone."""
-    room, mapper = first_steps(), Mapper()
+    room, mapper = first_steps(), Mapper(MapperOptions(first_iterations=40))
     mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
     return mapper.gaussians
 
