@@ -14,6 +14,7 @@ import textwrap
 from pathlib import Path
 
 from benchmarks import ring, sequences
+from benchmarks.compare_open3d import TITLES
 from benchmarks.repository import ROOT
 from benchmarks.results_file import RESULTS, Results, read_results
 from benchmarks.tables import MISSING, Table
@@ -21,10 +22,10 @@ from benchmarks.tables import MISSING, Table
 README = ROOT / "README.md"
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
 
-_DENSE_SLAM = "Open3D dense SLAM (1 cm voxels, its 6/3/1 iterations)"
+_DENSE_SLAM = TITLES["dense-slam"]
 _MISSED = "**missed**"
 _WITH_TARGETS = (
-    *("sequences", "open3d-redkitchen", "open3d-fr1_rpy"),
+    *("sequences", "open3d-redkitchen", "open3d-fr1_rpy", "open3d-office0"),
     *("semantics-quality", "semantics-room", "ring-summary"),
 )
 
@@ -107,16 +108,26 @@ def _sequences(figures: Figures) -> str:
 
 
 def _open3d(figures: Figures) -> str:
-    names = {"open3d-redkitchen": "RedKitchen", "open3d-fr1_rpy": "fr1/rpy"}
+    names = {
+        "open3d-redkitchen": "RedKitchen",
+        "open3d-fr1_rpy": "fr1/rpy",
+        "open3d-office0": "office0",
+    }
     parts = []
     for name, title in names.items():
-        ate = [figures.cell(name, row, "ATE RMSE cm (SE(3))") for row in (_DENSE_SLAM, "semsplat")]
-        ms = [
-            figures.cell(name, row, "whole frame ms", digits=0) for row in (_DENSE_SLAM, "semsplat")
-        ]
-        parts.append(f"{title} {ate[0]} cm, {ms[0]} ms (semsplat {ate[1]} cm, {ms[1]} ms)")
+        ours, avx2 = TITLES["semsplat"], TITLES["semsplat-avx2"]
+        ate = [figures.cell(name, row, "ATE RMSE cm (SE(3))") for row in (_DENSE_SLAM, ours)]
+        theirs = figures.cell(name, _DENSE_SLAM, "whole frame ms", digits=0)
+        online, whole = (
+            [figures.cell(name, row, column, digits=0) for row in (ours, avx2)]
+            for column in ("online ms", "whole frame ms")
+        )
+        parts.append(
+            f"{title} {ate[0]} cm, {theirs} ms (semsplat {ate[1]} cm, {online[0]} ms online and "
+            f"{whole[0]} ms with the refinement; with AVX2 {online[1]} and {whole[1]} ms)"
+        )
     return (
-        f"Open3D's dense SLAM on the same machine, ATE and whole frame: {'; '.join(parts)}. "
+        f"Open3D's dense SLAM on the same machine, ATE and time per frame: {'; '.join(parts)}. "
         f"{figures.source(*names)}."
     )
 

@@ -178,6 +178,11 @@ class Keyframe:
         inside[inside] = _not_behind(z, depth_m)
         return inside
 
+    def sees_any(self, points_map: NDArray[np.float64]) -> bool:
+        """Whether any of the points [P, 3] is in the image, hidden or not."""
+        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
+        return bool(self._projected(points)[0].any())
+
     def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
         inside, z, depth_m = self._depths_at(points_map)

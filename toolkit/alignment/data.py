@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,6 +90,17 @@ MIN_SCALES = ResidualScales(intensity=0.002, depth_m=0.0001)
 MAX_SCALES = ResidualScales(intensity=0.2, depth_m=0.05)
 
 
+def _triangle_index() -> NDArray[np.intp]:
+    """Index [8, 8] of each entry of a symmetric matrix in its upper triangle [36], row by row."""
+    index = np.zeros((8, 8), np.intp)
+    rows, columns = np.triu_indices(8)
+    index[rows, columns] = index[columns, rows] = np.arange(len(rows))
+    return index
+
+
+_TRIANGLE_INDEX = _triangle_index()
+
+
 @dataclass(frozen=True)
 class Linearisation:
     """Normal equations at a pose, and statistics of the residuals.
@@ -115,10 +127,7 @@ class Linearisation:
         They are the upper triangle of H row by row, g, the numbers of photometric and geometric
         residuals, their weighted sums of squares, and the number of frame pixels.
         """
-        H = np.zeros((8, 8))
-        H[np.triu_indices(8)] = sums[:36]
-        H = H + np.triu(H, 1).T
-        return cls.from_squares(H, sums[36:44].copy(), sums[44:49])
+        return cls.from_squares(sums[_TRIANGLE_INDEX], sums[36:44].copy(), sums[44:49])
 
     @classmethod
     def from_squares(
@@ -151,15 +160,14 @@ class Linearisation:
 
 def rescaled(scales: ResidualScales, linear: Linearisation) -> ResidualScales:
     """Re-estimate the scales of Student's t distribution: one fixed-point iteration."""
-    intensity = scales.intensity * np.sqrt(linear.intensity_variance)
-    depth_m = scales.depth_m * np.sqrt(linear.depth_variance)
+    intensity, depth_m = scales.intensity, scales.depth_m
     if linear.intensity_pixels:
-        clipped = np.clip(intensity, MIN_SCALES.intensity, MAX_SCALES.intensity)
-        scales = replace(scales, intensity=float(clipped))
+        intensity *= math.sqrt(linear.intensity_variance)
+        intensity = min(max(intensity, MIN_SCALES.intensity), MAX_SCALES.intensity)
     if linear.depth_pixels:
-        clipped = np.clip(depth_m, MIN_SCALES.depth_m, MAX_SCALES.depth_m)
-        scales = replace(scales, depth_m=float(clipped))
-    return scales
+        depth_m *= math.sqrt(linear.depth_variance)
+        depth_m = min(max(depth_m, MIN_SCALES.depth_m), MAX_SCALES.depth_m)
+    return replace(scales, intensity=intensity, depth_m=depth_m)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,9 @@ _MIN_HOLE = 0.002
 # Factors of the inferred depth at which a point is tried, from near to far. A point that other
 # keyframes measured through at all of them is dropped.
 _DEPTH_FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0, 3.0)
+# The points of a hole are compared with at most this number of the keyframes that see any of every
+# n-th point.
+_MAX_OTHERS, _SAMPLE = 16, 16
 # There is a depth edge beside a hole if the mean inverse depth around it exceeds the mean that is
 # weighted by this power of the depth, and so dominated by the far surface, by this factor.
 _DISTANCE_POWER = 6
@@ -145,6 +148,9 @@ def _outside_free_space(
     """Move Gaussians away from their keyframe until no other keyframe measured through them."""
     centre = keyframe.T_map_camera[:3, 3]
     rays = seeds.means.double().numpy() - centre
+    sample = np.concatenate([centre + f * rays[::_SAMPLE] for f in (1.0, _DEPTH_FACTORS[-1])])
+    others = [other for other in others if other.sees_any(sample)]
+    others = others[:: -(-len(others) // _MAX_OTHERS) or 1]
     chosen = np.zeros(len(seeds))
     for factor in _DEPTH_FACTORS:
         left = np.flatnonzero(chosen == 0)
