@@ -67,7 +67,8 @@ Default settings of semsplat (`--image-size 320 240` on RedKitchen and fr1/rpy, 
 elsewhere); Open3D with its normal threads, 1 cm voxels. Open3D's times are medians over frames;
 those of semsplat are means, since mapping does not run on every frame. Its online time is the
 wall-clock time of the loop over all frames, with labelling, loop closing, relocalisation and
-waiting for images; its whole frame adds the refinement at the end."""
+waiting for images; its whole frame ("everything") adds the refinement at the end. Targets are
+ratios to the whole frame of Open3D's dense SLAM with its own numbers of iterations."""
 
 
 class RowError(Exception):
@@ -163,7 +164,7 @@ def targets(rows: dict[str, Figures], sequence: str) -> list[Target]:
         for (what, key), bar in zip(keys, TARGETS[sequence], strict=True):
             value = figures.get(key)
             if value is not None:
-                title = f"{TITLES[name]}, {what}, of Open3D's whole frame"
+                title = f"{what}{', AVX2' if name.endswith('avx2') else ''}"
                 found.append(Target(title, value / whole, at_most=bar))
     return found
 

@@ -123,11 +123,12 @@ def _open3d(figures: Figures) -> str:
             for column in ("online ms", "whole frame ms")
         )
         parts.append(
-            f"{title} {ate[0]} cm, {theirs} ms (semsplat {ate[1]} cm, {online[0]} ms online and "
-            f"{whole[0]} ms with the refinement; with AVX2 {online[1]} and {whole[1]} ms)"
+            f"{title} {ate[0]} cm, {theirs} ms (semsplat {ate[1]} cm, {online[0]} / {whole[0]} ms; "
+            f"AVX2 {online[1]} / {whole[1]} ms)"
         )
     return (
-        f"Open3D's dense SLAM on the same machine, ATE and time per frame: {'; '.join(parts)}. "
+        f"Open3D's dense SLAM on the same machine, ATE and time per frame (semsplat: without / "
+        f"with the refinement): {'; '.join(parts)}. "
         f"{figures.source(*names)}."
     )
 
@@ -183,9 +184,10 @@ def _weak(figures: Figures) -> str:
         f"{figures.source('registration-redkitchen')}."
     )
     for name in _WITH_TARGETS:
-        for row in _targets(figures.file(name)):
-            if _MISSED in row[-1]:
-                lines.append(f"- Missed target in {name}: {row[0]}, {row[1]}, measured {row[2]}.")
+        missed = [row for row in _targets(figures.file(name)) if _MISSED in row[-1]]
+        if missed:
+            measured = "; ".join(f"{what}: {value}, {bar}" for what, bar, value, _ in missed)
+            lines.append(f"- Missed targets in {name}: {measured}.")
     return "Weak results and missed targets:\n\n" + "\n".join(lines)
 
 
