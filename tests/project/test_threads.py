@@ -12,7 +12,7 @@ import pytest
 @pytest.mark.parametrize(
     ("variables", "expected"),
     [
-        ({}, "500"),
+        ({}, "2000"),
         ({"GOMP_SPINCOUNT": "7"}, "7"),
         ({"OMP_WAIT_POLICY": "active"}, "None"),
     ],
