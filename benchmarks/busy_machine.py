@@ -8,7 +8,6 @@ Run it on an otherwise idle machine.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -20,7 +19,7 @@ from statistics import median
 
 import tyro
 
-from benchmarks.recordings import sequence_arguments
+from benchmarks.recordings import semsplat, sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
@@ -28,8 +27,8 @@ from benchmarks.tables import Table, Target, target_table
 DESCRIPTION = """\
 `semsplat run` on two cores, beside processes that compute without pause. Time is the wall-clock
 time of the loop over all frames and of the refinement, per frame; medians over repeats, which
-alternate between all cells of the table. OpenMP's default is an unlimited wait (GNU: 300,000
-rounds) before a thread that has finished its share of a loop gives its core away."""
+alternate between all cells of the table. By default, a thread of GNU OpenMP that has finished its
+share of a loop checks 300,000 times for the others before it gives its core away."""
 
 # Environment variables of each row.
 WAITING = {
@@ -103,10 +102,9 @@ def run_time_ms(options: Options, variables: dict[str, str]) -> float:
     """Time per frame of one run."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
-        command += [*sequence_arguments(options.sequence), "--max-frames", str(options.frames)]
-        environment = {**os.environ, **variables}
-        subprocess.run(command, check=True, stderr=subprocess.DEVNULL, env=environment)
+        frames = ["--max-frames", str(options.frames)]
+        sequence = sequence_arguments(options.sequence)
+        semsplat("run", "--out", str(out), *sequence, *frames, variables=variables)
         metrics = json.loads((out / "metrics.json").read_text())
     return float(metrics["total_ms_per_frame"])
 

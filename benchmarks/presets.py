@@ -98,15 +98,13 @@ def main() -> None:
 
 
 def measure(job: dict[str, Any], seed: int) -> Metrics:
-    """Metrics of one preset on one sequence, and its times per frame."""
+    """Metrics of one preset on one sequence."""
     settings = settings_of(job["sequence"], job["preset"], job["frames"], seed)
     path = settings.dataset.path
     assert path is not None
     dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
     with finished_slam(settings, dataset) as run:
-        count = len(run.frames_ms)
-        online = sum(run.frames_ms) / count
-        return run.metrics | {ONLINE: online, TOTAL: online + 1e3 * run.finish_s / count}
+        return run.metrics
 
 
 def settings_of(sequence: str, preset: str, frames: int, seed: int) -> RunSettings:

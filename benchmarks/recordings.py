@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,14 +93,18 @@ def room(name: str, seed: int = 0) -> Path:
     return folder
 
 
-def semsplat(*arguments: str) -> None:
+def semsplat(*arguments: str, variables: Mapping[str, str] | None = None) -> None:
     """Run a semsplat program in a process of its own.
+
+    Args:
+        variables: additional environment variables.
 
     Raises:
         SystemExit: it failed.
     """
     command = [sys.executable, "-m", "toolkit.cli.main", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path.cwd())
+    environment = {**os.environ, **(variables or {})}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
         raise SystemExit(f"semsplat {' '.join(arguments)}\n{done.stderr[-2000:]}")
 

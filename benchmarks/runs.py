@@ -6,7 +6,6 @@ import json
 import os
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from toolkit.loops.log import read_loop_log
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.results import write_results
+from toolkit.runs.results import FINISH, ONLINE, write_results
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
@@ -69,7 +68,7 @@ def finished_slam(
     Args:
         prepare: called with the system before the first frame.
     """
-    watch, frames_ms = StageRecorder(), []
+    watch = StageRecorder()
     with tempfile.TemporaryDirectory() as temporary:
         folder = RunFolder.create(Path(temporary) / "run", dump_settings(settings))
         slam = build_slam(dataset, settings, folder, watch)
@@ -77,16 +76,15 @@ def finished_slam(
             prepare(slam)
         for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
             frame = dataset[index]
-            begin = time.perf_counter()
-            slam.process_frame(frame)
-            frames_ms.append(1e3 * (time.perf_counter() - begin))
-        begin = time.perf_counter()
-        result = slam.finish()
-        finish_s = time.perf_counter() - begin
+            with watch.timed(ONLINE):
+                slam.process_frame(frame)
+        with watch.timed(FINISH):
+            result = slam.finish()
         folder.check_taxonomy(result.taxonomy)
         write_results(result, dataset, folder, settings, watch)
         metrics = json.loads(folder.metrics.read_text(encoding="utf-8"))
-        yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_s)
+        frames_ms, (finish_ms,) = watch.durations_ms[ONLINE], watch.durations_ms[FINISH]
+        yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_ms / 1e3)
 
 
 class CoveredLens:

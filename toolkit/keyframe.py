@@ -180,8 +180,7 @@ class Keyframe:
 
     def sees_any(self, points_map: NDArray[np.float64]) -> bool:
         """Whether any of the points [P, 3] is in the image, hidden or not."""
-        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
-        return bool(self._projected(points)[0].any())
+        return bool(self._projected(self._to_camera(points_map))[0].any())
 
     def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
@@ -211,9 +210,13 @@ class Keyframe:
         self, points_map: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
         """Mask [P] of the map points inside the image; their depths; the measured depths there."""
-        points = se3.transform_points(se3.inverse(self.T_map_camera), points_map)
+        points = self._to_camera(points_map)
         inside, uv = self._projected(points)
         return inside, points[inside, 2], self._measured_at(uv[inside])
+
+    def _to_camera(self, points_map: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Map points [P, 3] in camera coordinates."""
+        return se3.transform_points(se3.inverse(self.T_map_camera), points_map)
 
     def _measured_at(self, uv: NDArray[np.float64]) -> NDArray[np.float32]:
         """Measured depth [P] at the pixels nearest to image points [P, 2] inside the image."""

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import seed
 from toolkit.keyframe import Keyframe
@@ -44,20 +46,26 @@ class Densification:
         mask = uncovered_pixels(
             view, depth_m, options.min_silhouette, options.depth_floor, options.depth_factor
         )
+        seeds = self.seeds(keyframe.as_frame(), keyframe.T_map_camera, mask.cpu().numpy())
+        if len(seeds):
+            gaussian_map.append(seeds, keyframe)
+        return len(seeds)
+
+    def seeds(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], mask: NDArray[np.bool_]
+    ) -> GaussianCloud:
+        """Gaussians for the pixels of a frame that have a depth and are in a mask [H, W]."""
         seeds = seed(
-            keyframe.as_frame(),
-            keyframe.T_map_camera,
-            mask.cpu().numpy(),
-            options.seeding,
-            self._start_values,
-            self._generator,
+            frame, T_map_camera, mask, self._options.seeding, self._start_values, self._generator
         )
         if self._semantics.random_start:
             random = self._generator.standard_normal(seeds.features.shape, np.float32)
             seeds = replace(seeds, features=torch.from_numpy(random))
-        if len(seeds):
-            gaussian_map.append(seeds, keyframe)
-        return len(seeds)
+        return seeds
+
+    def covered(self, view: SurfaceView) -> Tensor:
+        """Mask [H, W] of the pixels of a rendered view that the map covers."""
+        return view.output.silhouette >= self._options.min_silhouette
 
     def prune(self, gaussian_map: GaussianMap) -> int:
         """Remove transparent, very large and non-finite Gaussians; return how many."""

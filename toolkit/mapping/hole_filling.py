@@ -14,12 +14,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.options import SeedingOptions
-from toolkit.gaussians.seeding import seed
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.densification import Densification
 from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.rendering import SurfaceView
 
@@ -43,22 +41,19 @@ def fill_holes(
     gaussian_map: GaussianMap,
     keyframe: Keyframe,
     view: SurfaceView,
-    min_silhouette: float,
-    seeding: SeedingOptions,
-    start_values: Tensor,
+    densification: Densification,
 ) -> int:
     """Seed the pixels of a keyframe that have neither a measured nor a rendered depth.
 
     Args:
         gaussian_map: the complete map, to which the Gaussians are added.
         view: the map rendered from the keyframe.
-        min_silhouette: pixels below it are not covered by the map.
-        start_values: features [C + 1, S] of new Gaussians by class id.
+        densification: of the map; creates the Gaussians.
 
     Returns:
         Number of Gaussians.
     """
-    covered = (view.output.silhouette >= min_silhouette).cpu().numpy()
+    covered = densification.covered(view).cpu().numpy()
     holes = ~covered & ~(keyframe.depth_m.numpy() > 0)
     if holes.mean() < _MIN_HOLE or not covered.any():
         return 0
@@ -66,7 +61,7 @@ def fill_holes(
     frame = replace(keyframe.as_frame(), depth_m=depth_m)
     if frame.labels is not None:
         frame = replace(frame, labels=_nearest_labels(frame.labels))
-    seeds = seed(frame, keyframe.T_map_camera, holes, seeding, start_values)
+    seeds = densification.seeds(frame, keyframe.T_map_camera, holes)
     others = [other for other in gaussian_map.keyframes if other is not keyframe]
     seeds = _outside_free_space(seeds, keyframe, others)
     if len(seeds):
@@ -87,13 +82,13 @@ def inferred_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         [H, W] in metres, positive everywhere and unchanged where it was present.
     """
     known = depth_m > 0
-    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0).astype(np.float32)
-    weight = known.astype(np.float32)
-    near_and_far = _mean_around(inverse, weight)
-    far = _mean_around(inverse, weight * depth_m**_DISTANCE_POWER)
+    inverse = np.divide(1.0, depth_m, out=np.zeros(depth_m.shape, np.float32), where=known)
+    weight, reach = known.astype(np.float32), _reach(known)
+    near_and_far = _mean_around(inverse, weight, reach)
+    far = _mean_around(inverse, weight * depth_m**_DISTANCE_POWER, reach)
     at_edge = near_and_far > _EDGE_RATIO * far
     filled = np.where(at_edge, far, _interpolated(inverse, weight))
-    return np.where(known, depth_m, 1.0 / np.where(known, 1.0, filled)).astype(np.float32)
+    return np.divide(1.0, filled, out=depth_m.astype(np.float32), where=~known)
 
 
 def _interpolated(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -109,18 +104,23 @@ def _interpolated(values: NDArray[np.float32], weight: NDArray[np.float32]) -> N
     return np.where(weight > 0, values, coarse)
 
 
-def _mean_around(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mean around each pixel without a weight, over a window that grows with the hole's size."""
+def _reach(known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Half the width [H, W] of the hole around each missing pixel; 0 where known [H, W]."""
+    distance = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 5)
+    # A window must reach the other side of a shadow: its half width counts, not the distance.
+    side = 2 * round(_MAX_SHADOW * known.shape[1] / 2) + 1
+    return np.asarray(cv2.dilate(distance, np.ones((side, side), np.uint8)) * ~known, np.float32)
+
+
+def _mean_around(
+    values: NDArray[np.float32], weight: NDArray[np.float32], reach: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Mean [H, W] of weighted values around each missing pixel, over four times its reach."""
     height, width = values.shape
-    missing = weight == 0
-    distance = cv2.distanceTransform(missing.astype(np.uint8), cv2.DIST_L2, 5)
-    # The window must reach the other side of a shadow: its half width counts, not the distance.
-    side = 2 * round(_MAX_SHADOW * width / 2) + 1
-    distance = cv2.dilate(distance, np.ones((side, side), np.uint8)) * missing
     weighted, mean = values * weight, np.zeros_like(values)
     below, cell = 0.0, 4
-    while below < distance.max():
-        pixels = (distance > below) & (distance <= cell / 4)
+    while below < reach.max():
+        pixels = (reach > below) & (reach <= cell / 4)
         size = (-(-width // cell), -(-height // cell))
         cells = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (weighted, weight))
         total, weights = (cv2.resize(a, (width, height)) for a in cells)

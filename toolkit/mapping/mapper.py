@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -190,7 +191,7 @@ class Mapper:
                     self.gaussians,
                     self.keyframes,
                     self.semantics,
-                    self._render_features,
+                    partial(self.render, features=True),
                     self.options.consensus,
                 )
             self.map.optimiser.reset("features")
@@ -228,32 +229,23 @@ class Mapper:
         return self.render(self.gaussians, keyframe.camera, keyframe.T_map_camera)
 
     def render(
-        self, gaussians: GaussianCloud, camera: Camera, T_map_camera: NDArray[np.float64]
+        self,
+        gaussians: GaussianCloud,
+        camera: Camera,
+        T_map_camera: NDArray[np.float64],
+        features: bool = False,
     ) -> SurfaceView:
-        """Render Gaussians from a camera at a pose [4, 4], without features."""
-        return render_surface(self._backend, gaussians, camera, se3.inverse(T_map_camera))
+        """Render Gaussians from a camera at a pose [4, 4], on request with their features."""
+        options = RenderOptions(features=features)
+        T_camera_map = se3.inverse(T_map_camera)
+        return render_surface(self._backend, gaussians, camera, T_camera_map, options)
 
     def _fill_holes(self) -> None:
-        start_values, options = self.semantics.start_values, self.options
         filled = sum(
-            fill_holes(
-                self.map,
-                keyframe,
-                self.view(keyframe),
-                options.min_silhouette,
-                options.seeding,
-                start_values,
-            )
+            fill_holes(self.map, keyframe, self.view(keyframe), self._densification)
             for keyframe in self.keyframes
         )
         _log.info("Seeded %d Gaussians where no depth was measured.", filled)
-
-    def _render_features(
-        self, gaussians: GaussianCloud, camera: Camera, T_map_camera: NDArray[np.float64]
-    ) -> SurfaceView:
-        T_camera_map = se3.inverse(T_map_camera)
-        options = RenderOptions(features=True)
-        return render_surface(self._backend, gaussians, camera, T_camera_map, options)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""

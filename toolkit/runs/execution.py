@@ -26,7 +26,7 @@ from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
-from toolkit.runs.results import held_out, write_results
+from toolkit.runs.results import FINISH, ONLINE, held_out, write_results
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
@@ -114,7 +114,7 @@ def _execute(
                 settings.pace,
             )
             frames = paced.arriving(frames)
-        with recorder.timed("online"):
+        with recorder.timed(ONLINE):
             _process(system, frames, folder, settings, recorder, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
@@ -123,7 +123,7 @@ def _execute(
             )
         _save(system, folder, len(dataset))
         pace = None if paced is None else _log_pace(paced.summary())
-        with recorder.timed("finish"):
+        with recorder.timed(FINISH):
             result = _finish(slam)
         write_results(result, dataset, folder, settings, recorder, pace)
 

@@ -46,6 +46,9 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
+# Stages of a run's wall-clock time: the loop over the frames, and what follows it.
+ONLINE, FINISH = "online", "finish"
+
 _NUM_VIEWS = 6
 _LEGEND_ROWS = 8
 
@@ -191,8 +194,8 @@ def _costs(
         labelling_ms=recorder.total_ms("labelling"),
         mapping_ms=recorder.total_ms("placing", "mapping"),
         refinement_ms=recorder.total_ms("refinement"),
-        online_ms=recorder.total_ms("online"),
-        total_ms=recorder.total_ms("online", "finish"),
+        online_ms=recorder.total_ms(ONLINE),
+        total_ms=recorder.total_ms(ONLINE, FINISH),
         peak_memory_mb=peak_memory_mb(),
         map_mb=count * gaussian_bytes(result.semantics.channels) / 1e6,
     )
