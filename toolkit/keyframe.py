@@ -178,9 +178,9 @@ class Keyframe:
         inside[inside] = _not_behind(z, depth_m)
         return inside
 
-    def sees_any(self, points_map: NDArray[np.float64]) -> bool:
-        """Whether any of the points [P, 3] is in the image, hidden or not."""
-        return bool(self._projected(self._to_camera(points_map))[0].any())
+    def shows(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask [P] of the points [P, 3] inside the image, hidden or not."""
+        return self._projected(self._to_camera(points_map))[0]
 
     def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""

@@ -17,6 +17,7 @@ from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps
+from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
@@ -68,6 +69,7 @@ class Slam:
         self._filter = DepthFilter() if denoise else None
         self._placement = placement
         self._path = CameraPath()
+        self._between = IntermediateFrames()
         self._recovery = Recovery(
             tracker, self.atlas, self._path, self._closer, self._labelled, self._recorder
         )
@@ -124,6 +126,9 @@ class Slam:
             mapping = self._add_keyframe(frame, T_map_camera, tracking)
             self._start_submap_if_due(tracking)
             T_map_camera = self.mapper.keyframes[-1].T_map_camera
+        elif may_map and self.mapper.options.fill_holes:
+            last, exposure = self.mapper.keyframes[-1], exposure_of(tracking)
+            self._between.add(frame, last, T_map_camera, exposure)
 
         self._path.add(frame, self.atlas, T_map_camera, tracking)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
@@ -230,10 +235,25 @@ class Slam:
         frame = self._labelled(frame, T_map_camera)
         keyframe = Keyframe.from_frame(frame, T_map_camera, exposure_of(tracking))
         self._refine_pose(keyframe)
+        self._map_intermediate_frames(keyframe)
         with self._recorder.timed("mapping"):
             mapping = self.mapper.add_keyframe(keyframe)
         self._closer.keyframe_added(self.atlas)
         return mapping
+
+    def _map_intermediate_frames(self, newest: Keyframe) -> None:
+        """Seed what only frames between the last keyframe and a new one show."""
+        if not self.mapper.keyframes:
+            return
+        last = self.mapper.keyframes[-1]
+        for between, T_map_camera in self._between.take_outside(last, newest):
+            with self._recorder.timed("mapping"):
+                mask = self.mapper.unmapped_pixels(between.frame, T_map_camera, newest)
+            if mask.mean() < MIN_OUTSIDE:
+                continue
+            frame = self._labelled(between.at_map_exposure(), T_map_camera)
+            with self._recorder.timed("mapping"):
+                self.mapper.seed_pixels(frame, T_map_camera, mask)
 
     def _refine_pose(self, keyframe: Keyframe) -> None:
         """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
@@ -299,11 +319,12 @@ class Slam:
         if self._labeller is not None:
             self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
 
-    def _parts(self) -> dict[str, Mapper | Atlas | LoopClosing | CameraPath]:
+    def _parts(self) -> dict[str, Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames]:
         """Components whose state consists of arrays and JSON values, in the order of restoring."""
         return {
             "mapper": self.mapper,
             "atlas": self.atlas,
             "closer": self._closer,
             "path": self._path,
+            "between": self._between,
         }

@@ -149,7 +149,7 @@ def _outside_free_space(
     centre = keyframe.T_map_camera[:3, 3]
     rays = seeds.means.double().numpy() - centre
     sample = np.concatenate([centre + f * rays[::_SAMPLE] for f in (1.0, _DEPTH_FACTORS[-1])])
-    others = [other for other in others if other.sees_any(sample)]
+    others = [other for other in others if other.shows(sample).any()]
     others = others[:: -(-len(others) // _MAX_OTHERS) or 1]
     chosen = np.zeros(len(seeds))
     for factor in _DEPTH_FACTORS:

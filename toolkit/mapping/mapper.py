@@ -134,6 +134,36 @@ class Mapper:
             self.take_deferred_step()
         return MappingResult(seeded, self._densification.prune(self.map), loss)
 
+    def unmapped_pixels(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], newest: Keyframe
+    ) -> NDArray[np.bool_]:
+        """Mask [H, W] of a frame's measured pixels without Gaussians, now or from a new keyframe.
+
+        Args:
+            T_map_camera: [4, 4] pose of the frame.
+            newest: a keyframe that is about to be added.
+        """
+        view = self.render(self.gaussians, frame.camera, T_map_camera)
+        mask = ~self._densification.covered(view).cpu().numpy() & (frame.depth_m > 0)
+        points = frame.camera.unproject(frame.depth_m)[mask]
+        mask[mask] = ~newest.reaches(se3.transform_points(T_map_camera, points))
+        return mask
+
+    def seed_pixels(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], mask: NDArray[np.bool_]
+    ) -> None:
+        """Seed Gaussians for pixels of a frame that does not become a keyframe.
+
+        Args:
+            frame: at the map's exposure, with labels of the map's taxonomy.
+            T_map_camera: [4, 4] pose of the frame.
+            mask: [H, W], which pixels.
+        """
+        if self.semantics.channels == 0:
+            frame = replace(frame, labels=None)
+        seeds = self._densification.seeds(frame, T_map_camera, mask)
+        self.map.append(seeds, self.keyframes[-1])
+
     def take_deferred_step(self) -> None:
         """Take one of the deferred steps, if there are any."""
         due = None if self.deferred is None else self.deferred.next()

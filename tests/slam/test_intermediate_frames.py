@@ -1,0 +1,102 @@
+"""Surfaces that only a frame between two keyframes shows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+from painted_box import box_frames
+from slam_room import FEW, fed, fingerprint
+
+from toolkit.exposure import Exposure
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.intermediate_frames import IntermediateFrames
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import KeyframePolicy
+from toolkit.slam import Slam
+from toolkit.tracking.given import GivenPoses
+
+# Only the first and the last of three frames become keyframes.
+OPTIONS = replace(FEW, keyframes=KeyframePolicy(interval=2, min_overlap=0.0))
+
+
+class Turn:
+    """A camera in a box that turns about its vertical axis, by given angles in degrees."""
+
+    def __init__(self, *yaws: float) -> None:
+        self.T_map_camera = np.array([se3.exp([0, 0, 0, 0, np.radians(a), 0]) for a in yaws])
+        self.frames = box_frames(self.T_map_camera, 80, 60)
+
+    def slam(self, fill_holes: bool = True) -> Slam:
+        times = np.array([frame.timestamp_s for frame in self.frames])
+        tracker = GivenPoses(Trajectory(times, self.T_map_camera))
+        return Slam(tracker, Mapper(replace(OPTIONS, fill_holes=fill_holes)))
+
+    def mapped(self, fill_holes: bool = True) -> Slam:
+        slam = self.slam(fill_holes)
+        fed(slam, self.frames)
+        assert [k.index for k in slam.mapper.keyframes] == [0, 2]
+        return slam
+
+
+def border_error(slam: Slam, turn: Turn) -> float:
+    """Mean colour error of the right border of the second frame."""
+    frame, T_map_camera = turn.frames[1], turn.T_map_camera[1]
+    colour = slam.mapper.render(slam.mapper.gaussians, frame.camera, T_map_camera).output.colour
+    return float(np.abs(colour.numpy() - frame.rgb)[:, -8:].mean())
+
+
+def test_the_map_contains_the_place_where_the_camera_turned_back():
+    turn = Turn(0.0, 10.0, 1.0)
+    assert border_error(turn.mapped(fill_holes=False), turn) > 0.3, "the border is black"
+    assert border_error(turn.mapped(), turn) < 0.1
+
+
+def test_frames_on_the_way_to_the_next_keyframe_add_nothing():
+    turn = Turn(0.0, 5.0, 10.0)
+    first, second = (turn.mapped(fill_holes).mapper.gaussians for fill_holes in (False, True))
+    np.testing.assert_array_equal(first.means.numpy(), second.means.numpy())
+
+
+def test_a_run_resumed_at_the_turning_point_equals_an_uninterrupted_run():
+    turn = Turn(0.0, 10.0, 1.0)
+    begun, resumed = turn.slam(), turn.slam()
+    fed(begun, turn.frames[:2])
+    arrays, values = begun.state()
+    resumed.restore(arrays, json.loads(json.dumps(values)))
+    fed(resumed, turn.frames[2:])
+    assert fingerprint(resumed) == fingerprint(turn.mapped())
+
+
+def intermediate(
+    frame: Frame, last: Keyframe, turn: Turn, exposure: Exposure
+) -> IntermediateFrames:
+    frames = IntermediateFrames()
+    frames.add(frame, last, turn.T_map_camera[1], exposure)
+    return frames
+
+
+def test_they_follow_their_keyframe_and_have_the_exposure_of_the_map():
+    turn = Turn(0.0, 10.0, 1.0)
+    last, newest = (Keyframe.from_frame(turn.frames[n], turn.T_map_camera[n]) for n in (0, 2))
+    frames = intermediate(turn.frames[1], last, turn, Exposure(0.5, 0.1))
+    correction = se3.exp([0.1, 0.0, 0.2, 0.0, 0.1, 0.0])
+    for keyframe in (last, newest):
+        keyframe.T_map_camera = correction @ keyframe.T_map_camera
+    ((between, T_map_camera),) = frames.take_outside(last, newest)
+    np.testing.assert_allclose(T_map_camera, correction @ turn.T_map_camera[1], atol=1e-12)
+    expected = 0.5 * turn.frames[1].rgb + 0.1
+    np.testing.assert_allclose(between.at_map_exposure().rgb, expected, atol=1e-6)
+    assert not frames.take_outside(last, newest), "they are used once"
+
+
+def test_frames_of_another_submap_are_not_used():
+    turn = Turn(0.0, 10.0, 1.0)
+    last, newest = (Keyframe.from_frame(turn.frames[n], turn.T_map_camera[n]) for n in (0, 2))
+    frames = intermediate(turn.frames[1], last, turn, Exposure())
+    anchor = replace(last, index=7)
+    assert not frames.take_outside(anchor, newest)

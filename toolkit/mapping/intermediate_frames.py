@@ -1,0 +1,130 @@
+"""Frames between two keyframes that show surfaces outside both keyframes' images.
+
+Where the camera turns back between two keyframes, only frames between them show what it has seen
+farthest out. Without Gaussians there, these views have black borders.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.exposure import Exposure
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
+
+# A frame with a smaller fraction of its measured pixels outside both keyframes is not used.
+MIN_OUTSIDE = 0.001
+# The fraction is estimated from about this many pixels per row.
+_SAMPLES = 80
+# Limits memory where keyframes are far apart.
+_MAX_FRAMES = 8
+
+
+@dataclass(frozen=True)
+class IntermediateFrame:
+    """A tracked frame since the newest keyframe.
+
+    Attributes:
+        keyframe: frame index of that keyframe.
+        T_keyframe_camera: [4, 4] pose relative to it.
+        exposure: of the frame against the map.
+    """
+
+    frame: Frame
+    keyframe: int
+    T_keyframe_camera: NDArray[np.float64]
+    exposure: Exposure
+
+    def at_map_exposure(self) -> Frame:
+        """The frame with the colours that the map would have there."""
+        rgb = self.exposure.apply(self.frame.rgb).clip(0.0, 1.0)
+        return replace(self.frame, rgb=rgb.astype(np.float32))
+
+
+class IntermediateFrames:
+    """The last tracked frames since the newest keyframe, in order."""
+
+    def __init__(self) -> None:
+        self._frames: deque[IntermediateFrame] = deque(maxlen=_MAX_FRAMES)
+
+    def add(
+        self,
+        frame: Frame,
+        keyframe: Keyframe,
+        T_map_camera: NDArray[np.float64],
+        exposure: Exposure,
+    ) -> None:
+        """Add a tracked frame after a keyframe."""
+        T_keyframe_camera = se3.inverse(keyframe.T_map_camera) @ T_map_camera
+        self._frames.append(IntermediateFrame(frame, keyframe.index, T_keyframe_camera, exposure))
+
+    def take_outside(
+        self, last: Keyframe, newest: Keyframe
+    ) -> list[tuple[IntermediateFrame, NDArray[np.float64]]]:
+        """Remove all frames; return those that show surfaces outside both keyframes, with poses.
+
+        Args:
+            last: the keyframe before the frames, at its present pose.
+            newest: the keyframe after them.
+
+        Returns:
+            Frames and T_map_camera [4, 4].
+        """
+        found = []
+        while self._frames:
+            between = self._frames.popleft()
+            if between.keyframe != last.index:
+                continue  # tracked in another submap
+            T_map_camera = last.T_map_camera @ between.T_keyframe_camera
+            points_map = se3.transform_points(T_map_camera, _samples(between.frame))
+            outside = ~last.shows(points_map) & ~newest.shows(points_map)
+            if outside.sum() > MIN_OUTSIDE * len(outside):
+                found.append((between, T_map_camera))
+        return found
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        arrays: dict[str, NDArray] = {}
+        values = []
+        for number, between in enumerate(self._frames):
+            frame = between.frame
+            images = {"rgb": frame.rgb, "depth_m": frame.depth_m, "labels": frame.labels}
+            named = {**images, "T_keyframe_camera": between.T_keyframe_camera}
+            arrays |= {f"{number}/{name}": a for name, a in named.items() if a is not None}
+            values.append(
+                {
+                    "index": frame.index,
+                    "timestamp_s": frame.timestamp_s,
+                    "camera": asdict(frame.camera),
+                    "keyframe": between.keyframe,
+                    "exposure": asdict(between.exposure),
+                }
+            )
+        return arrays, {"frames": values}
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        self._frames.clear()
+        for number, saved in enumerate(values["frames"]):
+            own = {n: np.array(a) for n, a in arrays_below(arrays, f"{number}/").items()}
+            T_keyframe_camera = own.pop("T_keyframe_camera")
+            camera = Camera(**saved["camera"])
+            frame = Frame(saved["index"], saved["timestamp_s"], camera=camera, **own)
+            exposure = Exposure(**saved["exposure"])
+            self._frames.append(
+                IntermediateFrame(frame, saved["keyframe"], T_keyframe_camera, exposure)
+            )
+
+
+def _samples(frame: Frame) -> NDArray[np.float64]:
+    """Measured points [P, 3] of a frame in camera coordinates, evenly spaced in the image."""
+    points = frame.camera.unproject(frame.depth_m, max(1, frame.camera.width // _SAMPLES))
+    return points[points[..., 2] > 0]
