@@ -12,8 +12,15 @@ import torch
 from tracked_room import Room
 
 from toolkit.alignment import backend
-from toolkit.alignment.backend import linearise
-from toolkit.alignment.data import FrameLevel, Linearisation, ModelLevel, ResidualScales
+from toolkit.alignment.backend import align, linearise
+from toolkit.alignment.data import (
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    Linearisation,
+    ModelLevel,
+    ResidualScales,
+)
 from toolkit.alignment.levels import halved, intensity_of, model_level, pyramid, view_level
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
@@ -138,6 +145,82 @@ class TestAgainstNumpy:
         assert torch.allclose(half.depth_m, native_half.depth_m, atol=1e-5)
         assert actual.frame_pixels == expected.frame_pixels
         assert np.allclose(actual.H, expected.H, rtol=1e-3, atol=1e-6)
+
+
+class TestGaussNewton:
+    """Every compiled instruction set takes the steps of the Python reference."""
+
+    OPTIONS = GaussNewtonOptions(
+        iterations=60,
+        max_distance=0.1,
+        photometric_weight=0.5,
+        exposure=Exposure(1.02, -0.01),
+        min_pixels=100,
+        min_translation_m=1e-4,
+        min_rotation_rad=1e-4,
+    )
+
+    def both(
+        self, room: Room, module: ModuleType, use, options: GaussNewtonOptions, levels: int = 3
+    ) -> tuple[Alignment, Alignment]:
+        """Estimates of numpy and of the kernels, from the same start."""
+        frames, views = (pyramid(level_of(room, n), levels) for n in (1, 0))
+        off = se3.exp(np.array([0.01, -0.008, 0.012, 0.004, -0.006, 0.005]))
+        true = se3.inverse(room.T_map_camera[0]) @ room.T_map_camera[1]
+        start = Alignment(off @ true, SCALES, Exposure(1.05, 0.0), iterations=3)
+        estimates = []
+        for chosen in (None, module):
+            use(chosen)
+            models = [model_level(view) for view in views]
+            estimates.append(align(models, frames, start, options))
+        return estimates[0], estimates[1]
+
+    @pytest.mark.parametrize("exposure", [OPTIONS.exposure, None], ids=["adjusted", "fixed"])
+    def test_same_estimate(self, room, module, use, exposure):
+        options = replace(self.OPTIONS, exposure=exposure)
+        expected, actual = self.both(room, module, use, options)
+        assert expected.converged and actual.converged
+        assert expected.iterations - 3 > 5 and abs(actual.iterations - expected.iterations) <= 2
+        np.testing.assert_allclose(actual.T_view_camera, expected.T_view_camera, atol=2e-5)
+        assert actual.exposure.gain == pytest.approx(expected.exposure.gain, abs=1e-4)
+        assert (actual.exposure.gain == 1.05) == (exposure is None)
+        assert actual.scales.intensity == pytest.approx(expected.scales.intensity, rel=1e-2)
+        assert actual.scales.depth_m == pytest.approx(expected.scales.depth_m, rel=1e-2)
+        assert actual.last is not None and expected.last is not None
+        assert_same_sums(actual.last, expected.last, 1e-2)
+        R = actual.T_view_camera[:3, :3]
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+
+    def test_one_step(self, room, module, use):
+        """Steps are the same before rounding can move a pixel over a threshold."""
+        options = replace(self.OPTIONS, iterations=1)
+        expected, actual = self.both(room, module, use, options, levels=1)
+        assert actual.iterations == expected.iterations == 4
+        assert not actual.converged and not expected.converged
+        np.testing.assert_allclose(actual.T_view_camera, expected.T_view_camera, atol=2e-6)
+
+    def test_too_few_pixels_end_it_before_a_step(self, room, module, use):
+        options = replace(self.OPTIONS, min_pixels=10**6)
+        expected, actual = self.both(room, module, use, options)
+        for estimate in (expected, actual):
+            assert estimate.iterations == 4 and not estimate.converged
+        np.testing.assert_array_equal(actual.T_view_camera, expected.T_view_camera)
+
+    def test_a_level_without_iterations_keeps_the_start(self, room, module, use):
+        expected, actual = self.both(room, module, use, replace(self.OPTIONS, iterations=0))
+        assert actual.last is None and expected.last is None
+        np.testing.assert_array_equal(actual.T_view_camera, expected.T_view_camera)
+
+    def test_singular_equations_end_it(self, module, use):
+        """A plain wall that the camera faces leaves three directions open."""
+        camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
+        level = FrameLevel(camera, torch.full((48, 64), 0.5), torch.full((48, 64), 2.0))
+        start = Alignment(np.eye(4), SCALES)
+        for chosen in (None, module):
+            use(chosen)
+            found = align([model_level(level)], [level], start, self.OPTIONS)
+            assert not found.converged
+            np.testing.assert_array_equal(found.T_view_camera, np.eye(4))
 
 
 def test_the_number_of_threads_does_not_change_a_bit(room, module, use):

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <vector>
 
+#include "alignment/gauss_newton.hpp"
 #include "alignment/normal_equations.hpp"
 #include "common/constants.hpp"
 #include "depth_filter/depth_filter.hpp"
@@ -195,6 +196,11 @@ void alignment() {
     const double counts[] = {found.intensity_pixels, found.depth_pixels, found.intensity_squares,
                              found.depth_squares, found.frame_pixels};
     print("normal-equations-sums", counts, 5);
+    const ModelLevel model{CAMERA, texture.data(), surface.data()};
+    const FrameLevel frame{CAMERA, intensity.data(), depth.data()};
+    PoseEstimate estimate{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}, 1, 0, 0.05, 0.01, 0, false, {}};
+    align(&model, &frame, 1, {20, 100, 0.2, 0.5, 1e-5, 1e-5, true, 1, 0}, estimate);
+    print("aligned-pose", estimate.T_model_frame, 12);
     std::vector<float> half_intensity(PIXELS / 4), half_depth(PIXELS / 4);
     halve(WIDTH, HEIGHT, intensity.data(), depth.data(), 0.05f, half_intensity.data(), half_depth.data());
     const size_t half = (size_t)(WIDTH / 2) * (HEIGHT / 2);

@@ -11,6 +11,12 @@ from torch import Tensor
 
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry.camera import Camera
+from toolkit.native.constants import (
+    MAX_DEPTH_SCALE,
+    MAX_INTENSITY_SCALE,
+    MIN_DEPTH_SCALE,
+    MIN_INTENSITY_SCALE,
+)
 
 # A numpy image [H, W] or [H, W, C] of one level.
 Image = NDArray[np.float32]
@@ -86,8 +92,8 @@ class ResidualScales:
 
 # Initial scales, and the range of the re-estimated ones.
 INITIAL_SCALES = ResidualScales(intensity=0.05, depth_m=0.01)
-MIN_SCALES = ResidualScales(intensity=0.002, depth_m=0.0001)
-MAX_SCALES = ResidualScales(intensity=0.2, depth_m=0.05)
+MIN_SCALES = ResidualScales(MIN_INTENSITY_SCALE, MIN_DEPTH_SCALE)
+MAX_SCALES = ResidualScales(MAX_INTENSITY_SCALE, MAX_DEPTH_SCALE)
 
 
 def _triangle_index() -> NDArray[np.intp]:

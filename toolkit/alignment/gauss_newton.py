@@ -1,6 +1,7 @@
-"""Gauss-Newton on the CPU, from coarse to fine: pose and exposure of a frame against a view.
+"""Gauss-Newton from coarse to fine: pose and exposure of a frame against a view.
 
-On a GPU, all steps are launched before the host reads a result, see `cuda/aligner`.
+The reference of `src/alignment/gauss_newton.cpp`. On a GPU, all steps are launched before the host
+reads a result, see `cuda/aligner`.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
@@ -9,15 +10,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.alignment.data import FrameLevel, Linearisation, ModelLevel, ResidualScales
-from toolkit.alignment.gauss_newton import HostGaussNewton
+from toolkit.alignment.data import (
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    Linearisation,
+    ModelLevel,
+    ResidualScales,
+)
 from toolkit.exposure import Exposure
 from toolkit.geometry.camera import Camera
 from toolkit.native import address
 from toolkit.native.constants import ALIGNMENT_SUMS
 
 
-class NativeBackend(HostGaussNewton):
+class NativeBackend:
     """See AlignmentBackend.
 
     Args:
@@ -74,18 +81,61 @@ class NativeBackend(HostGaussNewton):
         max_distance: float,
     ) -> Linearisation:
         """See AlignmentBackend."""
-        cameras = model.camera, frame.camera
         sigmas = scales.intensity, scales.depth_m
         sums = np.empty(ALIGNMENT_SUMS)
         self._module.align_accumulate(
-            [_intrinsics(camera) for camera in cameras],
-            [camera.size for camera in cameras],
-            [address(t) for t in (model.texture, model.surface, frame.intensity, frame.depth_m)],
+            _level(model, frame),
             np.asarray(T_model_frame[:3]).reshape(-1).tolist(),
             (exposure.gain, exposure.bias, *sigmas, max_distance, scales.photometric_weight),
             sums.ctypes.data,
         )
         return Linearisation.from_sums(sums)
+
+    def align(
+        self,
+        models: list[ModelLevel],
+        frames: list[FrameLevel],
+        start: Alignment,
+        options: GaussNewtonOptions,
+    ) -> Alignment:
+        """See AlignmentBackend."""
+        exposure, scales, prior = start.exposure, start.scales, options.exposure
+        sums = np.empty(ALIGNMENT_SUMS)
+        pose, (gain, bias, intensity, depth_m), iterations, converged = self._module.align_pose(
+            [_level(*level) for level in zip(models, frames, strict=True)],
+            start.T_view_camera[:3].reshape(-1).tolist(),
+            (exposure.gain, exposure.bias, scales.intensity, scales.depth_m),
+            (options.iterations, options.min_pixels),
+            (
+                options.max_distance,
+                options.photometric_weight,
+                options.min_translation_m,
+                options.min_rotation_rad,
+            ),
+            None if prior is None else (prior.gain, prior.bias),
+            sums.ctypes.data,
+        )
+        T_view_camera = np.eye(4)
+        T_view_camera[:3] = np.reshape(pose, (3, 4))
+        return Alignment(
+            T_view_camera=T_view_camera,
+            scales=replace(scales, intensity=intensity, depth_m=depth_m),
+            exposure=Exposure(gain, bias),
+            iterations=start.iterations + iterations,
+            converged=converged,
+            last=Linearisation.from_sums(sums) if iterations else start.last,
+        )
+
+
+def _level(model: ModelLevel, frame: FrameLevel) -> tuple[list, list, list]:
+    """Intrinsics, sizes and addresses of a level, as the kernels expect them."""
+    cameras = model.camera, frame.camera
+    images = model.texture, model.surface, frame.intensity, frame.depth_m
+    return (
+        [_intrinsics(camera) for camera in cameras],
+        [camera.size for camera in cameras],
+        [address(image) for image in images],
+    )
 
 
 def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.native.constants import EXPOSURE_PRIOR, SOLVER_DAMPING
+
 # Indices of gain and bias; model intensity = gain * frame intensity + bias.
 GAIN, BIAS = 6, 7
 
-# Weight of the prior on the exposure, as a fraction of the photometric residuals.
-EXPOSURE_PRIOR = 0.02
-
-_DAMPING = 1e-6
 
 
 def add_exposure_prior(
@@ -43,7 +41,7 @@ def fix_exposure(H: NDArray[np.float64], g: NDArray[np.float64]) -> None:
 def damped_step(H: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """The step [n] that solves H x = -g with slight damping, or None if H is singular."""
     damped = H.copy()
-    damped[np.diag_indices(len(g))] *= 1.0 + _DAMPING
+    damped[np.diag_indices(len(g))] *= 1.0 + SOLVER_DAMPING
     try:
         step = np.asarray(-np.linalg.solve(damped, g), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -32,6 +32,13 @@ LUMA_RED = 0.299
 LUMA_GREEN = 0.587
 LUMA_BLUE = 0.114
 STUDENT_T_DOF = 5.0  # degrees of freedom of the residuals' distribution
+EXPOSURE_PRIOR = 0.02  # weight of the prior on the exposure relative to the photometric residuals
+SOLVER_DAMPING = 1e-6  # relative increase of the diagonal of the normal equations
+# Range of the re-estimated scales: intensities in [0, 1], metres at a depth of 1 m.
+MIN_INTENSITY_SCALE = 0.002
+MAX_INTENSITY_SCALE = 0.2
+MIN_DEPTH_SCALE = 0.0001
+MAX_DEPTH_SCALE = 0.05
 ALIGNMENT_SUMS = 49  # sums of one linearisation: H [36, upper triangle], g [8] and 5 counts
 
 # SSIM.

@@ -19,9 +19,9 @@ from toolkit.alignment.data import (
     ModelLevel,
     ResidualScales,
 )
-from toolkit.alignment.normal_equations import EXPOSURE_PRIOR
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
+from toolkit.native.constants import EXPOSURE_PRIOR
 from toolkit.rendering.cuda.backend import on
 
 _BLOCK, _WARPS = 64, 2  # pixels per block and warps; more pixels would not fit the registers

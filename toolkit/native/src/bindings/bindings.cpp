@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <string>
 #include <tuple>
 #include <vector>
 
+#include "alignment/gauss_newton.hpp"
 #include "alignment/levels.hpp"
 #include "alignment/normal_equations.hpp"
 #include "depth_filter/depth_filter.hpp"
@@ -129,16 +131,25 @@ void align_halve(const Size& size, Address intensity, Address depth, double max_
           at<float>(half_intensity), at<float>(half_depth));
 }
 
-// intrinsics, sizes: those of the model view's camera, then of the frame's camera.
-// arrays: the model's texture and surface, the frame's intensity and depth.
+// A pyramid level: intrinsics and sizes of the model view's camera, then of the frame's camera; the
+// model's texture and surface, the frame's intensity and depth.
+typedef std::tuple<std::array<Intrinsics, 2>, std::array<Size, 2>, std::array<Address, 4>> Level;
+
+ModelLevel model_of(const Level& level) {
+    const auto& [intrinsics, sizes, arrays] = level;
+    return {pinhole(intrinsics[0], sizes[0]), at<const float>(arrays[0]), at<const float>(arrays[1])};
+}
+
+FrameLevel frame_of(const Level& level) {
+    const auto& [intrinsics, sizes, arrays] = level;
+    return {pinhole(intrinsics[1], sizes[1]), at<const float>(arrays[2]), at<const float>(arrays[3])};
+}
+
 // scalars: gain, bias, sigma_intensity, sigma_depth, max_distance, photometric_weight. out: 49 doubles.
-void align_accumulate(const std::array<Intrinsics, 2>& intrinsics, const std::array<Size, 2>& sizes,
-                      const std::array<Address, 4>& arrays, const std::array<double, 12>& T_model_frame,
+void align_accumulate(const Level& level, const std::array<double, 12>& T_model_frame,
                       const std::array<double, 6>& scalars, Address out) {
-    const ModelLevel model = {pinhole(intrinsics[0], sizes[0]), at<const float>(arrays[0]),
-                              at<const float>(arrays[1])};
-    const FrameLevel frame = {pinhole(intrinsics[1], sizes[1]), at<const float>(arrays[2]),
-                              at<const float>(arrays[3])};
+    const ModelLevel model = model_of(level);
+    const FrameLevel frame = frame_of(level);
     AlignmentSettings settings;
     std::copy(T_model_frame.begin(), T_model_frame.end(), settings.T_model_frame);
     settings.gain = scalars[0];
@@ -149,6 +160,37 @@ void align_accumulate(const std::array<Intrinsics, 2>& intrinsics, const std::ar
     settings.photometric_weight = scalars[5];
     const py::gil_scoped_release release;
     accumulate(model, frame, settings, *at<NormalEquations>(out));
+}
+
+// levels: from fine to coarse. T_model_frame, scalars, out: as for align_accumulate, without the last
+// two scalars. limits: iterations per level, residuals. settings: max_distance, photometric_weight,
+// min_translation, min_rotation. prior: exposure, or none to keep it fixed. Returns the pose; gain,
+// bias and both sigmas; the number of iterations; whether it converged.
+std::tuple<std::array<double, 12>, std::array<double, 4>, int, bool> align_pose(
+    const std::vector<Level>& levels, const std::array<double, 12>& T_model_frame,
+    const std::array<double, 4>& scalars, const std::array<int, 2>& limits, const std::array<double, 4>& settings,
+    const std::optional<std::array<double, 2>>& prior, Address out) {
+    std::vector<ModelLevel> models;
+    std::vector<FrameLevel> frames;
+    for (const Level& level : levels) {
+        models.push_back(model_of(level));
+        frames.push_back(frame_of(level));
+    }
+    const auto [prior_gain, prior_bias] = prior.value_or(std::array<double, 2>{1, 0});
+    const GaussNewtonSettings all = {limits[0],   limits[1],         settings[0], settings[1], settings[2],
+                                     settings[3], prior.has_value(), prior_gain,  prior_bias};
+    PoseEstimate estimate = {{}, scalars[0], scalars[1], scalars[2], scalars[3], 0, false, {}};
+    std::copy(T_model_frame.begin(), T_model_frame.end(), estimate.T_model_frame);
+    {
+        const py::gil_scoped_release release;
+        align(models.data(), frames.data(), (int)levels.size(), all, estimate);
+    }
+    *at<NormalEquations>(out) = estimate.last;
+    std::array<double, 12> T;
+    std::copy(estimate.T_model_frame, estimate.T_model_frame + 12, T.begin());
+    const std::array<double, 4> found = {estimate.gain, estimate.bias, estimate.sigma_intensity,
+                                         estimate.sigma_depth};
+    return {T, found, estimate.iterations, estimate.converged};
 }
 
 // groups: (parameter, first moment, second moment, gradient, width, learning rate, log unit or 0).
@@ -246,6 +288,7 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("align_level", &align_level);
     m.def("align_halve", &align_halve);
     m.def("align_accumulate", &align_accumulate);
+    m.def("align_pose", &align_pose);
     m.def("adam", &adam);
     m.def("smooth_inverse_depth", &smoothed);
     m.def("mean_ssim", &mean_ssim);
