@@ -11,7 +11,6 @@ from toolkit.native.constants import EXPOSURE_PRIOR, SOLVER_DAMPING
 GAIN, BIAS = 6, 7
 
 
-
 def add_exposure_prior(
     H: NDArray[np.float64], g: NDArray[np.float64], information: float, change: NDArray[np.float64]
 ) -> None:
