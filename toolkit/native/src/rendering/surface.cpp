@@ -1,4 +1,5 @@
-// Depth of the surface in a rendered view.
+// Depth of the surface in a rendered view. The loops over the pixels of a row have no branches, so that
+// the compiler vectorises them.
 #include "rendering/surface.hpp"
 
 #include <algorithm>
@@ -6,6 +7,73 @@
 #include <vector>
 
 namespace semsplat {
+namespace {
+
+// Rows of a thread's share of the image; the points of the rows around it are computed twice.
+constexpr int BAND = 16;
+
+class MeanCentres {
+public:
+    MeanCentres(const Pinhole& camera, const double* T, const float* images, const float* centres,
+                float min_silhouette)
+        : width_(camera.width), plane_((size_t)camera.width * camera.height), images_(images), centres_(centres),
+          min_silhouette_(min_silhouette) {
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j) R_[i][j] = (float)T[4 * i + j];
+            t_[i] = (float)T[4 * i + 3];
+        }
+    }
+
+    // The points [3, W] of a row in camera coordinates; 0 where the silhouette is below the minimum.
+    void row(int y, float* __restrict points) const {
+        const size_t start = (size_t)y * width_;
+        const float* s = images_ + SILHOUETTE * plane_ + start;
+        const float *a = centres_ + start, *b = a + plane_, *c = b + plane_;
+        for (int k = 0; k < 3; ++k) {
+            const float ra = R_[k][0], rb = R_[k][1], rc = R_[k][2], t = t_[k], least = min_silhouette_;
+            float* __restrict out = points + (size_t)k * width_;
+            for (int x = 0; x < width_; ++x) {
+                const float value = (ra * a[x] + rb * b[x] + rc * c[x]) / s[x] + t;
+                out[x] = s[x] >= least ? value : 0.0f;
+            }
+        }
+    }
+
+private:
+    int width_;
+    size_t plane_;
+    const float *images_, *centres_;
+    float min_silhouette_, R_[3][3], t_[3];
+};
+
+// Depth of the inner pixels of a row, from the points [3, W] of it and of the rows above and below.
+void intersect(const Pinhole& camera, int y, const float* above, const float* here, const float* below,
+               float* __restrict depth) {
+    const int W = camera.width;
+    // The neighbours are two pixels apart in both directions; times z^2 this is the shortest normal.
+    const float footprint = 4.0f * MIN_NORMAL / (camera.fx * camera.fy);
+    const float ry = (y - camera.cy) / camera.fy, cx = camera.cx, fx = camera.fx;
+    const float *X = here, *Y = here + W, *Z = here + 2 * W;
+    const float *OX = above, *OY = above + W, *OZ = above + 2 * W;
+    const float *UX = below, *UY = below + W, *UZ = below + 2 * W;
+    for (int x = 1; x < W - 1; ++x) {
+        const float z = Z[x], l = Z[x - 1], r = Z[x + 1], o = OZ[x], u = UZ[x];
+        const float ax = X[x + 1] - X[x - 1], ay = Y[x + 1] - Y[x - 1], az = r - l;
+        const float bx = UX[x] - OX[x], by = UY[x] - OY[x], bz = u - o;
+        const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
+        const float shortest = footprint * z * z;
+        const float rx = ((float)x - cx) / fx;
+        const float met = (nx * X[x] + ny * Y[x] + nz * z) / (nx * rx + ny * ry + nz);
+        const bool measured = (z > 0) & (l > 0) & (r > 0) & (o > 0) & (u > 0);
+        const bool across = same_surface(l, z, r), down = same_surface(o, z, u);
+        const bool plane = across & down & (nx * nx + ny * ny + nz * nz >= shortest * shortest);
+        // The intersection with a plane nearly parallel to the ray is not reliable.
+        const bool close = std::fabs(met - z) < MAX_SURFACE_CORRECTION * z;
+        depth[x] = (measured & plane & close) ? met : z;
+    }
+}
+
+}  // namespace
 
 // Front-to-back compositing gives the nearer of two overlapping Gaussians more weight. On a slanted
 // surface, the mean depth is therefore that of a point up to half a pixel away from the ray. The mean
@@ -13,50 +81,21 @@ namespace semsplat {
 // through it.
 void surface_depth(const Pinhole& camera, const double* T, const float* images, const float* centres,
                    float min_silhouette, float* depth) {
-    const int W = camera.width, H = camera.height;
-    const size_t plane = (size_t)W * H;
-    float R[9], t[3];
-    for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) R[3 * i + j] = (float)T[4 * i + j];
-        t[i] = (float)T[4 * i + 3];
-    }
-    std::vector<float> points(3 * plane);
-    // The neighbours are two pixels apart in both directions; times z^2 this is the shortest normal.
-    const float footprint = 4.0f * MIN_NORMAL / (camera.fx * camera.fy);
-#pragma omp parallel
-    {
-#pragma omp for schedule(static)
-        for (int y = 0; y < H; ++y) {
-            for (int x = 0; x < W; ++x) {
-                const size_t i = (size_t)y * W + x;
-                const float s = images[SILHOUETTE * plane + i], inverse = s >= min_silhouette ? 1.0f / s : 0.0f;
-                const float a = centres[i] * inverse, b = centres[plane + i] * inverse,
-                            c = centres[2 * plane + i] * inverse;
-                for (int k = 0; k < 3; ++k) {
-                    points[3 * i + k] = inverse > 0 ? R[3 * k] * a + R[3 * k + 1] * b + R[3 * k + 2] * c + t[k] : 0.0f;
-                }
-            }
-        }
-#pragma omp for schedule(static)
-        for (int y = 0; y < H; ++y) {
-            for (int x = 0; x < W; ++x) {
-                const size_t i = (size_t)y * W + x;
-                const float* p = points.data() + 3 * i;
-                depth[i] = p[2];
-                if (!(p[2] > 0) || x == 0 || y == 0 || x == W - 1 || y == H - 1) continue;
-                const float *l = p - 3, *r = p + 3, *o = p - 3 * W, *u = p + 3 * W;
-                if (!(std::min(std::min(l[2], r[2]), std::min(o[2], u[2])) > 0)) continue;
-                if (!same_surface(l[2], p[2], r[2]) || !same_surface(o[2], p[2], u[2])) continue;
-                const float ax = r[0] - l[0], ay = r[1] - l[1], az = r[2] - l[2];
-                const float bx = u[0] - o[0], by = u[1] - o[1], bz = u[2] - o[2];
-                const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
-                const float shortest = footprint * p[2] * p[2];
-                if (nx * nx + ny * ny + nz * nz < shortest * shortest) continue;
-                const float rx = (x - camera.cx) / camera.fx, ry = (y - camera.cy) / camera.fy;
-                const float z = (nx * p[0] + ny * p[1] + nz * p[2]) / (nx * rx + ny * ry + nz);
-                // The intersection with a plane nearly parallel to the ray is not reliable.
-                if (std::fabs(z - p[2]) < MAX_SURFACE_CORRECTION * p[2]) depth[i] = z;
-            }
+    const int W = camera.width, H = camera.height, bands = (H + BAND - 1) / BAND;
+    const MeanCentres means(camera, T, images, centres, min_silhouette);
+#pragma omp parallel for schedule(static)
+    for (int band = 0; band < bands; ++band) {
+        std::vector<float> rows[3];
+        for (auto& row : rows) row.resize(3 * (size_t)W);
+        const int first = band * BAND, end = std::min(H, first + BAND);
+        if (first > 0) means.row(first - 1, rows[(first + 2) % 3].data());
+        means.row(first, rows[first % 3].data());
+        for (int y = first; y < end; ++y) {
+            const float* here = rows[y % 3].data();
+            if (y + 1 < H) means.row(y + 1, rows[(y + 1) % 3].data());
+            std::copy_n(here + 2 * W, W, depth + (size_t)y * W);
+            if (y == 0 || y == H - 1) continue;
+            intersect(camera, y, rows[(y + 2) % 3].data(), here, rows[(y + 1) % 3].data(), depth + (size_t)y * W);
         }
     }
 }

@@ -14,7 +14,9 @@ namespace semsplat {
 // Whether neighbours a and b of a pixel with depth z are on its surface: their depths are close, or all
 // three are on one plane. The inverse depth of a plane is linear in image coordinates.
 inline bool same_surface(float a, float z, float b) {
-    return std::fabs(b - a) <= MAX_DEPTH_STEP * z || std::fabs(z / a + z / b - 2.0f) <= 0.5f * MAX_DEPTH_STEP;
+    // Without a branch, so that loops over pixels are vectorised.
+    const float step = std::fabs(b - a), bend = std::fabs(z / a + z / b - 2.0f);
+    return (step <= MAX_DEPTH_STEP * z) | (bend <= 0.5f * MAX_DEPTH_STEP);
 }
 
 // Depth (m) of the intersection of each pixel's ray with the surface, 0 where the silhouette is below
