@@ -81,13 +81,13 @@ class ConsensusOptions:
 class MapperOptions:
     """Mapping: seeding, optimisation and refinement of the Gaussians."""
 
-    # With 12 and 10 in the final refinement, a room and three recordings gain 0.1 to 0.3 dB and no
-    # accuracy of the trajectory, in more than twice the time (docs/method.md).
-    iterations: NonNegativeInt = 4
+    # Trajectories do not gain from more. With 12, a room and three recordings gained 0.1 to 0.3 dB,
+    # in more than twice the time.
+    iterations: NonNegativeInt = 3
     """Number of optimisation iterations per keyframe during mapping."""
     first_iterations: NonNegativeInt = 20
     """Number of optimisation iterations on the first keyframe."""
-    final_iterations: NonNegativeInt = 8
+    final_iterations: NonNegativeInt = 9
     """Number of optimisation iterations per keyframe in the final refinement."""
     # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
     final_on_surfaces: bool = True
