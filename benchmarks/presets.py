@@ -33,7 +33,6 @@ ONLINE, TOTAL = "online_ms_per_frame", "total_ms_per_frame"
 COLUMNS = (
     "ate_rmse_cm",
     "psnr_db",
-    "psnr_unseen_refined_db",
     "ssim",
     "depth_l1_cm",
     "miou_percent",
