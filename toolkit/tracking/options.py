@@ -26,8 +26,9 @@ class DenseOptions:
     """Maximum number of Gauss-Newton iterations per pyramid level."""
     renders: PositiveInt = 3
     """Maximum number of renderings of the map per frame."""
-    # At 0.02, a quarter of RedKitchen's frames was rendered twice, without more accuracy.
-    rerender_distance: PositiveFloat = 0.05
+    # At 0.05, recordings take up to a fifth less time online and are as accurate, but images of a
+    # noisy ring of 160x120 pixels lose 2 dB before the refinement.
+    rerender_distance: PositiveFloat = 0.02
     """Pose change that triggers a new rendering: translation as a fraction of the median depth,
     or rotation in radians."""
     min_silhouette: Annotated[float, Range(gt=0, lt=1)] = 0.9
