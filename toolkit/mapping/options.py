@@ -23,7 +23,7 @@ class KeyframePolicy:
 
     interval: PositiveInt = 5
     """Maximum number of frames between keyframes (GauSem-SLAM: d_k)."""
-    # 0.9 halves the keyframes of fr1_rpy again, but drift on a noisy ring grows from 0.23 to 0.35 cm.
+    # 0.9 halves the keyframes of fr1_rpy, but drift on a noisy ring grows from 0.23 to 0.35 cm.
     min_overlap: Fraction = 0.93
     """Minimum overlap of a frame with the last keyframe. Below it, the frame becomes a
     keyframe."""
