@@ -12,7 +12,7 @@
 namespace semsplat {
 namespace {
 
-enum { POSE = 6, GAIN = 6, BIAS = 7 };
+enum { GAIN = 6, BIAS = 7 };
 // Below this angle the closed forms lose precision and Taylor series are used.
 constexpr double SMALL_ANGLE = 1e-4;
 

@@ -61,10 +61,6 @@ private:
     float min_silhouette_, R_[9], t_[3];
 };
 
-}  // namespace
-
-namespace {
-
 // Moves the intensity of the inner pixels of a row by offsets. red, silhouette: of the row, inside images.
 void move_row(int W, size_t plane, const float* red, const float* silhouette, float min_silhouette,
               const float* across, const float* down, float* __restrict intensity) {
