@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 
 #if defined(__SSE2__)
 #include <immintrin.h>
@@ -109,12 +110,13 @@ SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
     const Floats r = fold1(fold2(q[0], q[1]), fold2(q[2], q[3]));
     _mm256_storeu_ps(out, _mm512_castps512_ps256(r.v));
 }
-SEMSPLAT_INLINE void sum16(const Floats* x, float* out) {
-    Floats q[4];
-    for (int i = 0; i < 4; ++i) {
-        q[i] = fold4(fold8(x[i], x[4 + i]), fold8(x[8 + i], x[12 + i]));
-    }
-    store(out, fold1(fold2(q[0], q[1]), fold2(q[2], q[3])));
+template <int K>
+SEMSPLAT_INLINE Floats spread(Floats a) {
+    return {_mm512_permute_ps(a.v, 0x55 * K)};
+}
+SEMSPLAT_INLINE void sum_quads(Floats x, float* out) {
+    const __m256 half = _mm256_add_ps(_mm512_castps512_ps256(x.v), _mm512_extractf32x8_ps(x.v, 1));
+    _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1)));
 }
 
 #elif defined(__AVX2__)
@@ -198,6 +200,13 @@ SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
     const Floats high = fold2(fold4(x[2], x[6]), fold4(x[3], x[7]));
     store(out, fold1(low, high));
 }
+template <int K>
+SEMSPLAT_INLINE Floats spread(Floats a) {
+    return {_mm256_permute_ps(a.v, 0x55 * K)};
+}
+SEMSPLAT_INLINE void sum_quads(Floats x, float* out) {
+    _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(x.v), _mm256_extractf128_ps(x.v, 1)));
+}
 
 #else
 
@@ -280,17 +289,22 @@ SEMSPLAT_INLINE Floats round_nearest(Floats a) {
 SEMSPLAT_INLINE Floats times_power_of_two(Floats a, Floats exponent) {
     return {(Float4)((Int4)a.v + (__builtin_convertvector(exponent.v, Int4) << 23))};
 }
-SEMSPLAT_INLINE Float4 fold2(Float4 a, Float4 b) {
-    return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
+SEMSPLAT_INLINE Floats fold2(Floats a, Floats b) {
+    return {__builtin_shufflevector(a.v, b.v, 0, 1, 4, 5) + __builtin_shufflevector(a.v, b.v, 2, 3, 6, 7)};
 }
-SEMSPLAT_INLINE Float4 fold1(Float4 a, Float4 b) {
-    return __builtin_shufflevector(a, b, 0, 2, 4, 6) + __builtin_shufflevector(a, b, 1, 3, 5, 7);
+SEMSPLAT_INLINE Floats fold1(Floats a, Floats b) {
+    return {__builtin_shufflevector(a.v, b.v, 0, 2, 4, 6) + __builtin_shufflevector(a.v, b.v, 1, 3, 5, 7)};
 }
 SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
     for (int i = 0; i < 8; i += 4) {
-        store(out + i, {fold1(fold2(x[i].v, x[i + 1].v), fold2(x[i + 2].v, x[i + 3].v))});
+        store(out + i, fold1(fold2(x[i], x[i + 1]), fold2(x[i + 2], x[i + 3])));
     }
 }
+template <int K>
+SEMSPLAT_INLINE Floats spread(Floats a) {
+    return {__builtin_shufflevector(a.v, a.v, K, K, K, K)};
+}
+SEMSPLAT_INLINE void sum_quads(Floats x, float* out) { store(out, x); }
 
 #endif
 
@@ -305,6 +319,8 @@ SEMSPLAT_INLINE void sum8(const Floats* x, float* out) {
 //   transpose_quads(q, x): lane 4 g + j of x[k] is lane 4 g + k of q[j], for four vectors.
 //   times_power_of_two(a, e): a * 2^e for a in [0.5, 2] and integers |e| < 125.
 //   sum8(x, out): the sums of the lanes of eight vectors, in order.
+//   spread<k>(a): lane 4 g + j is lane 4 g + k of a.
+//   sum_quads(x, out): out[j] is the sum of the lanes 4 g + j.
 
 // Gathers groups of four floats: lane i of x[k] is p[4 * index[i] + k].
 SEMSPLAT_INLINE void gather4(const float* p, const int32_t* index, Floats (&x)[4]) {
@@ -313,18 +329,18 @@ SEMSPLAT_INLINE void gather4(const float* p, const int32_t* index, Floats (&x)[4
     transpose_quads(quads, x);
 }
 
-// The sums of the lanes of N vectors, in order.
-template <int N>
-SEMSPLAT_INLINE void sum_lanes(const Floats (&x)[N], float* out) {
-#if defined(__AVX512F__)
-    if (N == 16) return sum16(x, out);
-#endif
-    static_assert(N <= 8 || LANES == 16, "");
-    Floats padded[8];
-    float sums[8];
-    for (int i = 0; i < 8; ++i) padded[i] = i < N ? x[i < N ? i : 0] : all(0.0f);
-    sum8(padded, sums);
-    for (int i = 0; i < N; ++i) out[i] = sums[i];
+// Sums of groups of four lanes: lane 4 g + k of the result is the sum of lanes 4 g to 4 g + 3 of x[k].
+SEMSPLAT_INLINE Floats sums_of_quads(const Floats (&x)[4]) {
+    return fold1(fold2(x[0], x[1]), fold2(x[2], x[3]));
+}
+
+// Calls f with the integral constants 0 to 3.
+template <class F>
+SEMSPLAT_INLINE void for_four(const F& f) {
+    f(std::integral_constant<int, 0>());
+    f(std::integral_constant<int, 1>());
+    f(std::integral_constant<int, 2>());
+    f(std::integral_constant<int, 3>());
 }
 
 // exp(x) for -80 <= x <= 80, relative error below 3e-7.

@@ -12,17 +12,20 @@
 namespace semsplat {
 namespace {
 
-// Maximum number of feature channels whose sums over a pair's blocks fit into the registers.
-enum { MAX_DIFFERENTIATED = LANES == 16 ? 16 : 8 };
-// Up to this number of feature channels, their gradients are computed together with the others if the
-// target has enough registers.
-enum { FEW = 4 };
-constexpr bool CAN_FUSE = LANES == 16;
+// Channels are processed in groups of four: red, green, blue and depth first, then the features, padded
+// by zeros. In memory, vector k of a group has the four channels of pixel 4 j + k in lanes 4 j to
+// 4 j + 3. For dL/df, the lanes of a group's sum then need only LANES / 4 additions. Dot products of
+// many groups use the same values, and add four lanes at the end; those of one or two groups read the
+// channels one by one.
+enum { GROUP = 4, PLANAR = 2 * GROUP };
+// Up to this number of groups, all is done in one pass over a pair's blocks, if the sums fit into the
+// registers; otherwise the features have passes of their own.
+enum { MAX_FUSED = LANES == 16 ? 8 : 2, MAX_SWEPT = LANES == 16 ? 12 : 7 };
 // Whether loading alpha and its derived values again is faster than computing them again.
 constexpr bool KEEP_ALPHA = LANES < 16;
 enum { SUMS = 8, POSE_CHUNK = 4096 };
-// Sums of one pair: e = alpha dL/dalpha, its moments, and the base channels' gradients.
-enum { E, E_DX, E_DY, E_SQUARE, GRAD_Z, GRAD_R, GRAD_G, GRAD_B };
+// Sums of one pair: e = alpha dL/dalpha, its moments, and the gradients of the first group.
+enum { E, E_DX, E_DY, E_SQUARE, GRAD_R, GRAD_G, GRAD_B, GRAD_Z };
 
 // Propagation of the feature channels' gradients: none, to the features, or to all parameters.
 enum class Features { NONE, ALONE, MOVE };
@@ -30,12 +33,21 @@ enum class Features { NONE, ALONE, MOVE };
 struct BackwardScratch {
     TileEntry entries[BATCH];
     alignas(64) float T[BLOCKS][BLOCK_PIXELS], behind[BLOCKS][BLOCK_PIXELS];
-    alignas(64) float d[SILHOUETTE][BLOCKS][BLOCK_PIXELS];  // dL/d red, green, blue, depth
-    std::vector<float> d_features;                          // [S, BLOCKS, BLOCK_PIXELS]
-    // Of the current pair, stored by the pass over its features.
+    Buffer<float> d;  // dL/d channel [BLOCKS, PARTS, groups, GROUP, LANES]
+    alignas(64) float planar[PLANAR][BLOCKS][BLOCK_PIXELS];  // that of the first channels
+    int groups;
+    std::vector<float> values;  // of the current pair's splat [groups, GROUP]
+    // Of the current pair, if its features have passes of their own.
     alignas(64) float alpha[BLOCKS][BLOCK_PIXELS], inverse[BLOCKS][BLOCK_PIXELS];
     alignas(64) float weight[BLOCKS][BLOCK_PIXELS], dot[BLOCKS][BLOCK_PIXELS];
+
+    // Of one part of a block, beginning with one group.
+    const float* group(int block, int part, int first) const {
+        return d.data() + ((size_t)(block * PARTS + part) * groups + first) * GROUP * LANES;
+    }
 };
+
+SEMSPLAT_INLINE int groups_of(int features) { return 1 + (features + GROUP - 1) / GROUP; }
 
 // Alpha of an entry at the pixels of one part of a block: zero below MIN_ALPHA, at most MAX_ALPHA.
 SEMSPLAT_INLINE Floats alpha_of(const TileEntry& e, int block, int part) {
@@ -62,60 +74,111 @@ void load_tile(const Rasterisation& state, int tile, int S, const float* d_image
     const Pinhole& cam = state.camera;
     const size_t plane = (size_t)cam.width * cam.height;
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
-    for (int c = 0; c < SILHOUETTE; ++c) read_channel(cam, left, top, d_images + c * plane, scratch.d[c][0]);
     read_channel(cam, left, top, d_images + SILHOUETTE * plane, scratch.behind[0]);
     const float* T = state.transmittance.data() + (size_t)tile * TILE_PIXELS;
     std::memcpy(scratch.T, T, sizeof scratch.T);
     for (int block = 0; block < BLOCKS; ++block) {
         for (int p = 0; p < BLOCK_PIXELS; ++p) scratch.behind[block][p] *= -T[BLOCK_PIXELS * block + p];
     }
-    for (int c = 0; c < S; ++c) {
-        read_channel(cam, left, top, d_images + (BASE_CHANNELS + c) * plane,
-                     scratch.d_features.data() + (size_t)c * TILE_PIXELS);
+    alignas(64) float channels[GROUP][TILE_PIXELS];
+    for (int g = 0; g < scratch.groups; ++g) {
+        for (int i = 0; i < GROUP; ++i) {
+            const int feature = GROUP * (g - 1) + i, channel = g ? BASE_CHANNELS + feature : i;
+            if (feature < S) {
+                read_channel(cam, left, top, d_images + channel * plane, channels[i]);
+            } else {
+                std::fill_n(channels[i], (int)TILE_PIXELS, 0.0f);
+            }
+        }
+        if (GROUP * g < PLANAR) std::memcpy(scratch.planar[GROUP * g], channels, sizeof channels);
+        for (int at = 0; at < TILE_PIXELS; at += LANES) {
+            Floats pixels[GROUP], mixed[GROUP];
+            for (int i = 0; i < GROUP; ++i) pixels[i] = load(channels[i] + at);
+            transpose_quads(pixels, mixed);
+            float* to = scratch.d.data() + ((size_t)(at / LANES) * scratch.groups + g) * GROUP * LANES;
+            for (int k = 0; k < GROUP; ++k) store(to + LANES * k, mixed[k]);
+        }
     }
 }
 
-// dL/df of N feature channels over one or more blocks; if they are propagated to all parameters, adds
-// <f, d> to each block's dot product.
+// The channels' values of one splat, padded to whole groups.
+SEMSPLAT_INLINE void gather_values(const TileEntry& e, const float* f, int S, float* values) {
+    std::copy_n(&e.r, (int)GROUP, values);
+    int c = 0;
+    for (; c + GROUP <= S; c += GROUP) std::copy_n(f + c, (int)GROUP, values + GROUP + c);
+    if (c < S) {
+        for (int i = 0; i < GROUP; ++i) values[GROUP + c + i] = c + i < S ? f[c + i] : 0.0f;
+    }
+}
+
+// Stores the gradients of the features that begin with `first`, at most a group of them.
+SEMSPLAT_INLINE void store_group(Floats sums, int first, int S, float* gradient) {
+    float added[GROUP];
+    sum_quads(sums, added);
+    if (first + GROUP <= S) {
+        std::copy_n(added, (int)GROUP, gradient + first);
+    } else {
+        for (int i = 0; first + i < S; ++i) gradient[first + i] = added[i];
+    }
+}
+
+// For N groups at the pixels of one part of a block: adds w d to `sums`, and <f, d> of the first
+// DOTS groups to `dot`. Each group has CHAINS sums, since each addition waits for the previous one.
+template <int N, int DOTS, int CHAINS>
+SEMSPLAT_INLINE void add_groups(const float* d, const float* values, Floats w, Floats* sums, Floats& dot) {
+    Floats dots[GROUP];
+    for_four([&](auto k) {
+        const Floats wk = spread<k>(w);
+        Floats even = all(0.0f), odd = all(0.0f);
+        for (int g = 0; g < N; ++g) {
+            const Floats dk = load(d + (GROUP * g + k) * LANES);
+            if (g < DOTS && g % 2 == 0) even = fma(dk, load_columns(values + GROUP * g), even);
+            if (g < DOTS && g % 2 == 1) odd = fma(dk, load_columns(values + GROUP * g), odd);
+            Floats& sum = sums[CHAINS * g + k % CHAINS];
+            sum = fma(wk, dk, sum);
+        }
+        dots[k] = DOTS > 1 ? even + odd : even;
+    });
+    if (DOTS) dot = dot + sums_of_quads(dots);
+}
+
+// The gradients of N groups of features over one or more blocks, and if they are propagated to all
+// parameters, the features' share of the blocks' dot products.
 template <int N, bool MOVE>
-SEMSPLAT_INLINE void feature_step(BackwardScratch& scratch, uint32_t blocks, const float* f, int first,
-                                  float* gradient) {
-    const float* values = f + first;
-    const float* const d_first = scratch.d_features.data() + (size_t)first * TILE_PIXELS;
-    Floats acc[N];
-    for (int c = 0; c < N; ++c) acc[c] = all(0.0f);
+SEMSPLAT_INLINE void sweep_features(BackwardScratch& scratch, uint32_t blocks, int first, int S,
+                                    float* gradient) {
+    Floats sums[N];
+    for (Floats& sum : sums) sum = all(0.0f);
+    const float* const values = scratch.values.data() + GROUP * first;
     uint32_t m = blocks;
     do {
         const int block = __builtin_ctz(m);
-        // Otherwise GCC keeps the addresses of all values in registers.
-        asm("" : "+r"(values));
-        const float* const d = d_first + (size_t)block * BLOCK_PIXELS;
-        for (int p = 0; p < PARTS; ++p) {
-            const int at = LANES * p;
-            const Floats w = load(scratch.weight[block] + at);
-            // Two sums, since each addition waits for the previous one.
-            Floats even = MOVE ? load(scratch.dot[block] + at) : all(0.0f), odd = all(0.0f);
-            for (int c = 0; c < N; ++c) {
-                const Floats dc = load(d + (size_t)c * TILE_PIXELS + at);
-                if (MOVE && c % 2 == 0) even = fma(dc, all(values[c]), even);
-                if (MOVE && c % 2 == 1) odd = fma(dc, all(values[c]), odd);
-                acc[c] = fma(w, dc, acc[c]);
-            }
-            if (MOVE) store(scratch.dot[block] + at, even + odd);
+        for (int part = 0; part < PARTS; ++part) {
+            const int at = LANES * part;
+            Floats dot = MOVE && first > 1 ? load(scratch.dot[block] + at) : all(0.0f);
+            add_groups<N, MOVE ? N : 0, 1>(scratch.group(block, part, first), values,
+                                           load(scratch.weight[block] + at), sums, dot);
+            if (MOVE) store(scratch.dot[block] + at, dot);
         }
     } while (m &= m - 1);
-    sum_lanes(acc, gradient + first);
+    for (int g = 0; g < N; ++g) store_group(sums[g], GROUP * (first + g - 1), S, gradient);
 }
 
 template <bool MOVE>
-void feature_steps(BackwardScratch& scratch, uint32_t blocks, const float* f, int S, float* gradient) {
-    for_channel_groups<MAX_DIFFERENTIATED>(S, [&](auto n, int first) {
-        feature_step<decltype(n)::value, MOVE>(scratch, blocks, f, first, gradient);
+void sweep_all_features(BackwardScratch& scratch, uint32_t blocks, int S, float* gradient) {
+    int first = 1;
+    for (; first + MAX_SWEPT <= scratch.groups; first += MAX_SWEPT) {
+        sweep_features<MAX_SWEPT, MOVE>(scratch, blocks, first, S, gradient);
+    }
+    with_constant<1, MAX_SWEPT - 1>(scratch.groups - first, [&](auto n) {
+        sweep_features<n, MOVE>(scratch, blocks, first, S, gradient);
     });
 }
 
 // Processes all blocks of one pair: back-to-front state in `scratch`, sums in `out` (SUMS floats).
-template <bool COLOUR, Features FEATURES, bool FUSED>
+// FUSED is the number of groups done in one pass: all of them, or the first if the features have passes
+// of their own.
+template <Features FEATURES, int FUSED>
 SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntry& e, uint32_t blocks,
                                         const float* f, int S, float* out, float* d_features) {
     if (!blocks) {
@@ -123,7 +186,12 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
         if (FEATURES != Features::NONE) std::fill_n(d_features, S, 0.0f);
         return;
     }
-    constexpr bool MOVE = FEATURES == Features::MOVE, SEPARATE = FEATURES != Features::NONE && !FUSED;
+    constexpr bool MOVE = FEATURES == Features::MOVE, SEPARATE = FEATURES != Features::NONE && FUSED == 1;
+    const float* values = &e.r;
+    if (FEATURES != Features::NONE) {
+        gather_values(e, f, S, scratch.values.data());
+        values = scratch.values.data();
+    }
     if (SEPARATE) {
         for (uint32_t m = blocks; m; m &= m - 1) {
             const int block = __builtin_ctz(m);
@@ -135,17 +203,14 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
                     store(scratch.inverse[block] + at, inverse);
                 }
                 store(scratch.weight[block] + at, alpha * (load(scratch.T[block] + at) * inverse));
-                if (MOVE) store(scratch.dot[block] + at, all(0.0f));
             }
         }
-        feature_steps<MOVE>(scratch, blocks, f, S, d_features);
+        sweep_all_features<MOVE>(scratch, blocks, S, d_features);
     }
-    constexpr int FUSED_CHANNELS = FUSED ? FEW : 0;
-    float values[FEW] = {0};
-    if (FUSED) std::copy_n(f, S, values);
-    Floats acc[SUMS], by_feature[FEW];
-    for (Floats& a : acc) a = all(0.0f);
-    for (int c = 0; c < FUSED_CHANNELS; ++c) by_feature[c] = all(0.0f);
+    constexpr int CHAINS = FUSED <= 2 ? 2 : 1;
+    Floats moments[GROUP], sums[FUSED * CHAINS];
+    for (Floats& a : moments) a = all(0.0f);
+    for (Floats& a : sums) a = all(0.0f);
     for (uint32_t m = blocks; m; m &= m - 1) {
         const int block = __builtin_ctz(m);
         Floats column_sums = all(0.0f);  // of gradients with the same dx
@@ -161,15 +226,14 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
                 inverse = load(scratch.inverse[block] + at);
             }
             const Floats T = load(T_at) * inverse, w = alpha * T;
-            const Floats dr = load(scratch.d[0][block] + at), dg = load(scratch.d[1][block] + at);
-            const Floats db = load(scratch.d[2][block] + at), dz = load(scratch.d[3][block] + at);
             Floats dot = MOVE && SEPARATE ? load(scratch.dot[block] + at) : all(0.0f);
-            for (int c = 0; c < FUSED_CHANNELS; ++c) {
-                const Floats dc = load(scratch.d_features.data() + c * TILE_PIXELS + block * BLOCK_PIXELS + at);
-                if (MOVE) dot = fma(dc, all(values[c]), dot);
-                by_feature[c] = fma(w, dc, by_feature[c]);
+            if (FUSED <= 2) {
+                for (int c = 0; c < (MOVE ? GROUP * FUSED : (int)GROUP); ++c) {
+                    dot = fma(load(scratch.planar[c][block] + at), all(values[c]), dot);
+                }
             }
-            dot = fma(dr, all(e.r), fma(dg, all(e.g), fma(db, all(e.b), fma(dz, all(e.z), dot))));
+            constexpr int DOTS = FUSED <= 2 ? 0 : MOVE ? FUSED : 1;
+            add_groups<FUSED, DOTS, CHAINS>(scratch.group(block, part, 0), values, w, sums, dot);
             const Floats behind = load(behind_at);
             // Alpha is differentiable where it is neither cut, where it is zero, nor clamped.
             const Floats grad = keep(lt(alpha, all(MAX_ALPHA)), fnma(behind, inverse, T * dot) * alpha);
@@ -178,26 +242,18 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             const Floats dy = load_rows(COUNTING + block_row(block) + LANES / 4 * part) - all(e.v);
             const Floats gy = grad * dy;
             column_sums = column_sums + grad;
-            acc[E_DY] = acc[E_DY] + gy;
-            acc[E_SQUARE] = fma(gy, dy, acc[E_SQUARE]);
-            acc[GRAD_Z] = fma(w, dz, acc[GRAD_Z]);
-            if (COLOUR) {
-                acc[GRAD_R] = fma(w, dr, acc[GRAD_R]);
-                acc[GRAD_G] = fma(w, dg, acc[GRAD_G]);
-                acc[GRAD_B] = fma(w, db, acc[GRAD_B]);
-            }
+            moments[E_DY] = moments[E_DY] + gy;
+            moments[E_SQUARE] = fma(gy, dy, moments[E_SQUARE]);
         }
         const Floats dx = load_columns(COUNTING + block_column(block)) - all(e.u), gx = column_sums * dx;
-        acc[E] = acc[E] + column_sums;
-        acc[E_DX] = acc[E_DX] + gx;
-        acc[E_SQUARE] = fma(gx, dx, acc[E_SQUARE]);
+        moments[E] = moments[E] + column_sums;
+        moments[E_DX] = moments[E_DX] + gx;
+        moments[E_SQUARE] = fma(gx, dx, moments[E_SQUARE]);
     }
-    sum8(acc, out);
-    if (FUSED) {
-        float sums[FEW];
-        sum_lanes(by_feature, sums);
-        std::copy_n(sums, S, d_features);
-    }
+    for (int g = 0; CHAINS == 2 && g < FUSED; ++g) sums[g] = sums[2 * g] + sums[2 * g + 1];
+    sum_quads(sums_of_quads(moments), out + E);
+    sum_quads(sums[0], out + GRAD_R);
+    for (int g = 1; g < FUSED; ++g) store_group(sums[g], GROUP * (g - 1), S, d_features);
 }
 
 // Storage of the sums of pairs: a splat on a single tile has one row, others have a row per tile.
@@ -212,7 +268,7 @@ struct PairSums {
     }
 };
 
-template <bool COLOUR, Features FEATURES, bool FUSED>
+template <Features FEATURES, int FUSED>
 void differentiate_tile(const Gaussians& map, const Rasterisation& state, int tile, BackwardScratch& scratch,
                         PairSums& sums, float* d_features) {
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
@@ -230,7 +286,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
     for (int end = last; end > 0;) {
         const int start = (end - 1) / BATCH * BATCH;
         for (int j = 0; j < end - start; ++j) {
-            if (j + 4 < end - start) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + 4]]);
+            if (j + PREFETCHED < end - start) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + PREFETCHED]]);
             const int splat = state.pair_splat[begin + start + j];
             prepare(state.splats[splat], (float)left, (float)top, scratch.entries[j]);
             scratch.entries[j].splat = splat;
@@ -243,8 +299,8 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
             }
             const TileEntry& e = scratch.entries[k - start];
             float* fg = FEATURES != Features::NONE ? sums.feature_row(d_features, e.splat, e.slot, S) : nullptr;
-            differentiate_pair<COLOUR, FEATURES, FUSED>(scratch, e, e.blocks & open,
-                                                 fg ? map.features + (size_t)e.id * S : nullptr, S,
+            differentiate_pair<FEATURES, FUSED>(scratch, e, e.blocks & open,
+                                                fg ? map.features + (size_t)e.id * S : nullptr, S,
                                                  sums.row(e.splat, e.slot), fg);
         }
         end = start;
@@ -305,32 +361,32 @@ void finish(const Gaussians& map, const Rasterisation& state, const PairSums& su
     }
 }
 
-template <bool COLOUR, Features FEATURES, bool FUSED>
+template <Features FEATURES, int FUSED>
 void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                          const float* d_images, PairSums& sums, float* d_features) {
     const int tiles = state.tiles(), S = FEATURES != Features::NONE ? map.feature_channels : 0;
 #pragma omp parallel
     {
         auto scratch = std::make_unique<BackwardScratch>();
-        scratch->d_features.resize((size_t)(FUSED ? (int)FEW : S) * TILE_PIXELS);
+        scratch->groups = groups_of(S);
+        scratch->d.resize((size_t)scratch->groups * GROUP * TILE_PIXELS);
+        scratch->values.resize((size_t)scratch->groups * GROUP);
 #pragma omp for schedule(dynamic, 4)
         for (int tile = 0; tile < tiles; ++tile) {
             if ((region && !region[tile]) || state.tile_begin[tile] == state.tile_begin[tile + 1]) continue;
             load_tile(state, tile, S, d_images, *scratch);
-            differentiate_tile<COLOUR, FEATURES, FUSED>(map, state, tile, *scratch, sums, d_features);
+            differentiate_tile<FEATURES, FUSED>(map, state, tile, *scratch, sums, d_features);
         }
     }
 }
 
 template <Features FEATURES>
-void differentiate_tiles_of(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
-                            const float* d_images, PairSums& sums, const GradientSinks& out) {
-    constexpr bool FUSED = CAN_FUSE && FEATURES != Features::NONE;
-    auto run = out.colours ? differentiate_tiles<true, FEATURES, false> : differentiate_tiles<false, FEATURES, false>;
-    if (FUSED && map.feature_channels <= FEW) {
-        run = out.colours ? differentiate_tiles<true, FEATURES, FUSED> : differentiate_tiles<false, FEATURES, FUSED>;
-    }
-    run(map, region, state, d_images, sums, out.features);
+void differentiate_features(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
+                            const float* d_images, PairSums& sums, float* d_features) {
+    const int groups = groups_of(map.feature_channels);
+    auto run = differentiate_tiles<FEATURES, 1>;
+    with_constant<2, MAX_FUSED>(groups, [&](auto n) { run = differentiate_tiles<FEATURES, n>; });
+    run(map, region, state, d_images, sums, d_features);
 }
 
 }  // namespace
@@ -343,11 +399,11 @@ void differentiate(const Gaussians& map, const uint8_t* region, const Rasterisat
     sums.shared.resize((size_t)state.slots * SUMS);
     sums.shared_features.resize((size_t)state.slots * map.feature_channels);
     if (!map.feature_channels) {
-        differentiate_tiles_of<Features::NONE>(map, region, state, d_images, sums, out);
+        differentiate_tiles<Features::NONE, 1>(map, region, state, d_images, sums, nullptr);
     } else if (detached) {
-        differentiate_tiles_of<Features::ALONE>(map, region, state, d_images, sums, out);
+        differentiate_features<Features::ALONE>(map, region, state, d_images, sums, out.features);
     } else {
-        differentiate_tiles_of<Features::MOVE>(map, region, state, d_images, sums, out);
+        differentiate_features<Features::MOVE>(map, region, state, d_images, sums, out.features);
     }
     finish(map, state, sums, out);
 }

@@ -46,8 +46,12 @@ SEMSPLAT_INLINE void add_features(const ForwardScratch& scratch, const BlockList
 void add_all_features(const ForwardScratch& scratch, const BlockList& list, int count, const Gaussians& map,
                       float* sums) {
     const int S = map.feature_channels;
-    for_channel_groups<MAX_COMPOSITED>(S, [&](auto n, int first) {
-        add_features<decltype(n)::value>(scratch, list, count, map.features, S, first, sums);
+    int first = 0;
+    for (; first + MAX_COMPOSITED <= S; first += MAX_COMPOSITED) {
+        add_features<MAX_COMPOSITED>(scratch, list, count, map.features, S, first, sums);
+    }
+    with_constant<1, MAX_COMPOSITED - 1>(S - first, [&](auto n) {
+        add_features<n>(scratch, list, count, map.features, S, first, sums);
     });
     if (map.centres) add_features<3>(scratch, list, count, map.means, 3, 0, sums + BLOCK_PIXELS * S);
 }
@@ -150,7 +154,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
         const int n = std::min((int)BATCH, count - start);
         for (BlockList& list : scratch.lists) list.count = 0;
         for (int j = 0; j < n; ++j) {
-            if (j + 4 < n) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + 4]]);
+            if (j + PREFETCHED < n) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + PREFETCHED]]);
             prepare(state.splats[state.pair_splat[begin + start + j]], (float)left, (float)top,
                     scratch.entries[j]);
             for (uint32_t m = scratch.entries[j].blocks & alive; m; m &= m - 1) {

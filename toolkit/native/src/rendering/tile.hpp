@@ -13,7 +13,7 @@
 namespace semsplat {
 namespace {
 
-enum { BATCH = 128 };
+enum { BATCH = 128, PREFETCHED = 12 };  // splats
 // A block is one vector of 16 or 8 lanes, or two of 4. Small blocks fit small Gaussians better, but
 // every block has a constant cost.
 enum {
@@ -36,6 +36,10 @@ struct alignas(64) TileEntry {
 static_assert(sizeof(TileEntry) == 192, "three cache lines");
 
 alignas(64) constexpr float COUNTING[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+// First columns and rows of the blocks.
+alignas(64) constexpr float BLOCK_LEFT[4] = {0, 4, 8, 12};
+alignas(64) constexpr float BLOCK_TOP[8] = {0, BLOCK_ROWS, 2 * BLOCK_ROWS, 3 * BLOCK_ROWS,
+                                            4 * BLOCK_ROWS, 5 * BLOCK_ROWS, 6 * BLOCK_ROWS, 7 * BLOCK_ROWS};
 
 SEMSPLAT_INLINE int block_column(int block) { return 4 * (block & 3); }
 SEMSPLAT_INLINE int block_row(int block) { return BLOCK_ROWS * (block >> 2); }
@@ -55,13 +59,10 @@ SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e
         store(e.rows + first, opacity * exp_negative(k * dy * dy));
     }
     // Squared distance from the centre to the nearest pixel of each block.
-    alignas(64) constexpr float COLUMN[4] = {0, 4, 8, 12};
-    alignas(64) constexpr float ROW[8] = {0, BLOCK_ROWS, 2 * BLOCK_ROWS, 3 * BLOCK_ROWS,
-                                          4 * BLOCK_ROWS, 5 * BLOCK_ROWS, 6 * BLOCK_ROWS, 7 * BLOCK_ROWS};
-    const Floats x = outside(load_columns(COLUMN) - all(u), 3.0f);
+    const Floats x = outside(load_columns(BLOCK_LEFT) - all(u), 3.0f);
     uint32_t blocks = 0;
     for (int first = 0; first < BLOCKS; first += LANES) {
-        const Floats y = outside(load_rows(ROW + first / 4) - all(v), BLOCK_ROWS - 1);
+        const Floats y = outside(load_rows(BLOCK_TOP + first / 4) - all(v), BLOCK_ROWS - 1);
         blocks |= bits(ge(support, fma(x, x, y * y))) << first;
     }
     e.blocks = blocks;
@@ -80,26 +81,15 @@ SEMSPLAT_INLINE Floats gaussian_of(const TileEntry& e, int block, int part) {
            load_rows(e.rows + block_row(block) + LANES / 4 * part);
 }
 
-// Calls f(N, first) for consecutive groups of N <= MAX channels, where N is an integral constant and
-// `first` the group's first channel.
-template <int MAX, class F>
-SEMSPLAT_INLINE void for_channel_groups(int channels, const F& f) {
-    int first = 0;
-    for (; first + MAX <= channels; first += MAX) f(std::integral_constant<int, MAX>(), first);
-    if (MAX > 8 && first + 8 <= channels) {
-        f(std::integral_constant<int, 8>(), first);
-        first += 8;
-    }
-    constexpr int LARGEST = MAX < 8 ? MAX - 1 : 7;
-    switch (channels - first) {
-        case 1: f(std::integral_constant<int, 1>(), first); break;
-        case 2: f(std::integral_constant<int, std::min(2, LARGEST)>(), first); break;
-        case 3: f(std::integral_constant<int, std::min(3, LARGEST)>(), first); break;
-        case 4: f(std::integral_constant<int, std::min(4, LARGEST)>(), first); break;
-        case 5: f(std::integral_constant<int, std::min(5, LARGEST)>(), first); break;
-        case 6: f(std::integral_constant<int, std::min(6, LARGEST)>(), first); break;
-        case 7: f(std::integral_constant<int, std::min(7, LARGEST)>(), first); break;
-        default: break;
+// Calls f with the integral constant n if it is from FIRST to LAST.
+template <int FIRST, int LAST, class F>
+SEMSPLAT_INLINE void with_constant(int n, const F& f) {
+    if constexpr (FIRST <= LAST) {
+        if (n == FIRST) {
+            f(std::integral_constant<int, FIRST>());
+        } else {
+            with_constant<FIRST + 1, LAST>(n, f);
+        }
     }
 }
 
