@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
-from benchmarks.tables import Table
+from benchmarks.tables import Table, Target, target_table
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.losses.options import RgbdLossWeights
@@ -42,6 +42,7 @@ RIVAL_CHANNELS = (4, 7, 24, 32)
 SCENES = ((320, 240, 1), (320, 240, 2), (640, 480, 2))
 THREADS = 2
 MEASURES = ("toolkit/native", "toolkit/rendering")
+COMPARISON = "Compared with another rasteriser"
 DESCRIPTION = """\
 Forward is one call that projects, sorts, bins and composites; backward returns the gradients of all
 parameters and of the pose. A width of C channels is 3 colour, 1 depth and C - 4 features; the
@@ -346,8 +347,37 @@ def rival_table(source: Path, scenes: tuple[tuple[int, int, int], ...], repeats:
                         own, other = ms[f"{name} {step}"], ms[f"{name} rival {step}"]
                         cells += [own, other, other / own]
                     rows.append(row(*cells))
-    title = "Compared with another rasteriser"
-    return Table((*columns, *forward, *backward), tuple(rows), title)
+    return Table((*columns, *forward, *backward), tuple(rows), COMPARISON)
+
+
+def targets(loss: Table, comparison: Table) -> list[Target]:
+    """The extreme ratio over all rows of an instruction set against its bound."""
+    rows = [dict(zip(comparison.columns, cells, strict=True)) for cells in comparison.rows]
+    by_set = {name: [r for r in rows if r["instruction set"] == name] for name in instruction_sets()}
+    found = []
+    for name, bound in (("avx2", 1.8), ("avx512", 2.0)):
+        for step, column in (("forward", "ratio"), ("backward", "ratio, backward")):
+            ratios = [float(r[column]) for r in by_set.get(name, [])]
+            label = f"{step} pass, {name}: rival's time / ours, least of all rows"
+            found.append(Target(label, min(ratios, default=None), at_least=bound))
+    pairs = list(zip(by_set.get("avx2", []), by_set.get("avx512", []), strict=False))
+    for step, widths, bound in (
+        ("forward", RIVAL_CHANNELS, 1.5),
+        ("backward", (4, 7), 1.5),
+        ("backward", (24, 32), 1.8),
+    ):
+        column = f"{step} ms"
+        ratios = [
+            float(narrow[column]) / float(wide[column])
+            for narrow, wide in pairs
+            if int(wide["channels"]) in widths
+        ]
+        label = f"{step} pass, {min(widths)} to {max(widths)} channels: avx2 / avx512, greatest"
+        found.append(Target(label, max(ratios, default=None), at_most=bound))
+    times = {cells[0]: float(cells[1]) for cells in loss.rows}
+    ratio = times["avx2"] / times["avx512"] if {"avx2", "avx512"} <= times.keys() else None
+    found.append(Target("mapping loss: avx2 / avx512", ratio, at_most=2.5))
+    return found
 
 
 def main() -> None:
@@ -372,6 +402,7 @@ def main() -> None:
         tables += growth_tables(arguments.repeats)
     if arguments.rival:
         tables.append(rival_table(arguments.rival.resolve(), scenes, arguments.repeats))
+        tables.append(target_table(targets(tables[1], tables[-1])))
     title = "Native renderer"
     description = f"{DESCRIPTION} Medians of {arguments.repeats}."
     results = Results("renderer", title, description, header, tuple(tables))
