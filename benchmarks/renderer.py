@@ -353,7 +353,9 @@ def rival_table(source: Path, scenes: tuple[tuple[int, int, int], ...], repeats:
 def targets(loss: Table, comparison: Table) -> list[Target]:
     """The extreme ratio over all rows of an instruction set against its bound."""
     rows = [dict(zip(comparison.columns, cells, strict=True)) for cells in comparison.rows]
-    by_set = {name: [r for r in rows if r["instruction set"] == name] for name in instruction_sets()}
+    by_set = {
+        name: [r for r in rows if r["instruction set"] == name] for name in instruction_sets()
+    }
     found = []
     for name, bound in (("avx2", 1.8), ("avx512", 2.0)):
         for step, column in (("forward", "ratio"), ("backward", "ratio, backward")):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -68,6 +69,30 @@ def test_refinement_fits_colours_at_pixels(room):
         assert mapper.gaussians.centred_colours == (rounds == 0)
         restored.restore(*mapper.state())
         assert restored.gaussians.centred_colours == (rounds == 0)
+
+
+@pytest.mark.parametrize("centred", [True, False])
+def test_learning_rates_fall_during_refinement(room, centred, monkeypatch):
+    """Only if the map was optimised for tracking; the papers' refinements have constant rates."""
+    factors = []
+    step = sparse_adam.SparseAdam.step
+
+    def recorded(self, cloud, gradients, ids, rate_factor=1.0):
+        factors.append(rate_factor)
+        step(self, cloud, gradients, ids, rate_factor)
+
+    options = MapperOptions(iterations=0, first_iterations=1, final_iterations=6, centred=centred)
+    mapper = fed(Mapper(options), room, [0, 4])
+    monkeypatch.setattr(sparse_adam.SparseAdam, "step", recorded)
+    mapper.refine()
+    mapper.optimise_keyframes([0], 1)
+    assert len(factors) == 13
+    assert factors[12] == 1.0
+    if centred:
+        assert factors[0] > 2.0
+        assert all(a > b > 1.0 for a, b in pairwise(factors[:12]))
+    else:
+        assert set(factors) == {1.0}
 
 
 def test_refinement_leaves_centres_on_their_surfaces(room):

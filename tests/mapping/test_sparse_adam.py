@@ -173,6 +173,19 @@ def test_rates_fall_as_a_gaussian_settles(any_way):
     assert strides[20] == pytest.approx(rates.colours / (1 + 21 / 5), rel=0.02)
 
 
+def test_the_rate_factor_scales_the_stride_of_every_parameter(any_way):
+    strides = []
+    for factor in (1.0, 3.0):
+        cloud, ids = cloud_of(20), torch.arange(20)
+        before = {f: getattr(cloud, f).clone() for f in PARAMETERS}
+        optimiser = SparseAdam(LearningRates(), feature_channels=2)
+        optimiser.extend(20)
+        optimiser.step(cloud, gradients_for(cloud, ids, 0), ids, factor)
+        strides.append({f: getattr(cloud, f) - before[f] for f in PARAMETERS})
+    for name in PARAMETERS:
+        assert torch.allclose(3.0 * strides[0][name], strides[1][name], rtol=1e-3, atol=1e-5), name
+
+
 def test_nothing_seen_is_no_error(any_way):
     cloud, none = cloud_of(5), torch.zeros(0, dtype=torch.int64)
     optimiser = SparseAdam(LearningRates(), feature_channels=2)

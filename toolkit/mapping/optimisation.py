@@ -28,15 +28,17 @@ _GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
 @dataclass(frozen=True)
 class Objective:
-    """What a step optimises.
+    """What a step optimises, and how fast.
 
     Attributes:
         adjust_poses: optimise the poses of keyframes too, except the first keyframe's.
         feature: additional loss of image features, or None.
+        rate_factor: factor of the learning rates of the Gaussians.
     """
 
     adjust_poses: bool = False
     feature: FeatureLoss | None = None
+    rate_factor: float = 1.0
 
 
 class MapOptimisation:
@@ -98,7 +100,9 @@ class MapOptimisation:
             with_features = len(gradient) > BASE_CHANNELS
             names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
             named = {name: getattr(gradients, name) for name in names}
-            gaussian_map.optimiser.step(gaussian_map.gaussians, named, gradients.ids)
+            gaussian_map.optimiser.step(
+                gaussian_map.gaussians, named, gradients.ids, objective.rate_factor
+            )
             if objective.adjust_poses and keyframe is not gaussian_map.keyframes[0]:
                 self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
         return loss + semantic

@@ -87,7 +87,7 @@ class MapperOptions:
     """Number of optimisation iterations per keyframe during mapping."""
     first_iterations: NonNegativeInt = 20
     """Number of optimisation iterations on the first keyframe."""
-    final_iterations: NonNegativeInt = 9
+    final_iterations: NonNegativeInt = 6
     """Number of optimisation iterations per keyframe in the final refinement."""
     # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
     final_on_surfaces: bool = True

@@ -16,6 +16,9 @@ from toolkit.mapping.surfaces import Surfaces
 # Step counts are limited to this number at the start of the refinement, which raises the learning
 # rates again: +0.7 dB of PSNR, and 0.15 mm of depth error, in a synthetic room.
 _MAX_STEPS_BEFORE = 15
+# The learning rates fall exponentially from this factor to one. In 6 steps per keyframe, this
+# reaches the PSNR of 9 steps with constant rates.
+_START_RATE = 4.0
 
 
 def refine(
@@ -32,9 +35,9 @@ def refine(
         generator: chooses the order.
     """
     optimiser, count = gaussian_map.optimiser, len(gaussian_map.keyframes)
-    steps_before = optimiser.steps
+    steps_before, start_rate = optimiser.steps, 1.0
     if gaussian_map.gaussians.centred_colours:
-        optimiser.steps = steps_before.clamp(max=_MAX_STEPS_BEFORE)
+        optimiser.steps, start_rate = steps_before.clamp(max=_MAX_STEPS_BEFORE), _START_RATE
     removed_steps = steps_before - optimiser.steps
     feature = None
     if options.final_feature > 0:
@@ -51,6 +54,8 @@ def refine(
     for done in range(rounds):
         for number, index in enumerate(generator.permutation(count)):
             progress = (done * count + number, rounds * count)
+            factor = start_rate ** (1.0 - progress[0] / progress[1])
+            objective = replace(objective, rate_factor=factor)
             optimisation.step(gaussian_map, gaussian_map.keyframes[index], progress, objective)
         if surfaces is not None:
             gaussian_map.move(surfaces.project(gaussian_map.gaussians.means))

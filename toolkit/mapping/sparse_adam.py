@@ -49,14 +49,23 @@ class SparseAdam:
         self._first[name].zero_()
         self._second[name].zero_()
 
-    def step(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
+    def step(
+        self,
+        cloud: GaussianCloud,
+        gradients: dict[str, Tensor],
+        ids: Tensor,
+        rate_factor: float = 1.0,
+    ) -> None:
         """Update the Gaussians `ids` [V] of a cloud in place from compact gradients [V, ...].
 
         Parameters without a gradient in the dictionary do not change.
+
+        Args:
+            rate_factor: factor of all learning rates.
         """
         module = kernels_for(cloud.means)
         if module is None:
-            self._step_torch(cloud, gradients, ids)
+            self._step_torch(cloud, gradients, ids, rate_factor)
             return
         groups = []
         # Centres first: their unit is the radius before this step, as in `_step_torch`.
@@ -67,12 +76,18 @@ class SparseAdam:
                 continue
             tensors = (parameter, self._first[name], self._second[name], gradient)
             unit = address(cloud.log_radii) if name == "means" else 0
-            rate = getattr(self.rates, name)
+            rate = rate_factor * getattr(self.rates, name)
             groups.append((*(address(t) for t in tensors), width, rate, unit))
         settings = (BETA1, BETA2, self.rates.epsilon, self.rates.settle_steps)
         module.adam(address(ids), len(ids), address(self.steps), groups, settings)
 
-    def _step_torch(self, cloud: GaussianCloud, gradients: dict[str, Tensor], ids: Tensor) -> None:
+    def _step_torch(
+        self,
+        cloud: GaussianCloud,
+        gradients: dict[str, Tensor],
+        ids: Tensor,
+        rate_factor: float,
+    ) -> None:
         self.steps[ids] += 1
         steps = self.steps[ids].to(torch.float32)
         settle = self.rates.settle_steps
@@ -86,7 +101,7 @@ class SparseAdam:
             m = first[ids] * BETA1 + gradient * (1.0 - BETA1)
             v = second[ids] * BETA2 + gradient**2 * (1.0 - BETA2)
             first[ids], second[ids] = m, v
-            rate = getattr(self.rates, name) * settled / (1.0 - BETA1**steps)
+            rate = rate_factor * getattr(self.rates, name) * settled / (1.0 - BETA1**steps)
             if name == "means":
                 rate = rate * radii
             scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + self.rates.epsilon
