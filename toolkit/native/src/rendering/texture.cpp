@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "rendering/mean_centres.hpp"
 #include "rendering/surface.hpp"
 
 namespace semsplat {
@@ -22,43 +23,37 @@ void intensity_of(const Pinhole& camera, const float* images, float min_silhouet
 
 namespace {
 
-// Offsets from pixels to the projections of the mean centres of the Gaussians.
+// Offsets from the pixels of a row to the projections of the mean centres of the Gaussians. Each thread
+// has its own.
 class CentreOffsets {
 public:
-    CentreOffsets(const Pinhole& camera, const double* T, const float* images, const float* centres,
-                  float min_silhouette)
-        : camera_(camera), silhouette_(images + SILHOUETTE * (size_t)camera.width * camera.height),
-          centres_(centres), min_silhouette_(min_silhouette) {
-        for (int i = 0; i < 3; ++i) {
-            for (int j = 0; j < 3; ++j) R_[3 * i + j] = (float)T[4 * i + j];
-            t_[i] = (float)T[4 * i + 3];
-        }
-    }
+    std::vector<float> across, down;
 
-    // The offsets [W] of a row: zero where the silhouette is below the minimum, and at edges, where the
-    // offset is large. Without branches, so that the compiler vectorises the loop.
-    void row(int y, float* __restrict across, float* __restrict down) const {
+    CentreOffsets(const Pinhole& camera, const MeanCentres& centres)
+        : across((size_t)camera.width), down((size_t)camera.width), camera_(camera), centres_(centres),
+          points_(3 * (size_t)camera.width) {}
+
+    // Offsets are zero where the silhouette is below the minimum, and at edges, where they are large.
+    // Without branches, so that the compiler vectorises the loop.
+    void move_to(int y) {
+        centres_.row(y, points_.data());
         const int W = camera_.width;
-        const size_t plane = (size_t)W * camera_.height, start = (size_t)y * W;
-        const float *s = silhouette_ + start, *a = centres_ + start, *b = a + plane, *c = b + plane;
+        const float *X = points_.data(), *Y = X + W, *Z = Y + W;
         const float fx = camera_.fx, fy = camera_.fy, cx = camera_.cx, cy = camera_.cy - (float)y;
-        const float least = min_silhouette_;
+        float *__restrict to_across = across.data(), *__restrict to_down = down.data();
         for (int x = 0; x < W; ++x) {
-            const float inverse = 1.0f / s[x], p = a[x] * inverse, q = b[x] * inverse, r = c[x] * inverse;
-            const float z = R_[6] * p + R_[7] * q + R_[8] * r + t_[2];
-            const float u = fx * (R_[0] * p + R_[1] * q + R_[2] * r + t_[0]) / z + cx - (float)x;
-            const float v = fy * (R_[3] * p + R_[4] * q + R_[5] * r + t_[1]) / z + cy;
+            const float u = fx * X[x] / Z[x] + cx - (float)x, v = fy * Y[x] / Z[x] + cy;
             const float offset = std::max(std::fabs(u), std::fabs(v));
-            const bool usable = (s[x] >= least) & (z > MIN_CENTRE_DEPTH_M) & (offset <= MAX_CENTRE_OFFSET_PX);
-            across[x] = usable ? u : 0.0f;
-            down[x] = usable ? v : 0.0f;
+            const bool usable = (Z[x] > MIN_CENTRE_DEPTH_M) & (offset <= MAX_CENTRE_OFFSET_PX);
+            to_across[x] = usable ? u : 0.0f;
+            to_down[x] = usable ? v : 0.0f;
         }
     }
 
 private:
-    Pinhole camera_;
-    const float *silhouette_, *centres_;
-    float min_silhouette_, R_[9], t_[3];
+    const Pinhole& camera_;
+    const MeanCentres& centres_;
+    std::vector<float> points_;
 };
 
 // Moves the intensity of the inner pixels of a row by offsets. red, silhouette: of the row, inside images.
@@ -87,16 +82,16 @@ void centred_intensity(const Pinhole& camera, const double* T, const float* imag
     const int W = camera.width, H = camera.height;
     const size_t plane = (size_t)W * H;
     intensity_of(camera, images, min_silhouette, intensity);
-    const CentreOffsets offsets(camera, T, images, centres, min_silhouette);
+    const MeanCentres means(camera, T, images, centres, min_silhouette);
 #pragma omp parallel
     {
-        std::vector<float> across((size_t)W), down((size_t)W);
+        CentreOffsets offsets(camera, means);
 #pragma omp for schedule(static)
         for (int y = 1; y < H - 1; ++y) {
             const size_t start = (size_t)y * W;
-            offsets.row(y, across.data(), down.data());
-            move_row(W, plane, images + start, images + SILHOUETTE * plane + start, min_silhouette, across.data(),
-                     down.data(), intensity + start);
+            offsets.move_to(y);
+            move_row(W, plane, images + start, images + SILHOUETTE * plane + start, min_silhouette,
+                     offsets.across.data(), offsets.down.data(), intensity + start);
         }
     }
 }
@@ -105,16 +100,16 @@ void texture_at_centres(const Pinhole& camera, const double* T, const float* ima
                         float min_silhouette, const float* rgb, float* out) {
     const int W = camera.width, H = camera.height;
     const size_t plane = (size_t)W * H;
-    const CentreOffsets offsets(camera, T, images, centres, min_silhouette);
+    const MeanCentres means(camera, T, images, centres, min_silhouette);
 #pragma omp parallel
     {
-        std::vector<float> across((size_t)W), down((size_t)W);
+        CentreOffsets offsets(camera, means);
 #pragma omp for schedule(static)
         for (int y = 0; y < H; ++y) {
-            offsets.row(y, across.data(), down.data());
+            offsets.move_to(y);
             for (int x = 0; x < W; ++x) {
-                const float u = std::min(std::max((float)x + across[x], 0.0f), (float)(W - 1));
-                const float v = std::min(std::max((float)y + down[x], 0.0f), (float)(H - 1));
+                const float u = std::min(std::max((float)x + offsets.across[x], 0.0f), (float)(W - 1));
+                const float v = std::min(std::max((float)y + offsets.down[x], 0.0f), (float)(H - 1));
                 const int left = std::max(0, std::min((int)u, W - 2)), top = std::max(0, std::min((int)v, H - 2));
                 const int right = std::min(left + 1, W - 1), below = std::min(top + 1, H - 1);
                 const float a = u - left, b = v - top;
