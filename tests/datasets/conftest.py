@@ -102,6 +102,44 @@ def make_seven_scenes(tmp_path) -> Callable[..., Path]:
 
 
 @pytest.fixture
+def make_nerfstudio(tmp_path) -> Callable[..., Path]:
+    """Writes `transforms.json` with poses in OpenGL's axes; colour is `enlarged` times as large."""
+
+    def make(frames: int = 4, enlarged: int = 1, **changes: object) -> Path:
+        folder = tmp_path / "poly"
+        (folder / "images").mkdir(parents=True)
+        (folder / "depths").mkdir()
+        entries = []
+        for i in range(frames):
+            rgb = np.kron(frame_rgb(i), np.ones((enlarged, enlarged, 1)))
+            images.write_rgb(folder / f"images/{i + 1}.png", rgb)
+            images.write_depth_png(folder / f"depths/{i + 1}.png", frame_depth_m(i), 1000)
+            T = pose(i)
+            entries.append(
+                {
+                    "file_path": f"./images/{i + 1}.png",
+                    "depth_file_path": f"depths\\{i + 1}.png",
+                    # Columns of the axes: right, up instead of down, back instead of forward.
+                    "transform_matrix": np.stack([T[:, 0], -T[:, 1], -T[:, 2], T[:, 3]], 1).tolist(),
+                }
+            )
+        content = {
+            "camera_model": "OPENCV",
+            "w": WIDTH * enlarged,
+            "h": HEIGHT * enlarged,
+            "fl_x": 30.0 * enlarged,
+            "fl_y": 31.0 * enlarged,
+            "cx": 16.0 * enlarged,
+            "cy": 12.0 * enlarged,
+            "frames": entries[::-1],
+        }
+        (folder / "transforms.json").write_text(json.dumps(content | changes))
+        return folder
+
+    return make
+
+
+@pytest.fixture
 def make_scannet(tmp_path) -> Callable[..., Path]:
     """Writes exported ScanNet frames; colour has twice the size of depth, frame 1 has no pose."""
 
