@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Literal
 
 DatasetKind = Literal[
-    "synthetic", "tum", "replica", "seven-scenes", "scannet", "nerfstudio", "folder"
+    "synthetic",
+    "tum",
+    "replica",
+    "seven-scenes",
+    "scannet",
+    "nerfstudio",
+    "stray-scanner",
+    "folder",
 ]
 
 
@@ -16,6 +23,7 @@ class DatasetOptions:
     """The dataset of a run."""
 
     kind: DatasetKind = "synthetic"
-    """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio or folder."""
+    """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
+    stray-scanner or folder."""
     path: Path | None = None
     """Folder of the dataset. By default, a synthetic room is created beside the run folder."""
