@@ -68,11 +68,13 @@ def test_a_short_video_is_reported_by_its_frame(make_stray_scanner):
 
 
 @pytest.mark.parametrize("content", [b"", b"not a video" * 100])
-def test_a_file_that_is_no_video_is_refused(make_stray_scanner, content):
+def test_a_file_that_is_no_video_is_refused_in_one_line(make_stray_scanner, content, capfd):
     folder = make_stray_scanner()
     (folder / "rgb.mp4").write_bytes(content)
+    capfd.readouterr()
     with pytest.raises(DatasetError, match=r"rgb\.mp4 is damaged or not a video"):
         open_dataset("stray-scanner", folder)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_missing_video_names_the_file(tmp_path):

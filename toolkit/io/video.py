@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError
+
+# FFmpeg and OpenCV print their own lines about damaged files, besides the error raised here.
+_FFMPEG_LOG_LEVEL, _QUIET = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
 class VideoFile:
@@ -60,7 +64,12 @@ class VideoFile:
     def _opened(self) -> cv2.VideoCapture:
         if not self._path.is_file():
             raise DatasetError(f"cannot read {self._path}: no such file; check the path")
-        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        os.environ.setdefault(_FFMPEG_LOG_LEVEL, _QUIET)
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        try:
+            capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        finally:
+            cv2.utils.logging.setLogLevel(level)
         if not capture.isOpened():
             raise DatasetError(
                 f"{self._path} is damaged or not a video that FFmpeg reads; copy the file again"
