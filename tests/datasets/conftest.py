@@ -116,12 +116,13 @@ def make_nerfstudio(tmp_path) -> Callable[..., Path]:
             images.write_rgb(folder / f"images/{i + 1}.png", rgb)
             images.write_depth_png(folder / f"depths/{i + 1}.png", frame_depth_m(i), 1000)
             T = pose(i)
+            # Columns of the axes: right, up instead of down, back instead of forward.
+            T_opengl = np.stack([T[:, 0], -T[:, 1], -T[:, 2], T[:, 3]], axis=1)
             entries.append(
                 {
                     "file_path": f"./images/{i + 1}.png",
                     "depth_file_path": f"depths\\{i + 1}.png",
-                    # Columns of the axes: right, up instead of down, back instead of forward.
-                    "transform_matrix": np.stack([T[:, 0], -T[:, 1], -T[:, 2], T[:, 3]], 1).tolist(),
+                    "transform_matrix": T_opengl.tolist(),
                 }
             )
         content = {

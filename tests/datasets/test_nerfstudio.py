@@ -40,7 +40,7 @@ def test_frames_camera_and_poses_are_those_written(make_nerfstudio, enlarged):
 
 
 def test_a_point_keeps_its_place_in_the_world(make_nerfstudio):
-    """A point seen 2 m in front of the second camera, projected by the conventions of the format."""
+    """A point 2 m in front of the second camera, projected by the conventions of the format."""
     folder = make_nerfstudio()
     dataset = open_dataset("nerfstudio", folder)
     content = json.loads((folder / "transforms.json").read_text())

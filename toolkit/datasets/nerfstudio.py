@@ -24,8 +24,8 @@ _FILE = "transforms.json"
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 _PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
-# Exports of phones have a focal length for each frame, because of the autofocus. Recordings have one
-# camera, the median; a larger relative deviation is an error.
+# Exports of phones have a focal length for each frame, because of the autofocus. Recordings have
+# one camera, the median; a larger relative deviation is an error.
 _MAX_FOCAL_DEVIATION = 0.02
 # From OpenGL's camera, whose y axis points up and whose z axis points back, to ours.
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -33,7 +33,7 @@ _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics of one frame, as the file has them: the centre of the first pixel is (0.5, 0.5)."""
+    """Intrinsics of one frame as in the file: the centre of the first pixel is (0.5, 0.5)."""
 
     fx: float
     fy: float

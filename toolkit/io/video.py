@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError
 
-# FFmpeg and OpenCV print their own lines about damaged files, besides the error raised here.
-_FFMPEG_LOG_LEVEL, _QUIET = "OPENCV_FFMPEG_LOGLEVEL", "-8"
+# FFmpeg would print its own lines about damaged files, besides the error raised here. OpenCV reads the
+# level when the process uses FFmpeg for the first time.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 class VideoFile:
@@ -64,7 +65,6 @@ class VideoFile:
     def _opened(self) -> cv2.VideoCapture:
         if not self._path.is_file():
             raise DatasetError(f"cannot read {self._path}: no such file; check the path")
-        os.environ.setdefault(_FFMPEG_LOG_LEVEL, _QUIET)
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
             capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
