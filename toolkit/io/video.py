@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError
 
-# FFmpeg would print its own lines about damaged files, besides the error raised here. OpenCV reads the
-# level when the process uses FFmpeg for the first time.
+# FFmpeg would print its own lines about damaged files, besides the error raised here. OpenCV reads
+# the level when the process uses FFmpeg for the first time.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
