@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -96,6 +97,76 @@ def make_seven_scenes(tmp_path) -> Callable[..., Path]:
             raw[0, 0], raw[0, 1] = 65535, 0
             images.write_png(f"{stem}.depth.png", raw)
             np.savetxt(f"{stem}.pose.txt", pose(i))
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def make_nerfstudio(tmp_path) -> Callable[..., Path]:
+    """Writes `transforms.json` with poses in OpenGL's axes; colour is `enlarged` times as large."""
+
+    def make(frames: int = 4, enlarged: int = 1, **changes: object) -> Path:
+        folder = tmp_path / "poly"
+        (folder / "images").mkdir(parents=True)
+        (folder / "depths").mkdir()
+        entries = []
+        for i in range(frames):
+            rgb = np.kron(frame_rgb(i), np.ones((enlarged, enlarged, 1)))
+            images.write_rgb(folder / f"images/{i + 1}.png", rgb)
+            images.write_depth_png(folder / f"depths/{i + 1}.png", frame_depth_m(i), 1000)
+            T = pose(i)
+            # Columns of the axes: right, up instead of down, back instead of forward.
+            T_opengl = np.stack([T[:, 0], -T[:, 1], -T[:, 2], T[:, 3]], axis=1)
+            entries.append(
+                {
+                    "file_path": f"./images/{i + 1}.png",
+                    "depth_file_path": f"depths\\{i + 1}.png",
+                    "transform_matrix": T_opengl.tolist(),
+                }
+            )
+        content = {
+            "camera_model": "OPENCV",
+            "w": WIDTH * enlarged,
+            "h": HEIGHT * enlarged,
+            "fl_x": 30.0 * enlarged,
+            "fl_y": 31.0 * enlarged,
+            "cx": 16.0 * enlarged,
+            "cy": 12.0 * enlarged,
+            "frames": entries[::-1],
+        }
+        (folder / "transforms.json").write_text(json.dumps(content | changes))
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def make_stray_scanner(tmp_path) -> Callable[..., Path]:
+    """Writes Stray Scanner's layout; video frame i has the grey level 0.1 + 0.1 i."""
+
+    def make(frames: int = 6, video_frames: int | None = None) -> Path:
+        folder = tmp_path / "71de12f9"
+        for kind in ("depth", "confidence"):
+            (folder / kind).mkdir(parents=True)
+        size = (4 * WIDTH, 4 * HEIGHT)
+        writer = cv2.VideoWriter(
+            str(folder / "rgb.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 60.0, size
+        )
+        for i in range(frames if video_frames is None else video_frames):
+            grey = round(255 * (0.1 + 0.1 * i))
+            writer.write(np.full((size[1], size[0], 3), grey, np.uint8))
+        writer.release()
+        rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+        for i in range(frames):
+            images.write_depth_png(folder / f"depth/{i:06d}.png", frame_depth_m(i), 1000)
+            confidence = np.full((HEIGHT, WIDTH), 2, np.uint8)
+            confidence[3, 5] = 0
+            images.write_png(folder / f"confidence/{i:06d}.png", confidence)
+            values = [100.0 + i / 60, *pose(i)[:3, 3], *se3.quaternion_xyzw(pose(i)[:3, :3])]
+            rows.append(f"{values[0]}, {i:06d}, " + ", ".join(map(str, values[1:])))
+        (folder / "odometry.csv").write_text("\n".join(rows) + "\n")
+        (folder / "camera_matrix.csv").write_text("120, 0, 63.5\n0, 124, 47.5\n0, 0, 1\n")
         return folder
 
     return make

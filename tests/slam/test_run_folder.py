@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 
 import numpy as np
@@ -64,6 +65,16 @@ def test_after_a_damage_the_good_one_is_not_the_next_to_go(folder):
     assert folder.load_checkpoint().next_frame == 9
     (folder.checkpoints / "0" / "arrays.npz").write_bytes(b"")
     assert folder.load_checkpoint().next_frame == 1
+
+
+def test_a_checkpoint_of_another_format_is_not_called_damaged(folder):
+    save(folder, 0)
+    path = folder.checkpoints / "0" / "metadata.json"
+    metadata = json.loads(path.read_text())
+    del metadata["format"]  # as versions before the first format wrote it
+    path.write_text(json.dumps(metadata))
+    with pytest.raises(RunFolderError, match=r"checkpoint format 0.*reads format 1.*new run"):
+        folder.load_checkpoint()
 
 
 def test_a_missing_file_is_a_damage(folder):

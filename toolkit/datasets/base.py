@@ -22,6 +22,7 @@ from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
+from toolkit.io.video import VideoFile
 
 
 class Dataset(Protocol):
@@ -53,15 +54,31 @@ class FrameFiles:
 
     Attributes:
         timestamp_s: seconds, strictly increasing.
-        rgb: colour image.
+        rgb: colour image, or the video that contains it.
         depth: depth image.
         labels: image of class ids, or None.
+        video_frame: number of the frame in the video; None if `rgb` is an image.
+        confidence: image of the depth's confidence, where depth with 0 is missing, or None.
     """
 
     timestamp_s: float
     rgb: Path
     depth: Path
     labels: Path | None = None
+    video_frame: int | None = None
+    confidence: Path | None = None
+
+    @property
+    def stem(self) -> str:
+        """Name for files that belong to the frame, without suffix."""
+        return self.rgb.stem if self.video_frame is None else f"{self.video_frame:06d}"
+
+    @property
+    def name(self) -> str:
+        """Name of the colour image in messages."""
+        if self.video_frame is None:
+            return self.rgb.name
+        return f"{self.rgb.name} frame {self.video_frame}"
 
 
 @dataclass(frozen=True)
@@ -120,13 +137,14 @@ class RecordedDataset:
         self.recording = recording
         self.name = recording.name
         self.label_names = recording.label_names
-        self.stems = [files.rgb.stem for files in recording.files[:max_frames]]
+        self.stems = [files.stem for files in recording.files[:max_frames]]
         self._files = recording.files[:max_frames]
         self._undistortion = (
             Undistortion(recording.camera, recording.distortion) if recording.distortion else None
         )
         self._grid = ImageGrid(recording.camera, image_size) if image_size else None
         self.camera = self._grid.camera if self._grid else recording.camera
+        self._videos: dict[Path, VideoFile] = {}
         self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)
 
     def __len__(self) -> int:
@@ -173,7 +191,11 @@ class RecordedDataset:
             files.depth, recording.depth_scale, recording.saturated_is_missing
         )
         _check_size(depth_m, recording.camera, files.depth)
-        rgb = images.read_rgb(files.rgb)
+        if files.confidence is not None:
+            confidence = images.read_labels(files.confidence)
+            _check_size(confidence, recording.camera, files.confidence)
+            depth_m[confidence == 0] = 0.0
+        rgb = self._colour(files)
         if recording.colour_may_be_larger and rgb.shape[:2] != depth_m.shape:
             rgb = resize_colour(rgb, recording.camera.size)
         _check_size(rgb, recording.camera, files.rgb)
@@ -182,6 +204,13 @@ class RecordedDataset:
             labels = images.read_labels(files.labels)
             _check_size(labels, recording.camera, files.labels)
         return rgb, depth_m, labels
+
+    def _colour(self, files: FrameFiles) -> NDArray[np.float32]:
+        if files.video_frame is None:
+            return images.read_rgb(files.rgb)
+        if files.rgb not in self._videos:
+            self._videos[files.rgb] = VideoFile(files.rgb)
+        return self._videos[files.rgb].rgb(files.video_frame)
 
 
 def _check_size(image: NDArray, camera: Camera, path: Path) -> None:

@@ -99,10 +99,10 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
     except ToolkitError as error:
         findings.failures.append(f"frame {index}: {error}")
         return
-    if decoder_warning(files.rgb):
-        findings.damaged.append(files.rgb.name)
+    if files.video_frame is None and decoder_warning(files.rgb):
+        findings.damaged.append(files.name)
     if float(np.ptp(frame.rgb)) == 0.0:
-        findings.blank.append(files.rgb.name)
+        findings.blank.append(files.name)
     valid = frame.depth_m[frame.depth_m > 0]
     fraction = valid.size / frame.depth_m.size
     findings.valid_fractions.append(fraction)
@@ -122,7 +122,7 @@ def _time_faults(dataset: RecordedDataset) -> list[str]:
         faults.append("the dataset has only one frame; tracking needs at least two")
     backwards = np.flatnonzero(np.diff(dataset.timestamps_s) <= 0) + 1
     if backwards.size:
-        names = [dataset.files(int(i)).rgb.name for i in backwards]
+        names = [dataset.files(int(i)).name for i in backwards]
         faults.append(f"timestamps out of order at {listed(names)}; sort the list of images")
     return faults
 

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-DatasetKind = Literal["synthetic", "tum", "replica", "seven-scenes", "scannet", "folder"]
+DatasetKind = Literal[
+    "synthetic",
+    "tum",
+    "replica",
+    "seven-scenes",
+    "scannet",
+    "nerfstudio",
+    "stray-scanner",
+    "folder",
+]
 
 
 @dataclass(frozen=True)
@@ -14,6 +23,7 @@ class DatasetOptions:
     """The dataset of a run."""
 
     kind: DatasetKind = "synthetic"
-    """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet or folder."""
+    """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
+    stray-scanner or folder."""
     path: Path | None = None
     """Folder of the dataset. By default, a synthetic room is created beside the run folder."""

@@ -119,15 +119,15 @@ def pairing_flaws(rgb: dict, depth: dict, labels: dict) -> tuple[str, ...]:
 
 def attach_poses(files: tuple[FrameFiles, ...], poses: list[NDArray[np.float64] | None]) -> Truth:
     """Build ground truth from one pose [4, 4] or None per frame; invalid poses are omitted."""
-    missing = [f.rgb.name for f, pose in zip(files, poses, strict=True) if pose is None]
+    missing = [f.name for f, pose in zip(files, poses, strict=True) if pose is None]
     infinite, not_rigid, times, kept = [], [], [], []
     for frame, pose in zip(files, poses, strict=True):
         if pose is None:
             continue
         if not np.isfinite(pose).all():
-            infinite.append(frame.rgb.name)
+            infinite.append(frame.name)
         elif not se3.is_rigid(pose, tolerance=1e-2):
-            not_rigid.append(frame.rgb.name)
+            not_rigid.append(frame.name)
         else:
             times.append(frame.timestamp_s)
             # Correct the rounding of text files.

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from toolkit.datasets import folder, replica, scannet, seven_scenes, tum
+from toolkit.datasets import folder, nerfstudio, replica, scannet, seven_scenes, stray_scanner, tum
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.errors import DatasetError
 
@@ -19,6 +19,8 @@ KINDS: dict[str, Callable[[Path], Recording]] = {
     "replica": replica.describe,
     "seven-scenes": seven_scenes.describe,
     "scannet": scannet.describe,
+    "nerfstudio": nerfstudio.describe,
+    "stray-scanner": stray_scanner.describe,
     "folder": folder.describe,
 }
 

@@ -38,6 +38,8 @@ from toolkit.semantics.taxonomy import Taxonomy
 _log = logging.getLogger(__name__)
 
 _SLOTS = ("0", "1")
+# To be incremented when the state of any part of a run changes its layout.
+_CHECKPOINT_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,7 @@ class RunFolder:
             "next_frame": next_frame,
             "threads": torch.get_num_threads(),
             "version": __version__,
+            "format": _CHECKPOINT_FORMAT,
             "values": values,
         }
         write_array_tree(target, arrays, metadata)
@@ -159,8 +162,9 @@ class RunFolder:
         """Load the newest readable checkpoint, None if there is none.
 
         Raises:
-            RunFolderError: all checkpoints are damaged, or the run used another number of
-                threads, with which results would differ by rounding.
+            RunFolderError: all checkpoints are damaged, another version of semsplat saved them
+                in another format, or the run used another number of threads, with which results
+                would differ by rounding.
         """
         damaged = []
         for path, _ in self._saved_checkpoints():
@@ -177,6 +181,13 @@ class RunFolder:
                 _log.warning("Checkpoint %s is damaged (%r).", path, error)
                 damaged.append(path)
                 continue
+            saved_format = tree.metadata.get("format", 0)
+            if saved_format != _CHECKPOINT_FORMAT:
+                raise RunFolderError(
+                    f"{path} has checkpoint format {saved_format}, this version of semsplat reads "
+                    f"format {_CHECKPOINT_FORMAT}; resume with the version that started the run, "
+                    "or start a new run"
+                )
             if threads != torch.get_num_threads():
                 raise RunFolderError(
                     f"{self.path} was started with {threads} threads, but torch now uses "

@@ -1,0 +1,228 @@
+"""nerfstudio's `transforms.json` with depth: exports of Polycam, Record3D and nerfstudio itself."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import FrameFiles, Recording
+from toolkit.datasets.pairing import attach_poses, folder_holding, listed, unpaired
+from toolkit.errors import DatasetError, SettingsError
+from toolkit.geometry.camera import Camera
+from toolkit.io.images import read_depth_m
+
+FPS = 30.0
+METRES_PER_VALUE = 0.001
+_FILE = "transforms.json"
+_DEPTH_KEYS = ("depth_file_path", "depth_path")
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+# Exports of phones have a focal length for each frame, because of the autofocus. Recordings have
+# one camera, the median; a larger relative deviation is an error.
+_MAX_FOCAL_DEVIATION = 0.02
+# From OpenGL's camera, whose y axis points up and whose z axis points back, to ours.
+_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class _Lens:
+    """Intrinsics of one frame as in the file: the centre of the first pixel is (0.5, 0.5)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    distortion: tuple[float, ...]
+
+
+def describe(path: Path) -> Recording:
+    """Describe the images and depth images that `transforms.json` names.
+
+    Frames are sorted by file name, numerically if all names are numbers; the timestamp of frame i
+    is i / 30 s. Frames without a depth image are left out. Values of depth images are millimetres,
+    or `depth_unit_scale_factor` metres. Colour is resized to smaller depth images. The poses become
+    the ground truth.
+
+    Raises:
+        DatasetError: the file is malformed, has no frames with depth, or its frames differ in size
+            or by more than 2 % in focal length, or the lens is a fisheye.
+    """
+    folder = folder_holding(path, (_FILE,), "nerfstudio")
+    file = folder / _FILE
+    content = _load(file)
+    frames = content.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise DatasetError(f"{file} has no list of frames; export the recording again")
+    entries = _sorted([_Entry.parse(file, frame, content) for frame in frames])
+    with_depth = [entry for entry in entries if entry.depth is not None]
+    if not with_depth:
+        raise DatasetError(
+            f"{file} names no depth images (depth_file_path); export the recording with depth"
+        )
+    files = tuple(
+        FrameFiles(i / FPS, entry.rgb, entry.depth)
+        for i, entry in enumerate(entries)
+        if entry.depth is not None
+    )
+    scale = _number(file, content, "depth_unit_scale_factor", METRES_PER_VALUE)
+    if scale <= 0:
+        raise DatasetError(f"{file}: depth_unit_scale_factor must be positive, got {scale}")
+    lens, lens_flaws = _common_lens(file, [entry.lens for entry in with_depth])
+    truth = attach_poses(files, [entry.T_world_camera for entry in with_depth])
+    alone = [entry.rgb.name for entry in entries if entry.depth is None]
+    return Recording(
+        name=folder.resolve().name,
+        camera=_camera_of_depth(file, lens, files[0].depth),
+        files=files,
+        depth_scale=1.0 / scale,
+        ground_truth=truth.trajectory,
+        distortion=lens.distortion if any(lens.distortion) else None,
+        colour_may_be_larger=True,
+        flaws=unpaired("colour image(s) without depth", alone) + truth.flaws + lens_flaws,
+    )
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One frame of the file."""
+
+    rgb: Path
+    depth: Path | None
+    lens: _Lens
+    T_world_camera: NDArray[np.float64] | None
+
+    @classmethod
+    def parse(cls, file: Path, frame: Any, common: dict[str, Any]) -> _Entry:
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise DatasetError(f"{file}: each entry of frames must have a file_path")
+        name = frame["file_path"]
+        depth = next((frame[key] for key in _DEPTH_KEYS if isinstance(frame.get(key), str)), None)
+        pose = frame.get("transform_matrix")
+        return cls(
+            _resolved(file.parent, name),
+            None if depth is None else _resolved(file.parent, depth),
+            _lens(file, name, {**common, **frame}),
+            None if pose is None else _pose(file, name, pose),
+        )
+
+
+def _load(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise DatasetError(f"cannot read {file}: {error}; it must be JSON") from error
+    if not isinstance(content, dict):
+        raise DatasetError(f"{file} must contain a JSON object with the key frames")
+    return content
+
+
+def _resolved(folder: Path, name: str) -> Path:
+    """A path of the file, which may have Windows' separators or lack the suffix."""
+    path = folder / name.replace("\\", "/")
+    if not path.suffix and not path.exists():
+        return path.with_suffix(".png")
+    return path
+
+
+def _sorted(entries: list[_Entry]) -> list[_Entry]:
+    if all(entry.rgb.stem.replace(".", "", 1).isdigit() for entry in entries):
+        return sorted(entries, key=lambda entry: float(entry.rgb.stem))
+    return sorted(entries, key=lambda entry: str(entry.rgb))
+
+
+def _pose(file: Path, name: str, rows: Any) -> NDArray[np.float64]:
+    try:
+        T = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError):
+        T = np.zeros(0)
+    if T.shape == (3, 4):
+        T = np.vstack([T, [0.0, 0.0, 0.0, 1.0]])
+    if T.shape != (4, 4):
+        raise DatasetError(f"{file}: transform_matrix of {name} is not a 4x4 matrix")
+    return T @ _OPENGL
+
+
+def _number(file: Path, values: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = values.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        problem = "lacks the number" if value is None else "has no valid number"
+        raise DatasetError(f"{file} {problem} {key}; export the recording again")
+    return float(value)
+
+
+def _lens(file: Path, name: str, values: dict[str, Any]) -> _Lens:
+    """The intrinsics of one frame; those of the frame override the common ones."""
+    model = values.get("camera_model", "OPENCV")
+    if model not in _PINHOLE_MODELS:
+        raise DatasetError(
+            f"{file}: camera model {model} of {name} is not supported; undistort the images and "
+            f"export them as {_PINHOLE_MODELS[0]}"
+        )
+    if any(_number(file, values, key, 0.0) for key in ("k4", "k5", "k6")):
+        raise DatasetError(f"{file}: {name} has distortion beyond k3; undistort the images")
+    width, height = (_number(file, values, key) for key in ("w", "h"))
+    if "fl_x" in values or "camera_angle_x" not in values:
+        fx = _number(file, values, "fl_x")
+    else:
+        fx = 0.5 * width / math.tan(0.5 * _number(file, values, "camera_angle_x"))
+    return _Lens(
+        fx,
+        _number(file, values, "fl_y", fx),
+        _number(file, values, "cx", 0.5 * width),
+        _number(file, values, "cy", 0.5 * height),
+        int(width),
+        int(height),
+        tuple(_number(file, values, key, 0.0) for key in _DISTORTION),
+    )
+
+
+def _common_lens(file: Path, lenses: Sequence[_Lens]) -> tuple[_Lens, tuple[str, ...]]:
+    """The median of the frames' intrinsics, and a line about their variation."""
+    sizes = sorted({(lens.width, lens.height) for lens in lenses})
+    if len(sizes) > 1:
+        named = [f"{width}x{height}" for width, height in sizes]
+        raise DatasetError(
+            f"{file} has images of different sizes ({listed(named)}); use the frames of one camera"
+        )
+    values = np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
+    median = np.median(values, axis=0)
+    deviation = float(np.abs(values[:, :2] / median[:2] - 1.0).max())
+    if not deviation <= _MAX_FOCAL_DEVIATION:
+        raise DatasetError(
+            f"{file}: focal lengths of the frames differ by {100 * deviation:.1f} % from their "
+            f"median; record with fixed focus and zoom"
+        )
+    distortion = np.median([lens.distortion for lens in lenses], axis=0)
+    fx, fy, cx, cy = (float(value) for value in median)
+    lens = _Lens(fx, fy, cx, cy, *sizes[0], tuple(float(k) for k in distortion))
+    if deviation < 1e-3:
+        return lens, ()
+    return lens, (
+        f"focal lengths of the frames differ by up to {100 * deviation:.1f} %; the median "
+        f"{fx:.1f} px is used for all",
+    )
+
+
+def _camera_of_depth(file: Path, lens: _Lens, depth_file: Path) -> Camera:
+    """The camera of the depth images, which may be smaller than the colour images."""
+    height, width = read_depth_m(depth_file, 1.0).shape
+    try:
+        camera = Camera(lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5, lens.width, lens.height)
+    except SettingsError as error:
+        raise DatasetError(f"{file}: {error}; correct the intrinsics") from error
+    scale_x, scale_y = width / lens.width, height / lens.height
+    if abs(scale_x - scale_y) > 0.01 * scale_x:
+        raise DatasetError(
+            f"{depth_file} is {width}x{height}, but the colour images are "
+            f"{lens.width}x{lens.height}; export both with the same aspect ratio"
+        )
+    return camera.scaled(scale_x, scale_y, width, height)
