@@ -21,6 +21,7 @@ from toolkit.pacing.paced import PacedSlam
 from toolkit.pacing.record import PaceSummary
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
+from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
@@ -95,13 +96,14 @@ def _execute(
     system = slam if paced is None else paced
     folder.check_taxonomy(slam.result().taxonomy)
     start = _restore(system, dataset, folder)
+    checkpoints = CheckpointWriter(folder, background=paced is not None)
     with _logged_to(folder.log):
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
             load_saved_map(slam, saved)
             # The checkpoint contains the saved map, so that resuming does not need the saved run.
-            _save(system, folder, 0)
+            checkpoints.save(system, 0)
         indices = range(start or 0, len(dataset))
         expected = ExpectedTime(settings, dataset.camera, indices, recorder)
         frames = progress(
@@ -115,13 +117,14 @@ def _execute(
             )
             frames = paced.arriving(frames)
         with recorder.timed(ONLINE):
-            _process(system, frames, folder, settings, recorder, expected)
+            _process(system, frames, checkpoints, settings, recorder, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
                 f"no frame of {settings.dataset.path} could start a map; check that the frames "
                 "have depth"
             )
-        _save(system, folder, len(dataset))
+        checkpoints.save(system, len(dataset))
+        checkpoints.wait()
         pace = None if paced is None else _log_pace(paced.summary())
         with recorder.timed(FINISH):
             result = _finish(slam)
@@ -176,7 +179,7 @@ def _with_path(settings: RunSettings, path: Path) -> RunSettings:
 def _process(
     system: Slam | PacedSlam,
     frames: Iterable[Frame],
-    folder: RunFolder,
+    checkpoints: CheckpointWriter,
     settings: RunSettings,
     recorder: StageRecorder,
     expected: ExpectedTime,
@@ -192,7 +195,7 @@ def _process(
         due = time.monotonic() - saved_at > settings.checkpoint.every_s
         new_keyframes += result.keyframe
         if due or new_keyframes >= settings.checkpoint.every_keyframes:
-            _save(system, folder, frame.index + 1)
+            checkpoints.save(system, frame.index + 1)
             saved_at, new_keyframes = time.monotonic(), 0
         expected.frame_processed(result.keyframe)
 
@@ -226,11 +229,6 @@ def _log_pace(summary: PaceSummary) -> PaceSummary:
         steps.due,
     )
     return summary
-
-
-def _save(system: Slam | PacedSlam, folder: RunFolder, next_frame: int) -> None:
-    folder.save_checkpoint(next_frame, *system.state())
-    system.atlas.checkpointed()
 
 
 @contextmanager
