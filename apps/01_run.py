@@ -37,7 +37,7 @@ def main(kind: str, path: Path, out: Path) -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Track and map a recorded RGB-D sequence.")
-    parser.add_argument("kind", help="format: folder, tum, replica, seven-scenes, scannet, nerfstudio, ...")
+    parser.add_argument("kind", help="layout; see docs/guides/datasets.md")
     parser.add_argument("path", type=Path, help="folder of the dataset")
     parser.add_argument("out", type=Path, help="folder for the results")
     arguments = parser.parse_args()
