@@ -61,7 +61,7 @@ def test_random_scenes(
     assert_agrees(native, random_scene(seed, count, channels, (width, height)), seed)
 
 
-@pytest.mark.parametrize("channels", [0, 1, 3, 17, 100])
+@pytest.mark.parametrize("channels", [0, 1, 3, 6, 12, 17, 28, 29, 100])
 def test_any_number_of_channels(native: NativeBackend, channels: int) -> None:
     assert_agrees(native, random_scene(channels, channels=channels))
 
