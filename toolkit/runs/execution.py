@@ -194,7 +194,8 @@ def _process(
             _log.warning("Frame %d is lost: %s.", frame.index, reason)
         due = time.monotonic() - saved_at > settings.checkpoint.every_s
         new_keyframes += result.keyframe
-        if due or new_keyframes >= settings.checkpoint.every_keyframes:
+        many = new_keyframes >= settings.checkpoint.every_keyframes and settings.pace is None
+        if due or many:
             checkpoints.save(system, frame.index + 1)
             saved_at, new_keyframes = time.monotonic(), 0
         expected.frame_processed(result.keyframe)

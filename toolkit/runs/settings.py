@@ -32,7 +32,7 @@ class CheckpointOptions:
     every_s: PositiveFloat = 30.0
     """Maximum time between checkpoints, in seconds."""
     every_keyframes: PositiveInt = 50
-    """Maximum number of keyframes between checkpoints."""
+    """Maximum number of keyframes between checkpoints. With `--pace`, only the time counts."""
 
 
 @dataclass(frozen=True)

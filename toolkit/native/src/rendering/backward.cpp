@@ -15,8 +15,8 @@ namespace {
 // Channels are processed in groups of four: red, green, blue and depth first, then the features, padded
 // by zeros. In memory, vector k of a group has the four channels of pixel 4 j + k in lanes 4 j to
 // 4 j + 3. For dL/df, the lanes of a group's sum then need only LANES / 4 additions. Dot products of
-// many groups use the same values, and add four lanes at the end; those of one or two groups read the
-// channels one by one.
+// many feature groups use the same values, and add four lanes at the end; those of the first group,
+// and of a single group of features, read the channels one by one.
 enum { GROUP = 4, PLANAR = 2 * GROUP };
 // Up to this number of groups, all is done in one pass over a pair's blocks, if the sums fit into the
 // registers; otherwise the features have passes of their own.
@@ -207,9 +207,12 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
         }
         sweep_all_features<MOVE>(scratch, blocks, S, d_features);
     }
-    constexpr int CHAINS = FUSED <= 2 ? 2 : 1;
-    Floats moments[GROUP], sums[FUSED * CHAINS];
+    // The operations on the first group do not depend on the features unless they move the Gaussians.
+    constexpr bool FEW = FUSED <= 2;
+    constexpr int OTHERS = FUSED - 1, CHAINS = FEW ? 2 : 1;
+    Floats moments[GROUP], first_sums[2], sums[OTHERS * CHAINS + 1];
     for (Floats& a : moments) a = all(0.0f);
+    for (Floats& a : first_sums) a = all(0.0f);
     for (Floats& a : sums) a = all(0.0f);
     for (uint32_t m = blocks; m; m &= m - 1) {
         const int block = __builtin_ctz(m);
@@ -227,13 +230,12 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             }
             const Floats T = load(T_at) * inverse, w = alpha * T;
             Floats dot = MOVE && SEPARATE ? load(scratch.dot[block] + at) : all(0.0f);
-            if (FUSED <= 2) {
-                for (int c = 0; c < (MOVE ? GROUP * FUSED : (int)GROUP); ++c) {
-                    dot = fma(load(scratch.planar[c][block] + at), all(values[c]), dot);
-                }
+            for (int c = 0; c < (MOVE && FEW ? GROUP * FUSED : (int)GROUP); ++c) {
+                dot = fma(load(scratch.planar[c][block] + at), all(values[c]), dot);
             }
-            constexpr int DOTS = FUSED <= 2 ? 0 : MOVE ? FUSED : 1;
-            add_groups<FUSED, DOTS, CHAINS>(scratch.group(block, part, 0), values, w, sums, dot);
+            add_groups<1, 0, 2>(scratch.group(block, part, 0), values, w, first_sums, dot);
+            add_groups<OTHERS, MOVE && !FEW ? OTHERS : 0, CHAINS>(scratch.group(block, part, 1), values + GROUP, w,
+                                                                  sums, dot);
             const Floats behind = load(behind_at);
             // Alpha is differentiable where it is neither cut, where it is zero, nor clamped.
             const Floats grad = keep(lt(alpha, all(MAX_ALPHA)), fnma(behind, inverse, T * dot) * alpha);
@@ -250,10 +252,11 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
         moments[E_DX] = moments[E_DX] + gx;
         moments[E_SQUARE] = fma(gx, dx, moments[E_SQUARE]);
     }
-    for (int g = 0; CHAINS == 2 && g < FUSED; ++g) sums[g] = sums[2 * g] + sums[2 * g + 1];
     sum_quads(sums_of_quads(moments), out + E);
-    sum_quads(sums[0], out + GRAD_R);
-    for (int g = 1; g < FUSED; ++g) store_group(sums[g], GROUP * (g - 1), S, d_features);
+    sum_quads(first_sums[0] + first_sums[1], out + GRAD_R);
+    for (int g = 0; g < OTHERS; ++g) {
+        store_group(CHAINS == 2 ? sums[2 * g] + sums[2 * g + 1] : sums[g], GROUP * g, S, d_features);
+    }
 }
 
 // Storage of the sums of pairs: a splat on a single tile has one row, others have a row per tile.
