@@ -106,7 +106,7 @@ def make_seven_scenes(tmp_path) -> Callable[..., Path]:
 def make_nerfstudio(tmp_path) -> Callable[..., Path]:
     """Writes `transforms.json` with poses in OpenGL's axes; colour is `enlarged` times as large."""
 
-    def make(frames: int = 4, enlarged: int = 1, **changes: object) -> Path:
+    def make(frames: int = 4, enlarged: int = 1) -> Path:
         folder = tmp_path / "poly"
         (folder / "images").mkdir(parents=True)
         (folder / "depths").mkdir()
@@ -135,7 +135,7 @@ def make_nerfstudio(tmp_path) -> Callable[..., Path]:
             "cy": 12.0 * enlarged,
             "frames": entries[::-1],
         }
-        (folder / "transforms.json").write_text(json.dumps(content | changes))
+        (folder / "transforms.json").write_text(json.dumps(content))
         return folder
 
     return make

@@ -12,6 +12,7 @@ from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     attach_poses,
     folder_holding,
+    is_number,
     pairing_flaws,
 )
 from toolkit.errors import DatasetError, SettingsError
@@ -132,12 +133,8 @@ def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
         if folder.is_dir()
         else {}
     )
-    by_number = all(_is_number(stem) for stem in found)
+    by_number = all(is_number(stem) for stem in found)
     return dict(sorted(found.items(), key=lambda item: float(item[0]) if by_number else item[0]))
-
-
-def _is_number(text: str) -> bool:
-    return text.replace(".", "", 1).isdigit()
 
 
 def _poses(

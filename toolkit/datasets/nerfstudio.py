@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.pairing import attach_poses, folder_holding, listed, unpaired
+from toolkit.datasets.pairing import attach_poses, folder_holding, is_number, listed, unpaired
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_depth_m
@@ -33,14 +33,9 @@ _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics of one frame as in the file: the centre of the first pixel is (0.5, 0.5)."""
+    """Intrinsics of the colour image of one frame."""
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
+    camera: Camera
     distortion: tuple[float, ...]
 
 
@@ -81,7 +76,7 @@ def describe(path: Path) -> Recording:
     alone = [entry.rgb.name for entry in entries if entry.depth is None]
     return Recording(
         name=folder.resolve().name,
-        camera=_camera_of_depth(file, lens, files[0].depth),
+        camera=_camera_of_depth(lens.camera, files[0].depth),
         files=files,
         depth_scale=1.0 / scale,
         ground_truth=truth.trajectory,
@@ -134,7 +129,7 @@ def _resolved(folder: Path, name: str) -> Path:
 
 
 def _sorted(entries: list[_Entry]) -> list[_Entry]:
-    if all(entry.rgb.stem.replace(".", "", 1).isdigit() for entry in entries):
+    if all(is_number(entry.rgb.stem) for entry in entries):
         return sorted(entries, key=lambda entry: float(entry.rgb.stem))
     return sorted(entries, key=lambda entry: str(entry.rgb))
 
@@ -174,26 +169,26 @@ def _lens(file: Path, name: str, values: dict[str, Any]) -> _Lens:
         fx = _number(file, values, "fl_x")
     else:
         fx = 0.5 * width / math.tan(0.5 * _number(file, values, "camera_angle_x"))
-    return _Lens(
-        fx,
-        _number(file, values, "fl_y", fx),
-        _number(file, values, "cx", 0.5 * width),
-        _number(file, values, "cy", 0.5 * height),
-        int(width),
-        int(height),
-        tuple(_number(file, values, key, 0.0) for key in _DISTORTION),
-    )
+    fy = _number(file, values, "fl_y", fx)
+    cx, cy = _number(file, values, "cx", 0.5 * width), _number(file, values, "cy", 0.5 * height)
+    try:
+        # In the file, the centre of the first pixel is (0.5, 0.5).
+        camera = Camera(fx, fy, cx - 0.5, cy - 0.5, int(width), int(height))
+    except SettingsError as error:
+        raise DatasetError(f"{file}: {error}; correct the intrinsics") from error
+    return _Lens(camera, tuple(_number(file, values, key, 0.0) for key in _DISTORTION))
 
 
 def _common_lens(file: Path, lenses: Sequence[_Lens]) -> tuple[_Lens, tuple[str, ...]]:
     """The median of the frames' intrinsics, and a line about their variation."""
-    sizes = sorted({(lens.width, lens.height) for lens in lenses})
+    cameras = [lens.camera for lens in lenses]
+    sizes = sorted({camera.size for camera in cameras})
     if len(sizes) > 1:
         named = [f"{width}x{height}" for width, height in sizes]
         raise DatasetError(
             f"{file} has images of different sizes ({listed(named)}); use the frames of one camera"
         )
-    values = np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
+    values = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
     median = np.median(values, axis=0)
     deviation = float(np.abs(values[:, :2] / median[:2] - 1.0).max())
     if not deviation <= _MAX_FOCAL_DEVIATION:
@@ -203,7 +198,7 @@ def _common_lens(file: Path, lenses: Sequence[_Lens]) -> tuple[_Lens, tuple[str,
         )
     distortion = np.median([lens.distortion for lens in lenses], axis=0)
     fx, fy, cx, cy = (float(value) for value in median)
-    lens = _Lens(fx, fy, cx, cy, *sizes[0], tuple(float(k) for k in distortion))
+    lens = _Lens(Camera(fx, fy, cx, cy, *sizes[0]), tuple(float(k) for k in distortion))
     if deviation < 1e-3:
         return lens, ()
     return lens, (
@@ -212,17 +207,13 @@ def _common_lens(file: Path, lenses: Sequence[_Lens]) -> tuple[_Lens, tuple[str,
     )
 
 
-def _camera_of_depth(file: Path, lens: _Lens, depth_file: Path) -> Camera:
+def _camera_of_depth(colour: Camera, depth_file: Path) -> Camera:
     """The camera of the depth images, which may be smaller than the colour images."""
     height, width = read_depth_m(depth_file, 1.0).shape
-    try:
-        camera = Camera(lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5, lens.width, lens.height)
-    except SettingsError as error:
-        raise DatasetError(f"{file}: {error}; correct the intrinsics") from error
-    scale_x, scale_y = width / lens.width, height / lens.height
+    scale_x, scale_y = width / colour.width, height / colour.height
     if abs(scale_x - scale_y) > 0.01 * scale_x:
         raise DatasetError(
             f"{depth_file} is {width}x{height}, but the colour images are "
-            f"{lens.width}x{lens.height}; export both with the same aspect ratio"
+            f"{colour.width}x{colour.height}; export both with the same aspect ratio"
         )
-    return camera.scaled(scale_x, scale_y, width, height)
+    return colour.scaled(scale_x, scale_y, width, height)

@@ -85,6 +85,11 @@ def numbered(folder: Path, pattern: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
+def is_number(stem: str) -> bool:
+    """Whether a file name without suffix is a non-negative number, so that files sort by it."""
+    return stem.replace(".", "", 1).isdigit()
+
+
 def unpaired(what: str, names: list[str]) -> tuple[str, ...]:
     """Return a line about files without counterpart, if any."""
     return (f"{len(names)} {what}: {listed(names)}",) if names else ()

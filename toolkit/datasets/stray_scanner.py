@@ -16,9 +16,8 @@ from toolkit.datasets.pairing import (
     unpaired,
 )
 from toolkit.errors import DatasetError, FormatError
-from toolkit.geometry import se3
 from toolkit.io.images import read_depth_m
-from toolkit.io.trajectories import text_lines
+from toolkit.io.trajectories import pose_of_quaternion, text_lines
 from toolkit.io.video import VideoFile
 
 DEPTH_SCALE = 1000.0
@@ -87,10 +86,5 @@ def _odometry(path: Path) -> dict[int, tuple[float, NDArray[np.float64]]]:
             time_s, frame, *values = (float(words[i]) for i in order)
         except (ValueError, IndexError) as error:
             raise FormatError(f"{path}, line {number}: {error}; fix or remove the line") from error
-        translation_m, quaternion = np.array(values[:3]), np.array(values[3:])
-        pose = np.full((4, 4), np.nan)
-        if np.isfinite(values).all() and np.linalg.norm(quaternion) > 1e-6:
-            R = se3.rotation_from_quaternion_xyzw(quaternion)
-            pose = se3.from_rotation_translation(R, translation_m)
-        rows[int(frame)] = (time_s, pose)
+        rows[int(frame)] = (time_s, pose_of_quaternion(np.array(values[:3]), np.array(values[3:])))
     return rows

@@ -67,7 +67,7 @@ def read_tum_lines(path: PathLike) -> TimedPoses:
                 f"got {len(values)}; fix or remove the line"
             )
         times.append(float(values[0]))
-        poses.append(_pose(values[1:4], values[4:8]))
+        poses.append(pose_of_quaternion(values[1:4], values[4:8]))
     return TimedPoses(np.array(times), np.array(poses).reshape(-1, 4, 4))
 
 
@@ -154,7 +154,8 @@ def number_lines(path: PathLike) -> Iterator[tuple[int, NDArray[np.float64]]]:
         yield number, values
 
 
-def _pose(translation_m: NDArray, quaternion_xyzw: NDArray) -> NDArray[np.float64]:
+def pose_of_quaternion(translation_m: NDArray, quaternion_xyzw: NDArray) -> NDArray[np.float64]:
+    """A pose [4, 4] from a line of a file; NaN if it is not finite or its quaternion is zero."""
     finite = np.isfinite(translation_m).all() and np.isfinite(quaternion_xyzw).all()
     if not finite or np.linalg.norm(quaternion_xyzw) < 1e-6:
         return np.full((4, 4), np.nan)
