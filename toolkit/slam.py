@@ -151,9 +151,10 @@ class Slam:
         )
 
     def defer_work(self) -> DeferredSteps:
-        """Defer work that poses do not depend on: most optimisation steps, and loop closing.
+        """Defer work that poses do not depend on.
 
-        The steps are taken by `take_deferred_step`. Loops between submaps are closed by `finish`.
+        Most optimisation steps are taken by `take_deferred_step`, intermediate frames are mapped
+        by `map_intermediate_frame`, and loops between submaps are closed by `finish`.
 
         Returns:
             The deferred steps.
@@ -167,9 +168,28 @@ class Slam:
         with self._recorder.timed("mapping"):
             self.mapper.take_deferred_step()
 
+    def map_intermediate_frame(self) -> bool:
+        """Map the first intermediate frame that waits; return False if none does."""
+        between = self._between.take()
+        if between is None:
+            return False
+        keyframes = self.mapper.keyframes_from(between.keyframe)
+        if not keyframes:
+            return True  # of another submap
+        T_map_camera = keyframes[0].T_map_camera @ between.T_keyframe_camera
+        with self._recorder.timed("mapping"):
+            mask = self.mapper.unmapped_pixels(between.frame, T_map_camera, keyframes)
+        if mask.mean() >= MIN_OUTSIDE:
+            frame = self._labelled(between.at_map_exposure(), T_map_camera)
+            with self._recorder.timed("mapping"):
+                self.mapper.seed_pixels(frame, T_map_camera, mask, keyframes[0])
+        return True
+
     def finish(self) -> SlamResult:
         """Close the remaining loops, refine every submap over its keyframes, and fuse them."""
         if self.mapper.keyframes:
+            self._between.select(self.mapper.keyframes[-1])
+            self._map_intermediate_frames()
             with self._recorder.timed("refinement"):
                 self._closer.finish(self.atlas)
                 refine_submaps(self.atlas)
@@ -235,25 +255,18 @@ class Slam:
         frame = self._labelled(frame, T_map_camera)
         keyframe = Keyframe.from_frame(frame, T_map_camera, exposure_of(tracking))
         self._refine_pose(keyframe)
-        self._map_intermediate_frames(keyframe)
+        if self.mapper.keyframes:
+            self._between.select(self.mapper.keyframes[-1], keyframe)
         with self._recorder.timed("mapping"):
             mapping = self.mapper.add_keyframe(keyframe)
+        if self.mapper.deferred is None:
+            self._map_intermediate_frames()
         self._closer.keyframe_added(self.atlas)
         return mapping
 
-    def _map_intermediate_frames(self, newest: Keyframe) -> None:
-        """Seed what only frames between the last keyframe and a new one show."""
-        if not self.mapper.keyframes:
-            return
-        last = self.mapper.keyframes[-1]
-        for between, T_map_camera in self._between.take_outside(last, newest):
-            with self._recorder.timed("mapping"):
-                mask = self.mapper.unmapped_pixels(between.frame, T_map_camera, newest)
-            if mask.mean() < MIN_OUTSIDE:
-                continue
-            frame = self._labelled(between.at_map_exposure(), T_map_camera)
-            with self._recorder.timed("mapping"):
-                self.mapper.seed_pixels(frame, T_map_camera, mask)
+    def _map_intermediate_frames(self) -> None:
+        while self.map_intermediate_frame():
+            pass
 
     def _refine_pose(self, keyframe: Keyframe) -> None:
         """Refine the pose of a new keyframe; the tracker continues from the refined pose."""

@@ -87,16 +87,54 @@ def test_they_follow_their_keyframe_and_have_the_exposure_of_the_map():
     correction = se3.exp([0.1, 0.0, 0.2, 0.0, 0.1, 0.0])
     for keyframe in (last, newest):
         keyframe.T_map_camera = correction @ keyframe.T_map_camera
-    ((between, T_map_camera),) = frames.take_outside(last, newest)
+    frames.select(last, newest)
+    between = frames.take()
+    T_map_camera = last.T_map_camera @ between.T_keyframe_camera
     np.testing.assert_allclose(T_map_camera, correction @ turn.T_map_camera[1], atol=1e-12)
     expected = 0.5 * turn.frames[1].rgb + 0.1
     np.testing.assert_allclose(between.at_map_exposure().rgb, expected, atol=1e-6)
-    assert not frames.take_outside(last, newest), "they are used once"
+    frames.select(last, newest)
+    assert frames.take() is None, "they are used once"
 
 
 def test_frames_of_another_submap_are_not_used():
     turn = Turn(0.0, 10.0, 1.0)
     last, newest = (Keyframe.from_frame(turn.frames[n], turn.T_map_camera[n]) for n in (0, 2))
     frames = intermediate(turn.frames[1], last, turn, Exposure())
-    anchor = replace(last, index=7)
-    assert not frames.take_outside(anchor, newest)
+    frames.select(replace(last, index=7), newest)
+    assert frames.take() is None
+
+
+def test_the_end_of_the_sequence_is_mapped():
+    turn = Turn(0.0, 10.0)
+    slam = turn.slam()
+    fed(slam, turn.frames)
+    assert [k.index for k in slam.mapper.keyframes] == [0]
+    assert border_error(slam, turn) > 0.3, "the border is black"
+    slam.finish()
+    assert border_error(slam, turn) < 0.1
+
+
+def test_deferred_frames_are_mapped_one_by_one_or_at_the_end():
+    turn = Turn(0.0, 10.0, 1.0)
+    slam, waiting = turn.slam(), turn.slam()
+    for system in (slam, waiting):
+        system.defer_work()
+        fed(system, turn.frames)
+        assert border_error(system, turn) > 0.3, "the border is black"
+    assert slam.map_intermediate_frame()
+    assert border_error(slam, turn) < 0.1
+    assert not slam.map_intermediate_frame()
+    waiting.finish()
+    assert border_error(waiting, turn) < 0.1
+
+
+def test_deferred_frames_of_an_ended_submap_are_not_mapped():
+    turn = Turn(0.0, 10.0, 1.0)
+    slam = turn.slam()
+    slam.defer_work()
+    fed(slam, turn.frames)
+    slam.atlas.start_next()
+    before = len(slam.mapper.gaussians)
+    assert slam.map_intermediate_frame()
+    assert len(slam.mapper.gaussians) == before

@@ -26,6 +26,8 @@ MIN_OUTSIDE = 0.001
 _SAMPLES = 80
 # Limits memory where keyframes are far apart.
 _MAX_FRAMES = 8
+# Frames wait in real-time operation only. Limits memory where there is never any time for them.
+_MAX_WAITING = 32
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,11 @@ class IntermediateFrame:
 
 
 class IntermediateFrames:
-    """The last tracked frames since the newest keyframe, in order."""
+    """The last tracked frames since the newest keyframe, and those that wait to be mapped."""
 
     def __init__(self) -> None:
         self._frames: deque[IntermediateFrame] = deque(maxlen=_MAX_FRAMES)
+        self._outside: deque[IntermediateFrame] = deque(maxlen=_MAX_WAITING)
 
     def add(
         self,
@@ -66,32 +69,34 @@ class IntermediateFrames:
         T_keyframe_camera = se3.inverse(keyframe.T_map_camera) @ T_map_camera
         self._frames.append(IntermediateFrame(frame, keyframe.index, T_keyframe_camera, exposure))
 
-    def take_outside(
-        self, last: Keyframe, newest: Keyframe
-    ) -> list[tuple[IntermediateFrame, NDArray[np.float64]]]:
-        """Remove all frames; return those that show surfaces outside both keyframes, with poses.
+    def select(self, last: Keyframe, newest: Keyframe | None = None) -> None:
+        """Let those frames wait that show surfaces outside two keyframes; remove the others.
 
         Args:
             last: the keyframe before the frames, at its present pose.
-            newest: the keyframe after them.
-
-        Returns:
-            Frames and T_map_camera [4, 4].
+            newest: the keyframe after them; None at the end of the sequence.
         """
-        found = []
         while self._frames:
             between = self._frames.popleft()
             if between.keyframe != last.index:
                 continue  # tracked in another submap
             T_map_camera = last.T_map_camera @ between.T_keyframe_camera
             points_map = se3.transform_points(T_map_camera, _samples(between.frame))
-            outside = ~last.shows(points_map) & ~newest.shows(points_map)
+            outside = ~last.shows(points_map)
+            if newest is not None:
+                outside &= ~newest.shows(points_map)
             if outside.sum() > MIN_OUTSIDE * len(outside):
-                found.append((between, T_map_camera))
-        return found
+                self._outside.append(between)
+
+    def take(self) -> IntermediateFrame | None:
+        """Remove and return the first frame that waits to be mapped, if there is one."""
+        return self._outside.popleft() if self._outside else None
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        """Arrays and JSON values from which `restore` continues identically."""
+        """Arrays and JSON values from which `restore` continues identically.
+
+        Like other deferred work, frames that wait are not included.
+        """
         arrays: dict[str, NDArray] = {}
         values = []
         for number, between in enumerate(self._frames):
@@ -113,6 +118,7 @@ class IntermediateFrames:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
         self._frames.clear()
+        self._outside.clear()
         for number, saved in enumerate(values["frames"]):
             own = {n: np.array(a) for n, a in arrays_below(arrays, f"{number}/").items()}
             T_keyframe_camera = own.pop("T_keyframe_camera")

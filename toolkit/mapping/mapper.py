@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -130,27 +130,36 @@ class Mapper:
         else:
             loss = float("nan")
             self.deferred.add(keyframe, steps)
-            # Tracking is more accurate after a single step than after none.
-            self.take_deferred_step()
         return MappingResult(seeded, self._densification.prune(self.map), loss)
 
+    def keyframes_from(self, index: int) -> list[Keyframe]:
+        """The active submap's keyframe of a frame index and the one after it, as far as exist."""
+        for position in reversed(range(len(self.keyframes))):
+            if self.keyframes[position].index == index:
+                return self.keyframes[position : position + 2]
+        return []
+
     def unmapped_pixels(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], newest: Keyframe
+        self, frame: Frame, T_map_camera: NDArray[np.float64], keyframes: Sequence[Keyframe]
     ) -> NDArray[np.bool_]:
-        """Mask [H, W] of a frame's measured pixels without Gaussians, now or from a new keyframe.
+        """Mask [H, W] of a frame's measured pixels without Gaussians that no keyframe shows.
 
         Args:
             T_map_camera: [4, 4] pose of the frame.
-            newest: a keyframe that is about to be added.
+            keyframes: those next to the frame.
         """
         view = self.render(self.gaussians, frame.camera, T_map_camera)
         mask = ~self._densification.covered(view).cpu().numpy() & (frame.depth_m > 0)
-        points = frame.camera.unproject(frame.depth_m)[mask]
-        mask[mask] = ~newest.reaches(se3.transform_points(T_map_camera, points))
+        points_map = se3.transform_points(T_map_camera, frame.camera.unproject(frame.depth_m)[mask])
+        mask[mask] = ~np.any([k.reaches(points_map) for k in keyframes], axis=0)
         return mask
 
     def seed_pixels(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], mask: NDArray[np.bool_]
+        self,
+        frame: Frame,
+        T_map_camera: NDArray[np.float64],
+        mask: NDArray[np.bool_],
+        keyframe: Keyframe,
     ) -> None:
         """Seed Gaussians for pixels of a frame that does not become a keyframe.
 
@@ -158,11 +167,12 @@ class Mapper:
             frame: at the map's exposure, with labels of the map's taxonomy.
             T_map_camera: [4, 4] pose of the frame.
             mask: [H, W], which pixels.
+            keyframe: the Gaussians move with it.
         """
         if self.semantics.channels == 0:
             frame = replace(frame, labels=None)
         seeds = self._densification.seeds(frame, T_map_camera, mask)
-        self.map.append(seeds, self.keyframes[-1])
+        self.map.append(seeds, keyframe)
 
     def take_deferred_step(self) -> None:
         """Take one of the deferred steps, if there are any."""

@@ -56,12 +56,12 @@ class PacedSlam:
         interval = mapper.options.keyframes.interval
         self._policy = PacePolicy(options.max_delay_s, self._schedule.period_s, interval)
         self._record = PaceRecord()
-        self._keyframes = _PostponedKeyframes(
-            mapper.keyframe_choice, self._policy, self.clock, self._record
-        )
-        mapper.keyframe_choice = self._keyframes
         self._deferred = slam.defer_work()
         self._tracking, self._step = DurationEstimate(), DurationEstimate()
+        self._keyframes = _PostponedKeyframes(
+            mapper.keyframe_choice, self._policy, self.clock, self._record, self._step
+        )
+        mapper.keyframe_choice = self._keyframes
         self._processed_at_s = -float("inf")
         self._located = False
         self._keeps_next = False
@@ -107,11 +107,16 @@ class PacedSlam:
         return result
 
     def work(self) -> bool:
-        """Take one deferred optimisation step; return False if none is due.
+        """Map a deferred frame or take an optimisation step; return False if none is due.
 
         For loops that wait for a camera. `process_frame` calls it where frames arrive at equal
         intervals.
         """
+        # Rare, and up to a few frames long: they are not part of the expected time of a step.
+        return self.slam.map_intermediate_frame() or self._take_step()
+
+    def _take_step(self) -> bool:
+        """Take a deferred optimisation step; return False if none is due."""
         if not self._deferred:
             return False
         start_s = self.clock.now_s()
@@ -155,6 +160,9 @@ class PacedSlam:
         self._keeps_next = not result.lost and not self._located
         self._located = not result.lost
         self._measure(result, start_s)
+        if result.keyframe and self._keyframes.has_time_for_step:
+            # Images gain more from the first step than from any later one.
+            self._take_step()
         return result
 
     def _measure(self, result: FrameResult, start_s: float) -> None:
@@ -190,15 +198,23 @@ class _PostponedKeyframes:
     """Postpones keyframes while there is no time for them.
 
     Attributes:
-        duration: expected time for adding a keyframe.
+        duration: expected time for adding a keyframe, without optimisation steps.
         decided_at_s: time of the decision about the current frame; None before it.
+        has_time_for_step: whether there is time for a step of the keyframe, too.
     """
 
     def __init__(
-        self, choice: KeyframeChoice, policy: PacePolicy, clock: Clock, record: PaceRecord
+        self,
+        choice: KeyframeChoice,
+        policy: PacePolicy,
+        clock: Clock,
+        record: PaceRecord,
+        step: DurationEstimate,
     ) -> None:
         self.duration = DurationEstimate()
         self.decided_at_s: float | None = None
+        self.has_time_for_step = False
+        self._step = step
         self._choice, self._policy, self._clock = choice, policy, clock
         self._record = record
         self._arrival_s = 0.0
@@ -212,6 +228,7 @@ class _PostponedKeyframes:
     def begin(self, arrival_s: float) -> None:
         """Begin the frame that arrived at a time."""
         self._arrival_s, self.decided_at_s = arrival_s, None
+        self.has_time_for_step = False
 
     def wants(self, frames_since_last: int, overlap: float) -> bool:
         """Whether the newest frame should become a keyframe; see `KeyframeChoice`."""
@@ -220,8 +237,10 @@ class _PostponedKeyframes:
             self._urgent = False
             return False
         lag_s = now_s - self._arrival_s
-        # Frames have been dropped before this one to make time for an urgent keyframe.
-        if self._urgent or self._policy.has_time_for_keyframe(lag_s, self.duration.expected_s):
+        expected_s = self.duration.expected_s + self._step.expected_s
+        self.has_time_for_step = self._policy.has_time_for_keyframe(lag_s, expected_s)
+        # Frames may have been dropped before this one to make time for an urgent keyframe.
+        if self._urgent or self.has_time_for_step:
             self._urgent = False
             return True
         self._urgent = self._policy.keyframe_is_urgent(frames_since_last, overlap)

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 _WEIGHT = 0.2
 # Number of mean deviations above the mean that is expected: the delay is a bound, not a mean.
 _DEVIATIONS = 2.0
-# Fraction of the maximum delay that a keyframe may use up, so that no frame after it is dropped.
-_KEYFRAME_SHARE = 0.75
+# Fraction of the maximum delay up to which keyframes may add to a lag. The rest is for keyframes
+# that take longer than expected: a lag allows no more keyframes per second than none does.
+_KEYFRAME_SHARE = 0.5
+# The same for a frame that is processed when it arrives: slow machines need keyframes, too.
+_PROMPT_KEYFRAME_SHARE = 0.75
 # Overlap with the last keyframe below which a keyframe is urgent, and number of keyframe intervals
 # after which it is: tracking fails where most of the view is not mapped.
-_URGENT_OVERLAP = 0.8
+_URGENT_OVERLAP = 0.65
 _URGENT_INTERVALS = 4
 # Maximum time without a processed frame. Motions over longer gaps are too large for tracking.
 _MAX_GAP_S = 0.25
@@ -94,7 +97,9 @@ class PacePolicy:
             lag_s: time since the frame's arrival.
             expected_s: expected time for adding a keyframe.
         """
-        return lag_s + expected_s <= _KEYFRAME_SHARE * self.max_delay_s
+        prompt = lag_s < self.period_s
+        share = _PROMPT_KEYFRAME_SHARE if prompt else _KEYFRAME_SHARE
+        return lag_s + expected_s <= share * self.max_delay_s
 
     def keyframe_is_urgent(self, frames_since_last: int, overlap: float) -> bool:
         """Whether tracking may fail without a new keyframe.
