@@ -100,6 +100,20 @@ def test_wrong_labels_are_voted_out(room):
     assert floor_share(mapper) > 0.95
 
 
+def test_a_class_that_only_a_frame_between_keyframes_shows_keeps_its_name(room):
+    mapper = fed(mapper_with(), room, [0])
+    frame, new = room.frames[4], CLASS_NAMES.index("sofa") + 1
+    assert not (room.frames[0].labels == new).any()
+    mask = np.zeros(frame.labels.shape, bool)
+    mask[:20, :20] = frame.depth_m[:20, :20] > 0
+    count = len(mapper.gaussians)
+    relabelled = replace(frame, labels=np.full_like(frame.labels, new))
+    mapper.seed_pixels(relabelled, room.T_map_camera[4], mask, mapper.keyframes[0])
+    decoded = mapper.semantics.decode_gaussians(mapper.gaussians.features[count:])
+    assert len(decoded.class_ids)
+    assert (decoded.class_ids == new).all()
+
+
 def test_votes_fit_a_gaussian_that_several_classes_show_through():
     """Three quarters floor, one quarter wall: that is what its heads say."""
     for make in (flat_code, one_hot_code, binary_code):

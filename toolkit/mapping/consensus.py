@@ -30,8 +30,9 @@ Render = Callable[[GaussianCloud, Camera, NDArray[np.float64]], SurfaceView]
 # a width of 320, half of the pixels in each direction take half the time or less, and mIoU changes
 # by less than 0.1 points. With a larger stride, many Gaussians lie between the sampled pixels.
 _SAMPLED_WIDTH, _MAX_STRIDE = 160, 3
-# Gaussians with a smaller number of votes keep their features.
-_MIN_VOTES = 1e-6
+# Gaussians with a smaller number of votes keep their features: those of frames between keyframes
+# would lose their label where the border of a keyframe's image just touches them.
+_MIN_VOTES = 0.05
 
 
 def label_consensus(

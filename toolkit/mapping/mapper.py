@@ -171,6 +171,8 @@ class Mapper:
         """
         if self.semantics.channels == 0:
             frame = replace(frame, labels=None)
+        if frame.labels is not None:
+            self.semantics.observe(torch.from_numpy(frame.labels[mask]))
         seeds = self._densification.seeds(frame, T_map_camera, mask)
         self.map.append(seeds, keyframe)
 
