@@ -60,7 +60,7 @@ class SemanticMapping:
         Otherwise the blend of two classes at a border could be decoded as a third class.
 
         Args:
-            class_ids: class ids of new pixels on the CPU, in any shape, 0 void; None without labels.
+            class_ids: those of new pixels on the CPU, of any shape, 0 void; None without labels.
         """
         if class_ids is not None and self._loss is not None:
             ids = class_ids.unique().long()
