@@ -8,12 +8,14 @@
 
 #include "alignment/gauss_newton.hpp"
 #include "alignment/normal_equations.hpp"
+#include "bundle_adjustment/bundle_adjustment.hpp"
 #include "common/constants.hpp"
 #include "depth_filter/depth_filter.hpp"
 #include "losses/rgbd_loss.hpp"
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
 #include "optimisation/adam.hpp"
+#include "plane_sweep/plane_sweep.hpp"
 #include "rendering/splats.hpp"
 #include "rendering/surface.hpp"
 
@@ -240,6 +242,51 @@ void adam() {
     print("adam", parameter);
 }
 
+// A camera that moves sideways past points: poses and inverse depths from their pixels.
+void bundle_adjustment() {
+    enum { POSES = 4, LANDMARKS = 40 };
+    Random random;
+    std::vector<double> T, anchor_pixel, inverse_depth, prior(2 * LANDMARKS), pixel;
+    std::vector<int32_t> anchor(LANDMARKS), landmark, pose;
+    const uint8_t fixed[POSES] = {1, 1, 0, 0};
+    for (int p = 0; p < POSES; ++p) {
+        const double wrong = fixed[p] ? 0 : 0.02;
+        for (double value : {1.0, 0.0, 0.0, -0.1 * p + wrong, 0.0, 1.0, 0.0, wrong, 0.0, 0.0, 1.0, 0.0}) T.push_back(value);
+    }
+    for (int l = 0; l < LANDMARKS; ++l) {
+        const double u = random(5.0f, 45.0f), v = random(5.0f, 33.0f), q = random(0.3f, 0.9f);
+        anchor_pixel.insert(anchor_pixel.end(), {u, v});
+        inverse_depth.push_back(1.2 * q);
+        for (int p = 1; p < POSES; ++p) {
+            landmark.push_back(l);
+            pose.push_back(p);
+            pixel.insert(pixel.end(), {u - 48.0 * 0.1 * p * q, v});
+        }
+    }
+    std::vector<double> distance(landmark.size());
+    const Bundle bundle{POSES, LANDMARKS, (int64_t)landmark.size(), T.data(), fixed, anchor.data(), anchor_pixel.data(),
+                        inverse_depth.data(), prior.data(), landmark.data(), pose.data(), pixel.data(), distance.data()};
+    adjust(bundle, {48.0, 47.0, 26.0, 19.5, 30, 1.0, 1e-4, 1e-9, false});
+    print("bundle-poses", T);
+    print("bundle-inverse-depth", inverse_depth);
+}
+
+void plane_sweep() {
+    std::vector<float> reference(PIXELS), source(PIXELS), inverse(PIXELS), correlation(PIXELS), margin(PIXELS);
+    // A wall in front of a camera that moves to the right by 0.1: its image moves by 2.4 pixels.
+    const auto pattern = [](float x, float y) { return 0.5f + 0.2f * std::sin(0.9f * x) + 0.2f * std::cos(0.7f * y + 0.3f * x); };
+    for (int i = 0; i < PIXELS; ++i) {
+        const float x = (float)(i % WIDTH), y = (float)(i / WIDTH);
+        reference[(size_t)i] = pattern(x, y);
+        source[(size_t)i] = pattern(x + 2.4f, y);
+    }
+    const std::array<double, 12> moved = {1, 0, 0, -0.1, 0, 1, 0, 0, 0, 0, 1, 0};
+    sweep({CAMERA, reference.data(), {{source.data(), moved}}, 17, 0.1, 0.9, 0.04, 0.4},
+          {inverse.data(), correlation.data(), margin.data()});
+    print("swept-inverse-depth", inverse);
+    print("swept-correlation", correlation);
+}
+
 }  // namespace
 
 int main() {
@@ -248,5 +295,7 @@ int main() {
     alignment();
     depth_filter();
     adam();
+    bundle_adjustment();
+    plane_sweep();
     return 0;
 }

@@ -12,11 +12,13 @@
 #include "alignment/gauss_newton.hpp"
 #include "alignment/levels.hpp"
 #include "alignment/normal_equations.hpp"
+#include "bundle_adjustment/bundle_adjustment.hpp"
 #include "depth_filter/depth_filter.hpp"
 #include "losses/rgbd_loss.hpp"
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
 #include "optimisation/adam.hpp"
+#include "plane_sweep/plane_sweep.hpp"
 #include "rendering/splats.hpp"
 #include "rendering/surface.hpp"
 
@@ -246,6 +248,49 @@ double loss_of_semantics(const Size& size, const std::array<Address, 3>& images,
                          at<float>(gradients[1]));
 }
 
+// arrays: T_camera_world, fixed, anchor, anchor_pixel, inverse_depth, prior, landmark, pose, pixel,
+// distance. counts: poses, landmarks, observations. limits: Huber's threshold, least inverse depth, least
+// decrease. Returns cost before and after, factor of the focal length, its information, the number of
+// iterations, and whether they converged.
+std::tuple<double, double, double, double, int, bool> adjust_bundle(
+    const std::array<Address, 10>& arrays, const std::array<int64_t, 3>& counts, const Intrinsics& intrinsics,
+    int iterations, const std::array<double, 3>& limits, bool focal) {
+    const Bundle bundle = {(int)counts[0],
+                           (int)counts[1],
+                           counts[2],
+                           at<double>(arrays[0]),
+                           at<const uint8_t>(arrays[1]),
+                           at<const int32_t>(arrays[2]),
+                           at<const double>(arrays[3]),
+                           at<double>(arrays[4]),
+                           at<const double>(arrays[5]),
+                           at<const int32_t>(arrays[6]),
+                           at<const int32_t>(arrays[7]),
+                           at<const double>(arrays[8]),
+                           at<double>(arrays[9])};
+    const BundleSettings settings = {intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], iterations,
+                                     limits[0],     limits[1],     limits[2],     focal};
+    BundleResult result;
+    {
+        const py::gil_scoped_release release;
+        result = adjust(bundle, settings);
+    }
+    return {result.cost_before, result.cost,       result.focal_factor, result.focal_information,
+            result.iterations,  result.converged};
+}
+
+// sources: intensities and T_source_reference. limits: inverse depths of the first and the last plane,
+// both penalties. out: inverse depth, correlation, margin.
+void plane_sweep(const Intrinsics& intrinsics, const Size& size, Address intensity,
+                 const std::vector<std::tuple<Address, std::array<double, 12>>>& sources, int planes,
+                 const std::array<double, 4>& limits, const std::array<Address, 3>& out) {
+    Sweep s = {pinhole(intrinsics, size), at<const float>(intensity), {}, planes,
+               limits[0], limits[1], limits[2], limits[3]};
+    for (const auto& [image, pose] : sources) s.sources.push_back({at<const float>(image), pose});
+    const py::gil_scoped_release release;
+    sweep(s, {at<float>(out[0]), at<float>(out[1]), at<float>(out[2])});
+}
+
 // The instruction sets supported by the CPU and the operating system, ascending. The tested features
 // are those that setup.py compiles each variant for.
 std::vector<std::string> supported_instruction_sets() {
@@ -289,6 +334,8 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("align_halve", &align_halve);
     m.def("align_accumulate", &align_accumulate);
     m.def("align_pose", &align_pose);
+    m.def("adjust_bundle", &adjust_bundle);
+    m.def("plane_sweep", &plane_sweep);
     m.def("adam", &adam);
     m.def("smooth_inverse_depth", &smoothed);
     m.def("mean_ssim", &mean_ssim);
