@@ -1,0 +1,132 @@
+"""Motion and depth of a sequence without depth, and what is said about their reliability."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from moving_camera import error_m, film, turn, walk
+
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.monocular.motion import CameraMotion, estimate_motion
+from toolkit.monocular.sequence import MonocularSequence
+
+
+class Film:
+    """Frames in memory as a dataset."""
+
+    def __init__(self, frames: list[Frame]) -> None:
+        self.name, self.camera = "film", frames[0].camera
+        self.ground_truth: Trajectory | None = None
+        self.label_names: dict[int, str] | None = None
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self._frames[index]
+
+    def __iter__(self):
+        return iter(self._frames)
+
+
+def motion_of(frames: list[Frame], **options) -> CameraMotion:
+    return estimate_motion(lambda: frames, frames[0].camera, **options)
+
+
+@pytest.fixture(scope="module")
+def walked() -> list[Frame]:
+    return film(walk())
+
+
+def test_a_walk_is_reliable(walked):
+    motion = motion_of(walked)
+    assert motion.reliable
+    assert len(motion.trajectory) == len(walked)
+    assert error_m(motion.trajectory, walk())[0] < 0.02
+    metrics = motion.metrics()
+    assert metrics["monocular_reliable"] is True
+    assert metrics["monocular_doubts"] == ""
+    assert metrics["monocular_keyframes"] == len(motion.views) > 3
+    assert metrics["monocular_focal_px"] is None
+
+
+def test_true_depth_is_not_used(walked):
+    flat = [replace(frame, depth_m=np.zeros_like(frame.depth_m)) for frame in walked]
+    first, second = motion_of(walked), motion_of(flat)
+    assert first.trajectory.T_world_camera.tobytes() == second.trajectory.T_world_camera.tobytes()
+
+
+def test_a_camera_that_only_turns_is_not_reliable():
+    motion = motion_of(film(turn()))
+    assert not motion.reliable
+    assert motion.doubts == [
+        "the motion of the camera could not be determined: the camera has only turned"
+    ]
+    assert not motion.views
+    assert len(motion.trajectory) == 0
+    metrics = motion.metrics()
+    assert metrics["monocular_reliable"] is False
+    assert metrics["monocular_extent"] is None
+
+
+def test_a_frozen_film_is_not_reliable(walked):
+    assert not motion_of([replace(walked[0], timestamp_s=n / 30) for n in range(6)]).reliable
+
+
+def test_images_without_texture_are_not_reliable(walked):
+    grey = [replace(frame, rgb=np.full_like(frame.rgb, 0.5)) for frame in walked]
+    motion = motion_of(grey)
+    assert "features" in motion.doubts[0]
+
+
+def test_a_camera_that_hardly_moves_is_not_reliable():
+    """It moves enough to start, and then only turns."""
+    start = walk(6)
+    poses = np.concatenate([start, start[-1] @ turn(40)])
+    motion = motion_of(film(poses))
+    assert any("hardly moved" in doubt for doubt in motion.doubts)
+
+
+def test_frames_without_pose_are_reported(walked):
+    blank = [replace(walked[0], rgb=np.full_like(walked[0].rgb, 0.5)) for _ in range(10)]
+    frames = [replace(f, timestamp_s=n / 30) for n, f in enumerate([*walked, *blank])]
+    motion = motion_of(frames)
+    assert motion.doubts == ["10 of 24 frames have no pose (too few features are followed)"]
+    assert motion.without_pose
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_an_unknown_focal_length_is_estimated(factor):
+    """Only turns in several directions tell it."""
+    wave = [[0.1, 4], [0.15, 3], [0.25, 5], [0.1, 4]]
+    poses = []
+    for n in range(24):
+        y, *turns = (size * np.sin(n / slowness) for size, slowness in wave)
+        poses.append(se3.exp([0.05 * n, y, 0.03 * n, *turns]))
+    frames = film(np.array(poses))
+    true = frames[0].camera
+    wrong = replace(true, fx=factor * true.fx, fy=factor * true.fy)
+    motion = estimate_motion(lambda: frames, wrong, calibrated=False)
+    assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
+    assert motion.focal_sigma == pytest.approx(0.01, rel=0.5)
+    assert motion.metrics()["monocular_focal_px"] == motion.camera.fx
+
+
+def test_keyframes_have_depth_and_other_frames_none(walked):
+    motion = motion_of(walked)
+    sequence = MonocularSequence(Film(walked), motion)
+    assert len(sequence) == len(walked)
+    scale = error_m(motion.trajectory, walk())[1]
+    keyframes = {view.frame for view in motion.views}
+    for frame, true in zip(sequence, walked, strict=True):
+        known = frame.depth_m > 0
+        assert known.any() == (frame.index in keyframes)
+        assert frame.rgb is true.rgb
+        if known.any():
+            relative = np.abs(scale * frame.depth_m / true.depth_m - 1.0)[known]
+            assert np.median(relative) < 0.05

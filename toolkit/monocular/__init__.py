@@ -1,0 +1,1 @@
+"""Monocular sequences: camera motion and depth from colour images alone."""

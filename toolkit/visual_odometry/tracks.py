@@ -1,0 +1,127 @@
+"""Feature tracks: corners that are followed from image to image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+# Quality of a corner relative to the best one in the image, and half the block that it is
+# computed from.
+_QUALITY = 0.005
+_BLOCK = 7
+# Distance between corners relative to that of a regular grid of all corners.
+_SPACING = 0.6
+_WINDOW_PX = 11
+_LEVELS = 2
+# Features whose track back to the previous image misses their origin by more are lost.
+_MAX_RETURN_PX = 0.5
+_BORDER_PX = 4.0
+
+
+@dataclass(frozen=True)
+class Features:
+    """Image points with identities.
+
+    Attributes:
+        ids: [N] int64, unique over the sequence.
+        px: [N, 2] float64 pixels.
+    """
+
+    ids: NDArray[np.int64]
+    px: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def select(self, mask: NDArray[np.bool_]) -> Features:
+        """The features of a mask [N]."""
+        return Features(self.ids[mask], self.px[mask])
+
+
+NO_FEATURES = Features(np.zeros(0, np.int64), np.zeros((0, 2)))
+
+
+class FeatureTracks:
+    """Follows features from image to image, and finds new ones.
+
+    Dense optical flow predicts where a feature is; Lucas-Kanade finds the place precisely.
+
+    Args:
+        count: features per image.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+        self._image: NDArray[np.uint8] | None = None
+        self._next_id = 0
+        self.features = NO_FEATURES
+
+    def follow(self, image: NDArray[np.uint8]) -> Features:
+        """Follow the features into the next image [H, W]; those that are lost are removed."""
+        last, self._image = self._image, image
+        if last is None or not len(self.features):
+            return self.features
+        flow = self._flow.calc(last, image, None)
+        before = self.features.px.astype(np.float32)
+        column, row = np.round(before).astype(int).T
+        after, found = _lucas_kanade(last, image, before, before + flow[row, column])
+        back, returned = _lucas_kanade(image, last, after, before)
+        height, width = image.shape
+        inside = (after >= _BORDER_PX) & (after <= np.array([width, height]) - 1 - _BORDER_PX)
+        good = found & returned & inside.all(1)
+        good &= np.linalg.norm(back - before, axis=1) < _MAX_RETURN_PX
+        self.features = Features(self.features.ids[good], after[good].astype(np.float64))
+        return self.features
+
+    def keep(self, mask: NDArray[np.bool_]) -> None:
+        """Remove the features outside a mask [N]."""
+        self.features = self.features.select(mask)
+
+    def replenish(self) -> Features:
+        """Find new corners in the newest image, away from the features; return all."""
+        assert self._image is not None, "no image yet"
+        missing = self._count - len(self.features)
+        if missing <= 0:
+            return self.features
+        height, width = self._image.shape
+        spacing = _SPACING * np.sqrt(width * height / self._count)
+        mask = np.zeros((height, width), np.uint8)
+        border = int(_BORDER_PX) + 1
+        mask[border:-border, border:-border] = 255
+        for x, y in np.round(self.features.px).astype(int):
+            cv2.circle(mask, (int(x), int(y)), round(spacing), 0, -1)
+        corners = cv2.goodFeaturesToTrack(
+            self._image, missing, _QUALITY, spacing, mask=mask, blockSize=_BLOCK
+        )
+        if corners is None:
+            return self.features
+        ids = np.arange(self._next_id, self._next_id + len(corners))
+        self._next_id += len(corners)
+        self.features = Features(
+            np.concatenate([self.features.ids, ids]),
+            np.concatenate([self.features.px, corners.reshape(-1, 2).astype(np.float64)]),
+        )
+        return self.features
+
+
+def _lucas_kanade(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    px: NDArray[np.float32],
+    guess: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        first,
+        second,
+        px.reshape(-1, 1, 2),
+        guess.reshape(-1, 1, 2).copy(),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=_LEVELS,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+    )
+    return found.reshape(-1, 2), status.reshape(-1).astype(bool)
