@@ -59,6 +59,8 @@ RECORDINGS = {
     "redkitchen": Recording("seven-scenes", "7scenes_redkitchen", (320, 240)),
     "fr1_rpy": Recording("tum", "tum_fr1_rpy", (320, 240)),
     "office0": Recording("replica", "replica_office0"),
+    "hololens": Recording("folder", "hololens_walk"),
+    "euroc": Recording("folder", "euroc_v101"),
 }
 
 

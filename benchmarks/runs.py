@@ -24,7 +24,7 @@ from toolkit.loops.log import read_loop_log
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.results import FINISH, ONLINE, write_results
+from toolkit.runs.results import FINISH, ONLINE, RunRecord, write_results
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
@@ -81,7 +81,7 @@ def finished_slam(
         with watch.timed(FINISH):
             result = slam.finish()
         folder.check_taxonomy(result.taxonomy)
-        write_results(result, dataset, folder, settings, watch)
+        write_results(result, dataset, folder, settings, RunRecord(watch))
         metrics = json.loads(folder.metrics.read_text(encoding="utf-8"))
         frames_ms, (finish_ms,) = watch.durations_ms[ONLINE], watch.durations_ms[FINISH]
         yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_ms / 1e3)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import shutil
 
 import numpy as np
 import pytest
@@ -160,6 +161,17 @@ def test_plain_folder(make_folder):
     check_frames(dataset, list(range(11)))
     check_truth(dataset, list(range(11)), list(range(11)))
     assert dataset[3].timestamp_s == pytest.approx(0.3)
+
+
+def test_a_folder_without_depth_has_colour_alone(make_folder):
+    folder = make_folder(frames=3, intrinsics={"depth_scale": None})
+    shutil.rmtree(folder / "depth")
+    with pytest.raises(DatasetError, match="has no depth images"):
+        open_dataset("folder", folder)
+    dataset = open_dataset("folder", folder, needs_depth=False)
+    assert len(dataset) == 3
+    assert not dataset[2].depth_m.any()
+    assert dataset.recording.flaws == ()
 
 
 @pytest.mark.parametrize(

@@ -104,11 +104,16 @@ def test_bad_files_are_refused_in_one_line(make_nerfstudio, frame, values, messa
     assert "\n" not in str(refusal.value)
 
 
-def test_colour_only_is_refused(make_nerfstudio):
-    folder = make_nerfstudio(frames=1)
-    changed(folder, frame=0, depth_file_path=None)
-    with pytest.raises(DatasetError, match="names no depth images"):
+def test_colour_only_needs_the_option_for_missing_depth(make_nerfstudio):
+    folder = make_nerfstudio(frames=2)
+    for frame in range(2):
+        changed(folder, frame=frame, depth_file_path=None)
+    with pytest.raises(DatasetError, match="has no depth images"):
         open_dataset("nerfstudio", folder)
+    dataset = open_dataset("nerfstudio", folder, needs_depth=False)
+    assert len(dataset) == 2
+    assert not dataset[1].depth_m.any()
+    assert dataset[1].rgb.any()
 
 
 def test_depth_of_another_aspect_ratio_is_refused(make_nerfstudio):

@@ -88,7 +88,8 @@ TARGETS = [
         | {"short line": damage.text("0 1 2 3\n"), "text": damage.text("0 a b c d e f g\n")},
     ),
     ("data/rgb", ["run", "check-data"], damage.FOLDER),
-    ("data/depth", ["check-data", "run"], damage.FOLDER),
+    ("data/depth", ["run"], damage.FOLDER),
+    ("data/depth", ["check-data"], {"file": damage.FOLDER["file"]}),
     (
         "run/config.yaml",
         READERS,

@@ -55,7 +55,7 @@ class FrameFiles:
     Attributes:
         timestamp_s: seconds, strictly increasing.
         rgb: colour image, or the video that contains it.
-        depth: depth image.
+        depth: depth image, or None without depth.
         labels: image of class ids, or None.
         video_frame: number of the frame in the video; None if `rgb` is an image.
         confidence: image of the depth's confidence, where depth with 0 is missing, or None.
@@ -63,7 +63,7 @@ class FrameFiles:
 
     timestamp_s: float
     rgb: Path
-    depth: Path
+    depth: Path | None
     labels: Path | None = None
     video_frame: int | None = None
     confidence: Path | None = None
@@ -97,6 +97,7 @@ class Recording:
         colour_may_be_larger: whether colour images are resized to the size of the depth images.
         flaws: one line for each defect of the recording that was worked around.
         notes: one line for each kind of gap that is common in this format.
+        calibrated: whether the focal length is known; otherwise it is a guess.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Recording:
     colour_may_be_larger: bool = False
     flaws: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    calibrated: bool = True
 
 
 class RecordedDataset:
@@ -187,14 +189,7 @@ class RecordedDataset:
     def _load(self, files: FrameFiles) -> tuple[NDArray, NDArray, NDArray | None]:
         """Load colour, depth and labels at the native size."""
         recording = self.recording
-        depth_m = images.read_depth_m(
-            files.depth, recording.depth_scale, recording.saturated_is_missing
-        )
-        _check_size(depth_m, recording.camera, files.depth)
-        if files.confidence is not None:
-            confidence = images.read_labels(files.confidence)
-            _check_size(confidence, recording.camera, files.confidence)
-            depth_m[confidence == 0] = 0.0
+        depth_m = self._depth_m(files)
         rgb = self._colour(files)
         if recording.colour_may_be_larger and rgb.shape[:2] != depth_m.shape:
             rgb = resize_colour(rgb, recording.camera.size)
@@ -204,6 +199,20 @@ class RecordedDataset:
             labels = images.read_labels(files.labels)
             _check_size(labels, recording.camera, files.labels)
         return rgb, depth_m, labels
+
+    def _depth_m(self, files: FrameFiles) -> NDArray[np.float32]:
+        recording = self.recording
+        if files.depth is None:
+            return np.zeros((recording.camera.height, recording.camera.width), np.float32)
+        depth_m = images.read_depth_m(
+            files.depth, recording.depth_scale, recording.saturated_is_missing
+        )
+        _check_size(depth_m, recording.camera, files.depth)
+        if files.confidence is not None:
+            confidence = images.read_labels(files.confidence)
+            _check_size(confidence, recording.camera, files.confidence)
+            depth_m[confidence == 0] = 0.0
+        return depth_m
 
     def _colour(self, files: FrameFiles) -> NDArray[np.float32]:
         if files.video_frame is None:

@@ -103,17 +103,22 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
         findings.damaged.append(files.name)
     if float(np.ptp(frame.rgb)) == 0.0:
         findings.blank.append(files.name)
+    if files.depth is not None:
+        _check_depth(frame, files.depth.name, findings)
+    if frame.labels is not None:
+        findings.label_ids.update(np.unique(frame.labels).tolist())
+
+
+def _check_depth(frame: Frame, name: str, findings: _Findings) -> None:
     valid = frame.depth_m[frame.depth_m > 0]
     fraction = valid.size / frame.depth_m.size
     findings.valid_fractions.append(fraction)
     if valid.size == 0:
-        findings.empty.append(files.depth.name)
+        findings.empty.append(name)
     else:
         findings.medians_m.append(float(np.median(valid)))
         if fraction < _MIN_VALID_FRACTION:
-            findings.sparse.append(files.depth.name)
-    if frame.labels is not None:
-        findings.label_ids.update(np.unique(frame.labels).tolist())
+            findings.sparse.append(name)
 
 
 def _time_faults(dataset: RecordedDataset) -> list[str]:
@@ -203,6 +208,8 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
             f"depth: median {_length(float(np.median(findings.medians_m)))}, "
             f"{np.mean(findings.valid_fractions):.0%} of the pixels"
         )
+    elif dataset.files(0).depth is None:
+        lines.append("depth: none; run with --depth none")
     if dataset.label_names:
         lines.append(
             f"labels: {len(findings.label_ids - {0})} of {len(dataset.label_names)} classes occur"

@@ -21,14 +21,17 @@ from toolkit.io.class_names import read_class_names
 from toolkit.io.trajectories import read_tum_lines
 
 DEFAULT_FPS = 30.0
-_REQUIRED = ("fx", "fy", "cx", "cy", "width", "height", "depth_scale")
-_OPTIONAL = ("distortion", "fps")
+_REQUIRED = ("fx", "fy", "cx", "cy", "width", "height")
+_OPTIONAL = ("depth_scale", "distortion", "fps")
 _COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate."""
+    """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate.
+
+    Without depth, `depth_scale` is 1.
+    """
 
     camera: Camera
     depth_scale: float
@@ -37,27 +40,28 @@ class Intrinsics:
 
 
 def describe(path: Path) -> Recording:
-    """Describe `rgb/STEM.*`, `depth/STEM.png`, `intrinsics.yaml` and optional files.
+    """Describe `rgb/STEM.*`, `intrinsics.yaml` and optional files.
 
     Frames are sorted by stem, numerically if all stems are numbers. The timestamp of frame i is
-    i / fps. Optional files are `labels/STEM.png` with `labels/classes.json`, and
+    i / fps. Optional files are `depth/STEM.png`, `labels/STEM.png` with `labels/classes.json`, and
     `trajectory.txt` in TUM format with the same timestamps.
 
     Raises:
         DatasetError: the folder has a different layout, or `intrinsics.yaml` is malformed.
         FormatError: `trajectory.txt` is malformed.
     """
-    folder = folder_holding(path, ("rgb", "depth", "intrinsics.yaml"), "folder")
-    intrinsics = read_intrinsics(folder / "intrinsics.yaml")
+    folder = folder_holding(path, ("rgb", "intrinsics.yaml"), "folder")
+    has_depth = (folder / "depth").exists()
+    intrinsics = read_intrinsics(folder / "intrinsics.yaml", has_depth)
     rgb = _by_stem(folder / "rgb", _COLOUR_SUFFIXES)
     depth = _by_stem(folder / "depth", (".png",))
     labels = _by_stem(folder / "labels", (".png",))
-    stems = [stem for stem in rgb if stem in depth]
+    stems = [stem for stem in rgb if stem in depth or not has_depth]
     files = tuple(
-        FrameFiles(i / intrinsics.fps, rgb[stem], depth[stem], labels.get(stem))
+        FrameFiles(i / intrinsics.fps, rgb[stem], depth.get(stem), labels.get(stem))
         for i, stem in enumerate(stems)
     )
-    trajectory, flaws = None, pairing_flaws(rgb, depth, labels)
+    trajectory, flaws = None, pairing_flaws(rgb, depth if has_depth else rgb, labels)
     if (folder / "trajectory.txt").exists():
         truth = attach_poses(files, _poses(folder / "trajectory.txt", files, intrinsics.fps))
         trajectory, flaws = truth.trajectory, flaws + truth.flaws
@@ -73,17 +77,21 @@ def describe(path: Path) -> Recording:
     )
 
 
-def read_intrinsics(path: Path) -> Intrinsics:
+def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
     """Read `intrinsics.yaml`; unknown keys are errors.
+
+    Args:
+        has_depth: whether `depth_scale` is required.
 
     Raises:
         DatasetError: a key is missing, unknown, of the wrong type or out of range.
     """
     values = _load_mapping(path)
-    for key in _REQUIRED:
+    required = (*_REQUIRED, "depth_scale") if has_depth else _REQUIRED
+    for key in required:
         if key not in values:
             raise DatasetError(
-                f"{path} lacks the key {key}; required keys are {', '.join(_REQUIRED)}"
+                f"{path} lacks the key {key}; required keys are {', '.join(required)}"
             )
     for key in values:
         if key not in _REQUIRED + _OPTIONAL:
@@ -93,6 +101,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
             )
     try:
         numbers = {key: float(values[key]) for key in _REQUIRED}
+        depth_scale = float(values.get("depth_scale", 1.0))
         fps = float(values.get("fps", DEFAULT_FPS))
         distortion = tuple(float(k) for k in values.get("distortion") or ())
         camera = Camera(
@@ -107,10 +116,10 @@ def read_intrinsics(path: Path) -> Intrinsics:
         raise DatasetError(f"{path}: {error}; correct the value") from error
     if len(distortion) not in (0, 5) or not np.isfinite(distortion).all():
         raise DatasetError(f"{path}: distortion must be the 5 numbers [k1, k2, p1, p2, k3]")
-    for key, value in (("depth_scale", numbers["depth_scale"]), ("fps", fps)):
+    for key, value in (("depth_scale", depth_scale), ("fps", fps)):
         if not 0 < value < float("inf"):
             raise DatasetError(f"{path}: {key} must be positive, got {value}")
-    return Intrinsics(camera, numbers["depth_scale"], distortion or None, fps)
+    return Intrinsics(camera, depth_scale, distortion or None, fps)
 
 
 def _load_mapping(path: Path) -> dict:

@@ -59,24 +59,22 @@ def describe(path: Path) -> Recording:
         raise DatasetError(f"{file} has no list of frames; export the recording again")
     entries = _sorted([_Entry.parse(file, frame, content) for frame in frames])
     with_depth = [entry for entry in entries if entry.depth is not None]
-    if not with_depth:
-        raise DatasetError(
-            f"{file} names no depth images (depth_file_path); export the recording with depth"
-        )
+    used = with_depth or entries
     files = tuple(
         FrameFiles(i / FPS, entry.rgb, entry.depth)
         for i, entry in enumerate(entries)
-        if entry.depth is not None
+        if entry.depth is not None or not with_depth
     )
     scale = _number(file, content, "depth_unit_scale_factor", METRES_PER_VALUE)
     if scale <= 0:
         raise DatasetError(f"{file}: depth_unit_scale_factor must be positive, got {scale}")
-    lens, lens_flaws = _common_lens(file, [entry.lens for entry in with_depth])
-    truth = attach_poses(files, [entry.T_world_camera for entry in with_depth])
-    alone = [entry.rgb.name for entry in entries if entry.depth is None]
+    lens, lens_flaws = _common_lens(file, [entry.lens for entry in used])
+    truth = attach_poses(files, [entry.T_world_camera for entry in used])
+    alone = [entry.rgb.name for entry in entries if with_depth and entry.depth is None]
+    depth = files[0].depth
     return Recording(
         name=folder.resolve().name,
-        camera=_camera_of_depth(lens.camera, files[0].depth),
+        camera=lens.camera if depth is None else _camera_of_depth(lens.camera, depth),
         files=files,
         depth_scale=1.0 / scale,
         ground_truth=truth.trajectory,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from toolkit.options import Range
 
 DatasetKind = Literal[
     "synthetic",
@@ -15,6 +17,7 @@ DatasetKind = Literal[
     "nerfstudio",
     "stray-scanner",
     "folder",
+    "video",
 ]
 
 
@@ -24,6 +27,10 @@ class DatasetOptions:
 
     kind: DatasetKind = "synthetic"
     """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
-    stray-scanner or folder."""
+    stray-scanner, folder or video."""
     path: Path | None = None
-    """Folder of the dataset. By default, a synthetic room is created beside the run folder."""
+    """Folder of the dataset, or file of a video. By default, a synthetic room is created beside the
+    run folder."""
+    fov_deg: Annotated[float, Range(gt=0, lt=180)] | None = None
+    """Horizontal field of view in degrees of a video without intrinsics. By default, it is
+    estimated."""

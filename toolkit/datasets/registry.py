@@ -5,9 +5,19 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from toolkit.datasets import folder, nerfstudio, replica, scannet, seven_scenes, stray_scanner, tum
+from toolkit.datasets import (
+    folder,
+    nerfstudio,
+    replica,
+    scannet,
+    seven_scenes,
+    stray_scanner,
+    tum,
+    video,
+)
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.errors import DatasetError
 
@@ -22,6 +32,7 @@ KINDS: dict[str, Callable[[Path], Recording]] = {
     "nerfstudio": nerfstudio.describe,
     "stray-scanner": stray_scanner.describe,
     "folder": folder.describe,
+    "video": video.describe,
 }
 
 
@@ -30,6 +41,8 @@ def open_dataset(
     path: str | os.PathLike[str],
     image_size: tuple[int, int] | None = None,
     max_frames: int | None = None,
+    needs_depth: bool = True,
+    fov_deg: float | None = None,
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -40,16 +53,30 @@ def open_dataset(
         path: folder of the dataset.
         image_size: (width, height) in pixels to scale and crop to, or None for the native size.
         max_frames: maximum number of frames from the start, or None for all.
+        needs_depth: whether a recording without depth is an error.
+        fov_deg: horizontal field of view of a recording without intrinsics; None to estimate it.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
         FormatError: a text file is malformed.
     """
-    dataset = RecordedDataset(describe(kind, path), image_size, max_frames)
+    recording = describe(kind, path)
+    if fov_deg is not None:
+        if recording.calibrated:
+            raise DatasetError(f"{path} has intrinsics; remove the field of view")
+        camera = video.camera_with_fov(recording.camera, fov_deg)
+        recording = replace(recording, camera=camera, calibrated=True)
+    dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
-    if not first.depth_m.any():
+    depth = dataset.files(0).depth
+    if needs_depth and depth is None:
         raise DatasetError(
-            f"{dataset.files(0).depth} contains no valid depth; remove the first frame or check "
+            f"{path} has no depth images; add them, or estimate depth from the images with "
+            "--depth none"
+        )
+    if needs_depth and not first.depth_m.any():
+        raise DatasetError(
+            f"{depth} contains no valid depth; remove the first frame or check "
             f"how its depth was saved"
         )
     for flaw in dataset.recording.flaws:

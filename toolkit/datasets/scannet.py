@@ -50,7 +50,7 @@ def describe(path: Path) -> Recording:
     truth = attach_poses(files, poses) if pose_files else Truth(None)
     return Recording(
         name=folder.resolve().name,
-        camera=_camera(folder, files[0].rgb, files[0].depth),
+        camera=_camera(folder, files[0].rgb, next(iter(depth.values()))),
         files=files,
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,

@@ -52,7 +52,7 @@ def describe(path: Path) -> Recording:
             f"recording again"
         )
     truth = attach_poses(files, [pose for n, (_, pose) in rows.items() if n in depth])
-    height, width = read_depth_m(files[0].depth, DEPTH_SCALE).shape
+    height, width = read_depth_m(next(iter(depth.values())), DEPTH_SCALE).shape
     colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video).size)
     scale = width / colour.width, height / colour.height
     return Recording(

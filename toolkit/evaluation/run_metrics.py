@@ -10,7 +10,6 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,7 @@ from toolkit.evaluation.metrics import (
     view_quality,
 )
 from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores
-from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.evaluation.trajectory import Alignment, AlignmentKind, absolute_trajectory_error
 from toolkit.evaluation.walls import wall_thickness
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame
@@ -79,8 +78,8 @@ class MeasureOptions:
 
     Attributes:
         backend_name: the renderer.
-        alignment: "se3" for estimated poses; "none" for maps built from ground-truth poses, in
-            whose frame they are.
+        alignment: "se3" for estimated poses, "sim3" if their scale is unknown; "none" for maps
+            built from ground-truth poses, in whose frame they are.
         max_views: maximum number of evaluated views in each group (mapped, held out, unseen),
             evenly spaced.
         semantics: decoder and class names, None for a map without semantics.
@@ -89,7 +88,7 @@ class MeasureOptions:
     """
 
     backend_name: str = "auto"
-    alignment: Literal["none", "se3"] = "se3"
+    alignment: AlignmentKind = "se3"
     max_views: int = 100
     semantics: SemanticEvaluation | None = None
     mesh: Path | None = None
@@ -134,17 +133,18 @@ def measure_run(
     scores = [
         SemanticScores(options.semantics, suffix) for suffix in ("", "_unseen", "_unseen_refined")
     ]
+    alignment = _alignment(estimate, truth, options.alignment)
+    scale = 1.0 if alignment is None else alignment.scale
     mapped_quality = [
-        _quality(scene, view, options, scores[0])
+        _quality(scene, view, options, scores[0], scale)
         for view in _tracked_views(mapped, dataset, options.max_views)
     ]
     unseen_quality, refined_quality = [], []
-    T_map_world = _map_from_world(estimate, truth, options.alignment)
     tracker = DenseTracker(backend_name=options.backend_name)
-    for view in _unseen_views(held_out, dataset, unseen, T_map_world, options.max_views):
-        unseen_quality.append(_quality(scene, view, options, scores[1]))
-        refined = _refined(view, scene, tracker)
-        refined_quality.append(_quality(scene, refined, options, scores[2]))
+    for view in _unseen_views(held_out, dataset, unseen, alignment, options.max_views):
+        unseen_quality.append(_quality(scene, view, options, scores[1], scale))
+        refined = _refined(view, scene, tracker, scale)
+        refined_quality.append(_quality(scene, refined, options, scores[2], scale))
 
     return {
         **trajectory_metrics(estimate, truth, options.alignment),
@@ -152,7 +152,7 @@ def measure_run(
         **image_metrics(unseen_quality, "_unseen"),
         **image_metrics(refined_quality, "_unseen_refined"),
         **{name: value for score in scores for name, value in score.metrics().items()},
-        **_surface_metrics(scene, options.mesh, T_map_world),
+        **_surface_metrics(scene, options.mesh, alignment),
         **IMAGE_CONVENTIONS,
         **_view_conventions(options),
     }
@@ -205,16 +205,18 @@ def _unseen_views(
     held_out: Sequence[TrackedFrame],
     dataset: Dataset,
     unseen: Dataset | None,
-    T_map_world: NDArray[np.float64] | None,
+    alignment: Alignment | None,
     max_views: int,
 ) -> Iterator[View]:
     yield from _tracked_views(held_out, dataset, max_views)
-    if unseen is None or unseen.ground_truth is None or T_map_world is None:
+    if unseen is None or unseen.ground_truth is None or alignment is None:
         return
     for image in prefetched(unseen, _evenly_spaced(len(unseen), max_views)):
         T_world_camera = unseen.ground_truth.at(image.timestamp_s)
         if T_world_camera is not None:
-            yield View(image, T_map_world @ T_world_camera)
+            T_map_camera = se3.inverse(alignment.T_world_map) @ T_world_camera
+            T_map_camera[:3, 3] /= alignment.scale
+            yield View(image, T_map_camera)
 
 
 def _evenly_spaced(count: int, max_count: int) -> list[int]:
@@ -222,39 +224,48 @@ def _evenly_spaced(count: int, max_count: int) -> list[int]:
     return sorted({round(i) for i in np.linspace(0, count - 1, min(count, max_count))})
 
 
-def _map_from_world(
-    estimate: Trajectory, truth: Trajectory | None, alignment: Literal["none", "se3"]
-) -> NDArray[np.float64] | None:
-    """Return T_map_world [4, 4], None if it is unknown."""
-    if alignment == "none":
-        return np.eye(4)
+def _alignment(
+    estimate: Trajectory, truth: Trajectory | None, kind: AlignmentKind
+) -> Alignment | None:
+    """Return the transformation from the map to the world, None if it is unknown."""
+    if kind == "none":
+        return Alignment(np.eye(4))
     if truth is None or len(truth) == 0 or len(estimate) == 0:
         return None
-    error = absolute_trajectory_error(estimate, truth, alignment)
-    return se3.inverse(error.alignment.T_world_map)
+    return absolute_trajectory_error(estimate, truth, kind).alignment
 
 
 def _surface_metrics(
-    scene: GaussianScene, mesh: Path | None, T_map_world: NDArray[np.float64] | None
+    scene: GaussianScene, mesh: Path | None, alignment: Alignment | None
 ) -> Metrics:
-    if mesh is None or T_map_world is None:
+    # The thickness of walls is a length: without a scale there is none.
+    if mesh is None or alignment is None or alignment.scale != 1.0:
         return {}
-    return wall_thickness(scene, mesh, se3.inverse(T_map_world)).metrics()
+    return wall_thickness(scene, mesh, alignment.T_world_map).metrics()
 
 
-def _refined(view: View, scene: GaussianScene, tracker: DenseTracker) -> View:
-    """Refine pose and exposure of a view on the map; return the view unchanged if that fails."""
+def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: float) -> View:
+    """Refine pose and exposure of a view on the map; return the view unchanged if that fails.
+
+    Args:
+        scale: of the map.
+    """
     gaussians = scene.visible_from(view.frame.camera, view.T_map_camera)
     # The map's file does not store this flag; evaluate as after loading.
     gaussians = replace(gaussians, centred_colours=False)
-    result = tracker.locate(view.frame, gaussians, view.T_map_camera)
+    frame = replace(view.frame, depth_m=view.frame.depth_m / np.float32(scale))
+    result = tracker.locate(frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
     return replace(view, T_map_camera=result.T_map_camera, exposure=result.exposure)
 
 
 def _quality(
-    scene: GaussianScene, view: View, options: MeasureOptions, scores: SemanticScores
+    scene: GaussianScene,
+    view: View,
+    options: MeasureOptions,
+    scores: SemanticScores,
+    scale: float,
 ) -> ViewQuality:
     camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
     gaussians = scene.visible_from(camera, view.T_map_camera)
@@ -266,7 +277,7 @@ def _quality(
     colour = view.exposure.undo(rendered.output.colour.numpy())
     return view_quality(
         view.frame.index,
-        (colour.clip(0.0, 1.0).astype(np.float32), rendered.depth_m.numpy()),
+        (colour.clip(0.0, 1.0).astype(np.float32), np.float32(scale) * rendered.depth_m.numpy()),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,
     )

@@ -62,6 +62,22 @@ class VideoFile:
             raise DatasetError(f"frame {number} of {self._path} is damaged; copy the file again")
         return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.float32) / np.float32(255.0)
 
+    def timestamps_s(self) -> dict[int, float]:
+        """Time in seconds from the start by frame number, strictly increasing.
+
+        Frames that do not advance the time, as some damaged files have, are left out.
+        """
+        capture = self._opened()
+        times: dict[int, float] = {}
+        last, number = -1.0, 0
+        while capture.grab():
+            time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            if time_s > last:
+                times[number] = last = time_s
+            number += 1
+        capture.release()
+        return times
+
     def _opened(self) -> cv2.VideoCapture:
         if not self._path.is_file():
             raise DatasetError(f"cannot read {self._path}: no such file; check the path")

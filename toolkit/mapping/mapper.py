@@ -31,6 +31,7 @@ from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
+from toolkit.tracking.health import has_depth
 
 _log = logging.getLogger(__name__)
 
@@ -102,6 +103,8 @@ class Mapper:
         """Whether a tracked frame should become a keyframe."""
         if not self.keyframes:
             return True
+        if not has_depth(frame):
+            return False
         last = self.keyframes[-1]
         overlap = last.fraction_seen_by(T_map_camera)
         return self.keyframe_choice.wants(frame.index - last.index, overlap)

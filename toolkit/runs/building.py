@@ -35,8 +35,9 @@ def build_slam(
     """Build the SLAM system that the settings describe.
 
     Args:
-        dataset: the sequence to process. It supplies class names, and poses if `poses` is
-            "given"; None for frames of another source, such as a camera driver.
+        dataset: the sequence to process, a `MonocularSequence` if `depth` is "none". It supplies
+            class names, and the poses if they are given or monocular; None for frames of another
+            source, such as a camera driver.
         settings: settings of the run; defaults if absent.
         folder: stores submaps and the loop log; without it, they stay in memory.
         recorder: measures the time of each stage.
@@ -51,7 +52,8 @@ def build_slam(
     # Centred colours are only valid for the dense tracker: the papers' tracker compares rendered
     # pixels directly, and given poses need no comparison.
     centred = settings.mapping.centred
-    centred &= settings.poses == "slam" and settings.tracking.kind == "dense"
+    tracked = settings.poses == "slam" and settings.depth == "sensor"
+    centred &= tracked and settings.tracking.kind == "dense"
     mapper = Mapper(
         replace(settings.mapping, centred=centred),
         np.random.default_rng(settings.seed),
@@ -61,7 +63,7 @@ def build_slam(
         map_device(settings.device, settings.backend),
     )
     atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
-    if settings.poses == "slam":
+    if tracked:
         tracker = build_tracker(settings.tracking, settings.backend, recorder, code)
         closer = None
         if settings.loops.use:

@@ -6,7 +6,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.lpips import Lpips
@@ -14,6 +13,7 @@ from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
 from toolkit.evaluation.semantic_views import SemanticEvaluation
+from toolkit.evaluation.trajectory import AlignmentKind
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
@@ -118,6 +118,11 @@ def load_lpips(settings: RunSettings) -> Lpips | None:
     return Lpips.load(weights) if weights else None
 
 
-def alignment_kind(settings: RunSettings) -> Literal["none", "se3"]:
-    """Return how a run's trajectory is aligned: maps from given poses need no alignment."""
-    return "none" if settings.poses == "given" else "se3"
+def alignment_kind(settings: RunSettings) -> AlignmentKind:
+    """Return how a run's trajectory is aligned.
+
+    Maps from given poses need no alignment. Without depth, the scale is unknown.
+    """
+    if settings.poses == "given":
+        return "none"
+    return "sim3" if settings.depth == "none" else "se3"

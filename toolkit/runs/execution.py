@@ -10,13 +10,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from toolkit.datasets.base import Dataset
+from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
+from toolkit.monocular.motion import CameraMotion, estimate_motion
+from toolkit.monocular.sequence import MonocularSequence
 from toolkit.pacing.paced import PacedSlam
 from toolkit.pacing.record import PaceSummary
 from toolkit.result import SlamResult
@@ -27,7 +29,15 @@ from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
-from toolkit.runs.results import FINISH, ONLINE, held_out, write_results
+from toolkit.runs.results import (
+    FINISH,
+    MOTION,
+    ONLINE,
+    RunRecord,
+    held_out,
+    write_motion_alone,
+    write_results,
+)
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
@@ -60,10 +70,19 @@ def run(
     Raises:
         ToolkitError: bad settings, data or output folder.
     """
+    _check(settings)
     out = Path(out)
     path = _dataset_path(settings, out, resume, progress)
     settings = with_absolute_paths(_with_path(settings, path))
-    dataset = open_dataset(settings.dataset.kind, path, settings.image_size, settings.max_frames)
+    needs_depth = settings.depth == "sensor"
+    dataset = open_dataset(
+        settings.dataset.kind,
+        path,
+        settings.image_size,
+        settings.max_frames,
+        needs_depth,
+        settings.dataset.fov_deg,
+    )
     config = dump_settings(settings)
     load_lpips(settings)  # reports unusable weights before the run instead of after it
     # Check the saved map before the folder is created. A checkpoint already contains the map.
@@ -85,13 +104,22 @@ def run(
 
 def _execute(
     settings: RunSettings,
-    dataset: Dataset,
+    dataset: RecordedDataset,
     folder: RunFolder,
     saved: FinishedRun | None,
     progress: Progress,
 ) -> None:
     recorder = StageRecorder()
-    slam = build_slam(dataset, settings, folder, recorder)
+    sequence: Dataset = dataset
+    motion = None
+    if settings.depth == "none":
+        with recorder.timed(MOTION), _logged_to(folder.log):
+            motion = _motion(dataset, progress)
+            if not motion.views:
+                write_motion_alone(motion, folder)
+                return
+        sequence = MonocularSequence(dataset, motion)
+    slam = build_slam(sequence, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     system = slam if paced is None else paced
     folder.check_taxonomy(slam.result().taxonomy)
@@ -107,7 +135,7 @@ def _execute(
         indices = range(start or 0, len(dataset))
         expected = ExpectedTime(settings, dataset.camera, indices, recorder)
         frames = progress(
-            prefetched(dataset, indices, prepare=slam.prepare), len(dataset), indices.start
+            prefetched(sequence, indices, prepare=slam.prepare), len(dataset), indices.start
         )
         if paced is not None:
             _log.info(
@@ -128,7 +156,49 @@ def _execute(
         pace = None if paced is None else _log_pace(paced.summary())
         with recorder.timed(FINISH):
             result = _finish(slam)
-        write_results(result, dataset, folder, settings, recorder, pace)
+        write_results(result, dataset, folder, settings, RunRecord(recorder, pace, motion))
+
+
+def _check(settings: RunSettings) -> None:
+    """Reject what does not work without a depth sensor.
+
+    Raises:
+        SettingsError: with the option to remove.
+    """
+    if settings.depth == "sensor":
+        return
+    for name, used in {
+        "--pace": settings.pace,
+        "--map": settings.map,
+        "--poses given": settings.poses == "given",
+    }.items():
+        if used:
+            raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
+
+
+def _motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
+    """Estimate the motion of the camera from the images alone, and log what is not certain."""
+    _log.info("Estimating the motion of the camera from the images.")
+    total = len(dataset)
+
+    def frames() -> Iterable[Frame]:
+        return progress(prefetched(dataset, range(total)), total, 0)
+
+    calibrated = dataset.recording.calibrated
+    motion = estimate_motion(frames, dataset.camera, calibrated)
+    if not calibrated:
+        _log.info("The focal length is %.0f pixels.", motion.camera.fx)
+        dataset.camera = motion.camera
+    if motion.views:
+        _log.info(
+            "Found the motion of %d of %d frames, with %d keyframes.",
+            len(motion.trajectory),
+            total,
+            len(motion.views),
+        )
+    for doubt in motion.doubts:
+        _log.warning("The result is not reliable: %s.", doubt)
+    return motion
 
 
 def _restore(system: Slam | PacedSlam, dataset: Dataset, folder: RunFolder) -> int | None:

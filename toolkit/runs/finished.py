@@ -120,7 +120,16 @@ class FinishedRun:
         if path is None:
             raise DatasetError(f"{self.folder.config} has no dataset.path; add it to the file")
         size = image_size or self.settings.image_size
-        return open_dataset(self.settings.dataset.kind, path, size, self.settings.max_frames)
+        settings = self.settings
+        needs_depth = settings.depth == "sensor"
+        return open_dataset(
+            settings.dataset.kind,
+            path,
+            size,
+            settings.max_frames,
+            needs_depth,
+            settings.dataset.fov_deg,
+        )
 
 
 def load_run(path: str | os.PathLike[str]) -> FinishedRun:

@@ -33,6 +33,7 @@ from toolkit.io.splats import SplatLabels
 from toolkit.io.visualisation import view_strip
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.monocular.motion import CameraMotion
 from toolkit.pacing.record import PaceSummary
 from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
@@ -46,8 +47,9 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
-# Stages of a run's wall-clock time: the loop over the frames, and what follows it.
-ONLINE, FINISH = "online", "finish"
+# Stages of a run's wall-clock time: the motion of the camera before the loop over the frames where
+# there is no depth, the loop, and what follows it.
+MOTION, ONLINE, FINISH = "motion", "online", "finish"
 
 _NUM_VIEWS = 6
 _LEGEND_ROWS = 8
@@ -61,19 +63,30 @@ def held_out(index: int, settings: RunSettings) -> bool:
     return settings.hold_out is not None and index % settings.hold_out == settings.hold_out - 1
 
 
+@dataclass(frozen=True)
+class RunRecord:
+    """How a run came about.
+
+    Attributes:
+        recorder: times of its stages.
+        pace: delays of a run in real time, None for other runs.
+        motion: motion of the camera that a run without depth starts from, None for other runs.
+    """
+
+    recorder: StageRecorder
+    pace: PaceSummary | None = None
+    motion: CameraMotion | None = None
+
+
 def write_results(
     result: SlamResult,
     dataset: Dataset,
     folder: RunFolder,
     settings: RunSettings,
-    recorder: StageRecorder,
-    pace: PaceSummary | None = None,
+    record: RunRecord,
 ) -> None:
-    """Write trajectory, map, rendered views, metrics and report of a finished run.
-
-    Args:
-        pace: delays of a run in real time, None for other runs.
-    """
+    """Write trajectory, map, rendered views, metrics and report of a finished run."""
+    recorder, pace, motion = record.recorder, record.pace, record.motion
     scene: GaussianScene = result.map
     if result.taxonomy is not None:
         features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
@@ -100,6 +113,9 @@ def write_results(
     metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
     metrics |= _loop_metrics(dataset, folder, settings)
     metrics |= {} if pace is None else pace.metrics()
+    if motion is not None:
+        motion_ms = recorder.total_ms(MOTION) or 0.0
+        metrics |= motion.metrics() | {"motion_ms_per_frame": motion_ms / motion.frames}
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder)
@@ -108,6 +124,13 @@ def write_results(
         report = replace(report, delays=_delay_series(pace))
     write_report(folder.report, report)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
+
+
+def write_motion_alone(motion: CameraMotion, folder: RunFolder) -> None:
+    """Write the metrics of a run without a map, because its motion could not be determined."""
+    lost = {"frames": motion.frames, "frames_lost": motion.frames - len(motion.trajectory)}
+    write_metrics(folder.metrics, {**lost, **motion.metrics()})
+    _log.warning("There is no map; %s states the reason.", folder.metrics)
 
 
 def _labelled_parts(
@@ -195,7 +218,7 @@ def _costs(
         mapping_ms=recorder.total_ms("placing", "mapping"),
         refinement_ms=recorder.total_ms("refinement"),
         online_ms=recorder.total_ms(ONLINE),
-        total_ms=recorder.total_ms(ONLINE, FINISH),
+        total_ms=recorder.total_ms(MOTION, ONLINE, FINISH),
         peak_memory_mb=peak_memory_mb(),
         map_mb=count * gaussian_bytes(result.semantics.channels) / 1e6,
     )

@@ -51,6 +51,9 @@ class RunSettings:
     is excluded."""
     denoise: bool = True
     """Smooth depth images according to their estimated noise."""
+    depth: Literal["sensor", "none"] = "sensor"
+    """Depth of the images: that of the dataset (sensor), or estimated from the images alone (none).
+    Without depth, the unit of length is arbitrary."""
     poses: Literal["slam", "given"] = "slam"
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
     pace: FramesPerSecond = 0.0

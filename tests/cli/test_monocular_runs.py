@@ -1,0 +1,111 @@
+"""`semsplat run --depth none`: maps from colour alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from moving_camera import film, turn, walk
+from test_finished_run_programs import one_line_of_error
+
+from toolkit.cli.main import main
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import images
+from toolkit.io.splats import read_splats
+from toolkit.io.trajectories import read_tum, write_tum
+
+QUICK = [
+    *("--mapping.first-iterations", "6"),
+    *("--mapping.iterations", "3"),
+    *("--mapping.final-iterations", "2"),
+    *("--mapping.keyframes.interval", "1"),
+]
+
+
+def write_film(folder: Path, poses: np.ndarray) -> Path:
+    """A recording of kind `folder` without depth."""
+    frames = film(poses)
+    (folder / "rgb").mkdir(parents=True)
+    for frame in frames:
+        images.write_rgb(folder / "rgb" / f"{frame.index:03d}.png", frame.rgb)
+    camera = frames[0].camera
+    names = ("fx", "fy", "cx", "cy", "width", "height")
+    intrinsics = {name: getattr(camera, name) for name in names} | {"fps": 30.0}
+    (folder / "intrinsics.yaml").write_text(yaml.safe_dump(intrinsics))
+    write_tum(folder / "trajectory.txt", Trajectory(np.arange(len(poses)) / 30.0, poses))
+    return folder
+
+
+def arguments(recording: Path, out: Path, *more: str) -> list[str]:
+    place = ["--dataset.kind", "folder", "--dataset.path", str(recording)]
+    return ["run", *place, *QUICK, "--out", str(out), *more]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    return write_film(tmp_path_factory.mktemp("film") / "walk", walk(12))
+
+
+@pytest.fixture(scope="module")
+def run(recording, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "run"
+    assert main(arguments(recording, out, "--depth", "none")) == 0
+    return out
+
+
+def metrics_of(run: Path) -> dict:
+    return json.loads((run / "metrics.json").read_text())
+
+
+def test_colour_alone_gives_a_trajectory_and_a_map(run):
+    metrics = metrics_of(run)
+    assert metrics["ate_alignment"] == "sim3"
+    assert metrics["ate_rmse_cm"] < 3.0  # of 52 cm
+    assert metrics["ate_scale"] != 1.0
+    assert metrics["monocular_reliable"] is True
+    assert metrics["psnr_db"] > 20.0
+    assert len(read_tum(run / "trajectory.txt")) == 12
+    assert len(read_splats(run / "map.ply").means) > 1000
+
+
+def test_a_run_can_be_evaluated_again(run, capsys):
+    before = metrics_of(run)
+    assert main(["evaluate", str(run)]) == 0
+    after = metrics_of(run)
+    assert after["ate_rmse_cm"] == pytest.approx(before["ate_rmse_cm"], rel=1e-3)
+    assert after["psnr_db"] == pytest.approx(before["psnr_db"], abs=0.05)
+    assert after["monocular_reliable"] is True
+
+
+def test_runs_are_reproducible(recording, run, tmp_path):
+    assert main(arguments(recording, tmp_path / "again", "--depth", "none")) == 0
+    for name in ("trajectory.txt", "map.ply"):
+        assert (tmp_path / "again" / name).read_bytes() == (run / name).read_bytes()
+
+
+def test_a_camera_that_only_turns_ends_without_a_map(tmp_path, capsys):
+    recording = write_film(tmp_path / "turn", turn(10))
+    out = tmp_path / "run"
+    assert main(arguments(recording, out, "--depth", "none")) == 0
+    metrics = metrics_of(out)
+    assert metrics["monocular_reliable"] is False
+    assert "the camera has only turned" in metrics["monocular_doubts"]
+    assert "The result is not reliable" in (out / "log.txt").read_text()
+    assert not (out / "map.ply").exists()
+
+
+def test_a_recording_without_depth_needs_the_option(recording, tmp_path, capsys):
+    assert main(arguments(recording, tmp_path / "run")) == 2
+    assert "--depth none" in one_line_of_error(capsys)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("words", [("--pace", "30"), ("--map", "somewhere"), ("--poses", "given")])
+def test_what_needs_depth_is_refused(recording, tmp_path, capsys, words):
+    assert main(arguments(recording, tmp_path / "run", "--depth", "none", *words)) == 2
+    line = one_line_of_error(capsys)
+    assert words[0] in line
+    assert "needs depth images" in line
