@@ -83,6 +83,21 @@ def test_images_without_texture_are_lost():
     assert "followed" in blank.reason
 
 
+def test_tracking_continues_after_covered_images(walked):
+    odometry = VisualOdometry(walked[0].camera)
+    covered = [*walked[:8], *[None] * 3, *walked[8:]]
+    states = []
+    for frame in covered:
+        image = np.full((120, 160), 30, np.uint8) if frame is None else grey(frame)
+        states.append(odometry.process(image).state)
+    assert states[8:11] == [State.LOST] * 3
+    assert states[11:] == [State.TRACKING] * len(walked[8:])
+    known = [n for n in range(len(covered)) if n not in (8, 9, 10)]
+    poses = np.array([odometry.T_world_camera(n) for n in known])
+    error, _ = error_m(Trajectory(np.arange(len(known)) / 30.0, poses), walk())
+    assert error < 0.02
+
+
 def test_tracks_follow_the_image(walked):
     tracks = FeatureTracks(100)
     tracks.follow(grey(walked[0]))

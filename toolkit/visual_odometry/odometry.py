@@ -105,10 +105,12 @@ class VisualOdometry:
         self._poses: dict[int, tuple[int, Array]] = {}  # by frame: view and T_view_camera
         self._last: list[Array] = []  # the last two poses
         self._assumed = 1.0 / MEDIAN_DEPTH
+        self._image = self._view_image = np.zeros((camera.height, camera.width), np.uint8)
 
     def process(self, image: NDArray[np.uint8]) -> OdometryResult:
         """Estimate the pose of the next image [H, W]."""
         self._frame += 1
+        self._image = image
         self._tracks.follow(image)
         if not self.views:
             return self._initialise()
@@ -150,8 +152,7 @@ class VisualOdometry:
         return OdometryResult(State.TRACKING, T, True)
 
     def _restart(self) -> None:
-        """Start again at the newest frame."""
-        self._tracks.keep(np.zeros(len(self._tracks.features), bool))
+        """Start again at the next frame."""
         self._tracks = FeatureTracks(self.options.features)
         self._waiting = []
 
@@ -167,10 +168,10 @@ class VisualOdometry:
     def _track(self) -> OdometryResult:
         features = self._tracks.features
         if len(features) < _MIN_TRACKED:
-            return OdometryResult(State.LOST, reason="too few features are followed")
+            return self._lost("too few features are followed")
         T, fits = self._best(features)
         if fits.sum() < max(_MIN_TRACKED, _MIN_FITTING * len(features)):
-            return OdometryResult(State.LOST, reason="features do not fit the map")
+            return self._lost("features do not fit the map")
         # A feature that does not fit follows something that moves, or an edge.
         self._tracks.keep(fits)
         measured = int(self.table.measured[self._tracks.features.ids].sum())
@@ -190,21 +191,25 @@ class VisualOdometry:
         self._last[-1] = T
         return OdometryResult(State.TRACKING, T, True)
 
+    def _lost(self, reason: str) -> OdometryResult:
+        """Let the next frame be compared with the last view, which it may show again."""
+        last = self.views[-1]
+        self._tracks.continue_from(self._view_image, last.features)
+        self._last = [last.T_world_camera, last.T_world_camera]
+        return OdometryResult(State.LOST, reason=reason)
+
     def _best(self, features: Features) -> tuple[Array, NDArray[np.bool_]]:
         """Pose from constant velocity or, if few features fit then, from random samples."""
         before, last = self._last
         T, fits = self._located(features, last @ se3.inverse(before) @ last)
         if fits.sum() > _MOSTLY_FITTING * len(features):
             return T, fits
-        ids = features.ids
-        anchors = np.array([self.views[a].T_world_camera for a in self.table.anchor[ids]])
-        depth = 1.0 / self.table.inverse_depth[ids]
-        px = self.table.px[ids]
-        camera = self.camera
-        local = rays(camera, px) * depth[:, None]
-        points = np.einsum("nij,nj->ni", anchors[:, :3, :3], local) + anchors[:, :3, 3]
         ok, rotation, translation, _ = cv2.solvePnPRansac(
-            points, features.px, camera.matrix, None, reprojectionError=_MAX_ERROR_PX
+            self._points(features.ids),
+            features.px,
+            self.camera.matrix,
+            None,
+            reprojectionError=_MAX_ERROR_PX,
         )
         if not ok:
             return T, fits
@@ -261,13 +266,15 @@ class VisualOdometry:
         """Depths [N] > 0 of the landmarks that a view shows."""
         view = self.views[number]
         ids = view.features.ids[self.table.measured[view.features.ids]]
-        T = np.array([self.views[a].T_world_camera for a in self.table.anchor[ids]])
-        depth = 1.0 / self.table.inverse_depth[ids]
-        local = rays(self.camera, self.table.px[ids]) * depth[:, None]
-        points = np.einsum("nij,nj->ni", T.reshape(-1, 4, 4)[:, :3, :3], local)
-        points += T.reshape(-1, 4, 4)[:, :3, 3]
-        z = se3.transform_points(se3.inverse(view.T_world_camera), points)[:, 2]
+        z = se3.transform_points(se3.inverse(view.T_world_camera), self._points(ids))[:, 2]
         return np.asarray(z[z > 0])
+
+    def _points(self, ids: NDArray[np.int64]) -> Array:
+        """Positions [N, 3] of landmarks in the world."""
+        anchors = [self.views[a].T_world_camera for a in self.table.anchor[ids]]
+        T = np.array(anchors).reshape(-1, 4, 4)
+        local = rays(self.camera, self.table.px[ids]) / self.table.inverse_depth[ids, None]
+        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], local) + T[:, :3, 3])
 
     def adjust_all(self, focal: bool = False) -> BundleResult | None:
         """Bundle adjustment over all views, of which the first is held; None without views.
@@ -292,7 +299,7 @@ class VisualOdometry:
     def _replenish(self) -> None:
         """Find new features in the newest view."""
         features = self._tracks.replenish()
-        self.views[-1].features = features
+        self.views[-1].features, self._view_image = features, self._image
         self.table.add(len(self.views) - 1, features)
         # Until there is parallax, new landmarks hold the direction of the camera and, at the depth
         # of the scene around, roughly its position.

@@ -77,6 +77,10 @@ class FeatureTracks:
         self.features = Features(self.features.ids[good], after[good].astype(np.float64))
         return self.features
 
+    def continue_from(self, image: NDArray[np.uint8], features: Features) -> None:
+        """Follow features from another image [H, W] into the next one."""
+        self._image, self.features = image, features
+
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Remove the features outside a mask [N]."""
         self.features = self.features.select(mask)
