@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -12,6 +13,7 @@ from moving_camera import film, turn, walk
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
+from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.splats import read_splats
@@ -78,6 +80,26 @@ def test_a_run_can_be_evaluated_again(run, capsys):
     assert after["ate_rmse_cm"] == pytest.approx(before["ate_rmse_cm"], rel=1e-3)
     assert after["psnr_db"] == pytest.approx(before["psnr_db"], abs=0.05)
     assert after["monocular_reliable"] is True
+
+
+def test_an_estimated_focal_length_is_used_again(tmp_path):
+    wave = [[0.1, 4], [0.15, 3], [0.25, 5], [0.1, 4]]
+    poses = []
+    for n in range(24):
+        y, *turns = (size * np.sin(n / slowness) for size, slowness in wave)
+        poses.append(se3.exp([0.05 * n, y, 0.03 * n, *turns]))
+    frames = film(np.array(poses))
+    path, out = tmp_path / "film.avi", tmp_path / "run"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (160, 120))
+    for frame in frames:
+        writer.write(np.round(255 * frame.rgb[..., ::-1]).astype(np.uint8))
+    writer.release()
+    place = ["--dataset.kind", "video", "--dataset.path", str(path), "--depth", "none"]
+    assert main(["run", *place, *QUICK, "--out", str(out)]) == 0
+    before = metrics_of(out)
+    assert before["monocular_focal_px"] == pytest.approx(frames[0].camera.fx, rel=0.05)
+    assert main(["evaluate", str(out)]) == 0
+    assert metrics_of(out)["psnr_db"] == pytest.approx(before["psnr_db"], abs=0.05)
 
 
 def test_runs_are_reproducible(recording, run, tmp_path):

@@ -25,8 +25,7 @@ _MIN_LANDMARKS = 10
 # to the median depth: replica_office0 0.2, fr1_rpy, which only turns, 0.03.
 _MIN_EXTENT = 0.05
 _MAX_MISSING = 0.2
-# Accurate sequences have at least 93 (office0), the HoloLens walk, whose scale changes where the
-# camera turns, 3, fr1_rpy 58.
+# The HoloLens walk, whose scale changes where the camera turns, has 2 or 3; fr1_rpy 21 to 58.
 _MIN_CONNECTED = 75
 # Median reprojection error relative to the width of the image.
 _MAX_ERROR = 1.0 / 320.0
@@ -49,8 +48,9 @@ class CameraMotion:
         frames: number of frames.
         extent: RMS distance of the camera from its mean position relative to the median depth.
         error_px: median reprojection error; nan without keyframes.
-        weakest: smallest number of measured points that connect a frame with the keyframes before,
-            and the frame's number; None if that was never counted.
+        weakest: smallest number of points with a measured depth that connect a frame with the
+            keyframes before where most points have none, and the frame's number; None if that
+            never happened.
         without_pose: why frames have no pose: number of frames by reason.
         doubts: why the result is not reliable; empty if it is.
     """

@@ -122,7 +122,7 @@ class FinishedRun:
         size = image_size or self.settings.image_size
         settings = self.settings
         needs_depth = settings.depth == "sensor"
-        return open_dataset(
+        dataset = open_dataset(
             settings.dataset.kind,
             path,
             size,
@@ -130,6 +130,10 @@ class FinishedRun:
             needs_depth,
             settings.dataset.fov_deg,
         )
+        camera = self.stored_camera
+        if not dataset.recording.calibrated and camera and camera.size == dataset.camera.size:
+            dataset.camera = camera  # the focal length that the run has estimated
+        return dataset
 
 
 def load_run(path: str | os.PathLike[str]) -> FinishedRun:

@@ -76,6 +76,8 @@ _MAX_ERROR_PX = 3.0
 _MIN_FITTING = 0.4
 _MOSTLY_FITTING = 0.7
 _MIN_PARALLAX_RAD = np.radians(0.5)
+# Fraction of a frame's landmarks below which those with a measured depth are few.
+_WEAK = 0.4
 # Frames that wait for parallax; the first one moves on where its features get lost.
 _MIN_FIRST = 60
 
@@ -90,8 +92,8 @@ class VisualOdometry:
     Attributes:
         views: the keyframes.
         table: landmarks of all features.
-        weakest: smallest number of measured landmarks that connect a frame with the views, and
-            that frame; None before the initialisation.
+        weakest: smallest number of measured landmarks that connect a frame with the views where
+            most landmarks are assumed, and that frame; None where that never happened.
     """
 
     def __init__(self, camera: Camera, options: OdometryOptions | None = None) -> None:
@@ -175,7 +177,8 @@ class VisualOdometry:
         # A feature that does not fit follows something that moves, or an edge.
         self._tracks.keep(fits)
         measured = int(self.table.measured[self._tracks.features.ids].sum())
-        if self.weakest is None or measured < self.weakest[0]:
+        weak = measured < _WEAK * len(self._tracks.features)
+        if weak and (self.weakest is None or measured < self.weakest[0]):
             self.weakest = measured, self._frame
         self._last = [self._last[-1], T]
         view = len(self.views) - 1
