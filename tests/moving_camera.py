@@ -28,6 +28,15 @@ def turn(frames: int = 14) -> NDArray[np.float64]:
     return np.array([se3.exp([0.0, 0.0, 0.0, 0.0, 0.03 * n, 0.0]) for n in range(frames)])
 
 
+def wind(frames: int = 24) -> NDArray[np.float64]:
+    """Poses [N, 4, 4] of a walk with turns in several directions, which tell the focal length."""
+    poses = []
+    for n in range(frames):
+        y, *turns = (a * np.sin(n / b) for a, b in ((0.1, 4), (0.15, 3), (0.25, 5), (0.1, 4)))
+        poses.append(se3.exp([0.05 * n, y, 0.03 * n, *turns]))
+    return np.array(poses)
+
+
 def film(T_world_camera: NDArray[np.float64]) -> list[Frame]:
     """The images at some poses, with fine patterns on the walls; they have true depth, too."""
     rng = np.random.default_rng(3)

@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from moving_camera import film, turn, walk
+from moving_camera import film, turn, walk, wind
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
-from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.splats import read_splats
@@ -83,12 +82,7 @@ def test_a_run_can_be_evaluated_again(run, capsys):
 
 
 def test_an_estimated_focal_length_is_used_again(tmp_path):
-    wave = [[0.1, 4], [0.15, 3], [0.25, 5], [0.1, 4]]
-    poses = []
-    for n in range(24):
-        y, *turns = (size * np.sin(n / slowness) for size, slowness in wave)
-        poses.append(se3.exp([0.05 * n, y, 0.03 * n, *turns]))
-    frames = film(np.array(poses))
+    frames = film(wind())
     path, out = tmp_path / "film.avi", tmp_path / "run"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (160, 120))
     for frame in frames:

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from moving_camera import film, walk
 
+from toolkit.alignment.levels import intensity_of
 from toolkit.depth_priors import plane_sweep as module
 from toolkit.depth_priors.multi_view import DepthView, MultiViewDepth
 from toolkit.depth_priors.plane_sweep import plane_sweep
 from toolkit.errors import DependencyError
 from toolkit.geometry import se3
-from toolkit.monocular.motion import intensity_of
 from toolkit.native import available_instruction_sets, load_variant
 
 POSES = walk(9)[::2]
 FRAMES = film(POSES)
-IMAGES = [np.ascontiguousarray(intensity_of(frame.rgb)) for frame in FRAMES]
+IMAGES = [intensity_of(frame.rgb).numpy() for frame in FRAMES]
 RANGE = (0.2, 1.0)
 
 
@@ -35,7 +35,7 @@ def relative_error(inverse_depth: np.ndarray, number: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", available_instruction_sets())
 def test_depth_is_found_nearly_everywhere(name, monkeypatch):
-    monkeypatch.setattr(module, "kernels", lambda: load_variant(name))
+    monkeypatch.setattr(module, "require_kernels", lambda: load_variant(name))
     found = plane_sweep(FRAMES[2].camera, IMAGES[2], sources(2, 0, 1, 3, 4), RANGE, 48)
     error = relative_error(found.inverse_depth, 2)
     assert (found.inverse_depth > 0).mean() > 0.9
@@ -54,7 +54,7 @@ def test_a_hidden_or_unrelated_source_does_no_harm():
 def test_instruction_sets_agree(monkeypatch):
     results = []
     for name in available_instruction_sets():
-        monkeypatch.setattr(module, "kernels", lambda name=name: load_variant(name))
+        monkeypatch.setattr(module, "require_kernels", lambda name=name: load_variant(name))
         results.append(plane_sweep(FRAMES[1].camera, IMAGES[1], sources(1, 0, 3), RANGE, 32))
     for other in results[1:]:
         same = np.isclose(other.inverse_depth, results[0].inverse_depth, rtol=0.01)
@@ -91,7 +91,7 @@ def test_unusable_input_is_rejected(arguments, message):
 
 
 def test_without_kernels_there_is_a_remedy(monkeypatch):
-    monkeypatch.setattr(module, "kernels", lambda: None)
+    monkeypatch.setattr("toolkit.native.loading.kernels", lambda: None)
     with pytest.raises(DependencyError, match=r"g\+\+"):
         plane_sweep(FRAMES[0].camera, IMAGES[0], sources(0, 1), RANGE, 8)
 

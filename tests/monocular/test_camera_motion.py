@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from moving_camera import error_m, film, turn, walk
+from moving_camera import error_m, film, turn, walk, wind
 
 from toolkit.frame import Frame
-from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.motion import CameraMotion, estimate_motion
 from toolkit.monocular.sequence import MonocularSequence
@@ -103,12 +102,7 @@ def test_frames_without_pose_are_reported(walked):
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_an_unknown_focal_length_is_estimated(factor):
     """Only turns in several directions tell it."""
-    wave = [[0.1, 4], [0.15, 3], [0.25, 5], [0.1, 4]]
-    poses = []
-    for n in range(24):
-        y, *turns = (size * np.sin(n / slowness) for size, slowness in wave)
-        poses.append(se3.exp([0.05 * n, y, 0.03 * n, *turns]))
-    frames = film(np.array(poses))
+    frames = film(wind())
     true = frames[0].camera
     wrong = replace(true, fx=factor * true.fx, fy=factor * true.fy)
     motion = estimate_motion(lambda: frames, wrong, calibrated=False)

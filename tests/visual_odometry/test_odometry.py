@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from moving_camera import error_m, film, turn, walk
 
+from toolkit.alignment.levels import intensity_of
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.motion import intensity_of
 from toolkit.visual_odometry.odometry import OdometryResult, State, VisualOdometry
 from toolkit.visual_odometry.tracks import FeatureTracks
 
 
 def grey(frame: Frame) -> np.ndarray:
-    return np.round(255 * intensity_of(frame.rgb)).astype(np.uint8)
+    return np.round(255 * intensity_of(frame.rgb).numpy()).astype(np.uint8)
 
 
 def fed(frames: Sequence[Frame]) -> tuple[VisualOdometry, list[OdometryResult]]:

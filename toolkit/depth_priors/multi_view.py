@@ -118,29 +118,32 @@ class MultiViewDepth:
 
     def _swept(self, number: int) -> Image:
         """Depth [H, W] of a keyframe from the images around it, 0 where unknown."""
-        if number not in self._depths:
-            view = self._views[number]
-            around = self._around(number)
-            sources = [(self._image(n), self._T_from_to(number, n)) for n in around]
-            baseline = max(float(np.linalg.norm(T[:3, 3])) for _, T in sources)
-            far, near = 1.0 / (_FARTHER * view.far), _NEARER / view.near
-            steps = baseline * self._camera.focal * (near - far) / _STEP_PX
-            planes = int(np.clip(np.ceil(steps), _MIN_PLANES, _MAX_PLANES))
-            image = self._image(number)
-            inverse = plane_sweep(
-                self._camera, image, sources, (far, near), planes, self._sweep
-            ).inverse_depth
-            known = inverse > 0
-            self._depths[number] = np.where(known, 1.0 / np.where(known, inverse, 1.0), 0.0).astype(
-                np.float32
-            )
-            while len(self._depths) > _CACHED:
-                self._depths.popitem(last=False)
-        return self._depths[number]
+        return _cached(self._depths, number, self._sweep_of)
+
+    def _sweep_of(self, number: int) -> Image:
+        view = self._views[number]
+        around = self._around(number)
+        sources = [(self._image(n), self._T_from_to(number, n)) for n in around]
+        baseline = max(float(np.linalg.norm(T[:3, 3])) for _, T in sources)
+        far, near = 1.0 / (_FARTHER * view.far), _NEARER / view.near
+        steps = baseline * self._camera.focal * (near - far) / _STEP_PX
+        planes = int(np.clip(np.ceil(steps), _MIN_PLANES, _MAX_PLANES))
+        image = self._image(number)
+        inverse = plane_sweep(
+            self._camera, image, sources, (far, near), planes, self._sweep
+        ).inverse_depth
+        known = inverse > 0
+        depth = np.where(known, 1.0 / np.where(known, inverse, 1.0), 0.0)
+        return depth.astype(np.float32)
 
     def _image(self, number: int) -> Image:
-        if number not in self._images:
-            self._images[number] = self._intensity(self._views[number].frame)
-            while len(self._images) > _CACHED:
-                self._images.popitem(last=False)
-        return self._images[number]
+        return _cached(self._images, number, lambda n: self._intensity(self._views[n].frame))
+
+
+def _cached(cache: OrderedDict[int, Image], number: int, compute: Callable[[int], Image]) -> Image:
+    """A keyframe's image from a cache of the last computed ones."""
+    if number not in cache:
+        cache[number] = compute(number)
+        while len(cache) > _CACHED:
+            cache.popitem(last=False)
+    return cache[number]

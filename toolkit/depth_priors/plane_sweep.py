@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError
 from toolkit.geometry.camera import Camera
-from toolkit.native.loading import kernels
+from toolkit.native.loading import require_kernels
 
 
 @dataclass(frozen=True)
@@ -73,12 +72,7 @@ def plane_sweep(
     far, near = inverse_depths
     if not sources or planes < 2 or not 0 <= far < near:
         raise ValueError("a sweep needs a source, two planes, and 0 <= far < near")
-    module = kernels()
-    if module is None:
-        raise DependencyError(
-            "depth from images needs the compiled kernels; install a C++ compiler "
-            "(apt-get install g++) and run: pip install --force-reinstall --no-deps ."
-        )
+    module = require_kernels()
     result = SweptDepth(*(np.empty(shape, np.float32) for _ in range(3)))
     module.plane_sweep(
         (camera.fx, camera.fy, camera.cx, camera.cy),

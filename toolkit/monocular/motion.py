@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from toolkit.alignment.levels import intensity_of
 from toolkit.depth_priors.multi_view import DepthView
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.native.constants import LUMA_BLUE, LUMA_GREEN, LUMA_RED
 from toolkit.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State, VisualOdometry
 
 # Percentiles of a keyframe's landmark depths that count as near and far.
@@ -90,11 +89,6 @@ class CameraMotion:
         }
 
 
-def intensity_of(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Intensity [H, W] float32 of an image [H, W, 3]."""
-    return rgb @ np.array([LUMA_RED, LUMA_GREEN, LUMA_BLUE], np.float32)
-
-
 def estimate_motion(
     frames: Callable[[], Iterable[Frame]],
     camera: Camera,
@@ -127,7 +121,7 @@ def _estimate(
     reasons: Counter[str] = Counter()
     times: list[float] = []
     for frame in frames:
-        image = np.round(255.0 * intensity_of(frame.rgb)).clip(0, 255).astype(np.uint8)
+        image = np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
         result = odometry.process(image)
         times.append(frame.timestamp_s)
         if result.state is not State.TRACKING and result.reason != FIRST_IMAGES:

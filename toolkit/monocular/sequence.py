@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.depth_priors.multi_view import MultiViewDepth
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.motion import CameraMotion, intensity_of
+from toolkit.monocular.motion import CameraMotion
 
 
 class MonocularSequence:
@@ -51,4 +52,4 @@ class MonocularSequence:
         return prefetched(self, range(len(self)))
 
     def _intensity(self, index: int) -> NDArray[np.float32]:
-        return np.ascontiguousarray(intensity_of(self._dataset[index].rgb))
+        return intensity_of(self._dataset[index].rgb).numpy()
