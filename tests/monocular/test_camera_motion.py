@@ -34,7 +34,7 @@ class Film:
 
 
 def motion_of(frames: list[Frame], **options) -> CameraMotion:
-    return estimate_motion(lambda: frames, frames[0].camera, **options)
+    return estimate_motion(frames, frames[0].camera, **options)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_an_unknown_focal_length_is_estimated(factor):
     frames = film(wind())
     true = frames[0].camera
     wrong = replace(true, fx=factor * true.fx, fy=factor * true.fy)
-    motion = estimate_motion(lambda: frames, wrong, calibrated=False)
+    motion = estimate_motion(frames, wrong, calibrated=False)
     assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
     assert motion.focal_sigma == pytest.approx(0.01, rel=0.5)
     assert motion.metrics()["monocular_focal_px"] == motion.camera.fx

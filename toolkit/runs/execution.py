@@ -181,11 +181,13 @@ def _motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
     _log.info("Estimating the motion of the camera from the images.")
     total = len(dataset)
 
-    def frames() -> Iterable[Frame]:
-        return progress(prefetched(dataset, range(total)), total, 0)
-
     calibrated = dataset.recording.calibrated
-    motion = estimate_motion(frames, dataset.camera, calibrated)
+    motion = estimate_motion(
+        dataset,
+        dataset.camera,
+        calibrated,
+        progress=lambda frames: progress(frames, total, 0),
+    )
     if not calibrated:
         _log.info("The focal length is %.0f pixels.", motion.camera.fx)
         dataset.camera = motion.camera
