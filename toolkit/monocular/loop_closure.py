@@ -27,7 +27,6 @@ from toolkit.monocular.revisits import (
 from toolkit.pose_graph.similarity import SimilarityEdge, solve_similarities
 from toolkit.visual_odometry.scale_drift import scale_sigma
 from toolkit.visual_odometry.sparse_map import MAX_ERROR_PX, PointTracks, SparseMap
-from toolkit.visual_odometry.two_view import rays, triangulate
 
 Array = NDArray[np.float64]
 
@@ -75,13 +74,13 @@ def close_loops(
     found = find_revisits(sparse_map.camera, keypoints)
     sequence = _sequence(sparse_map)
     accepted = [revisit for revisit in found if _plausible(sparse_map, sequence, revisit)]
-    corrected = _corrected(sparse_map, keypoints, sequence, accepted)
+    corrected, scaled = _corrected(sparse_map, keypoints, sequence, accepted)
     for _ in range(_ATTEMPTS):
-        fitting = [revisit for revisit in accepted if _fits(corrected, keypoints, revisit)]
+        fitting = [revisit for revisit in accepted if _fits(corrected, scaled, revisit)]
         if len(fitting) == len(accepted):
             break
         accepted = fitting
-        corrected = _corrected(sparse_map, keypoints, sequence, accepted)
+        corrected, scaled = _corrected(sparse_map, keypoints, sequence, accepted)
     moved = [
         np.linalg.norm(a.T_world_camera[:3, 3] - b.T_world_camera[:3, 3])
         for a, b in zip(corrected.views, sparse_map.views, strict=True)
@@ -147,8 +146,8 @@ def _corrected(
     keypoints: ViewKeypoints,
     sequence: Sequence[SimilarityEdge],
     revisits: Sequence[Revisit],
-) -> SparseMap:
-    """A corrected copy."""
+) -> tuple[SparseMap, ViewKeypoints]:
+    """A corrected copy, and the keypoints with depths in its unit."""
     corrected = sparse_map.copy()
     edges = [*sequence, *(_edge(sparse_map, revisit) for revisit in revisits)]
     poses = [view.T_world_camera for view in sparse_map.views]
@@ -165,22 +164,12 @@ def _corrected(
     corrected.add(_tracks(corrected, scaled, revisits))
     for _ in range(_ADJUSTMENTS):
         corrected.adjust_all(clean=True)
-    return corrected
+    return corrected, scaled
 
 
 def _fits(corrected: SparseMap, keypoints: ViewKeypoints, revisit: Revisit) -> bool:
     """Whether most matches of a revisit agree with the corrected poses."""
-    first, second = (corrected.views[n].T_world_camera for n in (revisit.first, revisit.second))
-    T = se3.inverse(second) @ first
-    rows, others = revisit.matches.T
-    px, other_px = (
-        keypoints.views[revisit.first].px[rows],
-        keypoints.views[revisit.second].px[others],
-    )
-    camera = corrected.camera
-    inverse_depth = triangulate(camera, T, px, other_px)
-    points = rays(camera, px) @ T[:3, :3].T + inverse_depth[:, None] * T[:3, 3]
-    good = (inverse_depth > 0) & (reprojection_px(camera, points, other_px) < MAX_ERROR_PX)
+    good = _agree(corrected, keypoints, (revisit.first, revisit.second), revisit.matches)
     return bool(good.mean() > _MIN_FITTING)
 
 

@@ -94,12 +94,12 @@ def solve_similarities(
     except RuntimeError as error:
         raise ToolkitError("the similarity graph is singular to working precision") from error
     solved = [values.atSimilarity3(node) for node in range(len(T_world_node))]
-    scale = np.array([X.scale() for X in solved])
+    scales = np.array([X.scale() for X in solved])
     poses = [
         se3.from_rotation_translation(X.rotation().matrix(), X.scale() * X.translation())
         for X in solved
     ]
     poses[0] = np.array(T_world_node[0])
     return SimilaritySolution(
-        poses, scale, float(factors.error(initial)), float(factors.error(values))
+        poses, scales, float(factors.error(initial)), float(factors.error(values))
     )

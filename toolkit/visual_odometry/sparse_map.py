@@ -130,10 +130,10 @@ class SparseMap:
             view.T_world_camera = T
         known = self.table.inverse_depth > 0
         self.table.inverse_depth[known] /= scale[self.table.anchor[known]]
-        for frame, (view, T_view_camera) in self._poses.items():
+        for frame, (number, T_view_camera) in self._poses.items():
             scaled = T_view_camera.copy()
-            scaled[:3, 3] *= scale[view]
-            self._poses[frame] = view, scaled
+            scaled[:3, 3] *= scale[number]
+            self._poses[frame] = number, scaled
 
     def add(self, tracks: PointTracks) -> None:
         """Add measured landmarks and the image points that show them."""
