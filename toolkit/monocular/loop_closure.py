@@ -38,8 +38,9 @@ _ERRORS_PX = 4.0
 _MAX_LOG_SCALE = 1.0
 # Of a revisit.
 _REVISIT_ROTATION_RAD, _REVISIT_TRANSLATION, _REVISIT_LOG_SCALE = 0.005, 0.02, 0.01
-# A revisit that contradicts odometry by more standard deviations shows a similar place instead.
-_MAX_SIGMAS = 6.0
+# A revisit that contradicts odometry by more standard deviations shows a similar place instead,
+# or odometry has failed. True ones have up to 4.5, those of identical rooms 3 to 8.
+_MAX_SIGMAS = 4.0
 # Fraction of a revisit's matches that must fit in the end.
 _MIN_FITTING = 0.5
 _ATTEMPTS = 3

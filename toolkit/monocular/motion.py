@@ -35,6 +35,9 @@ _MAX_SCALE_SIGMA = 0.02
 # Median reprojection error relative to the width of the image.
 _MAX_ERROR = 1.0 / 320.0
 _MAX_FOCAL_SIGMA = 0.05
+# Revisits that contradict the rest: recordings with a correct scale have at most 8 %, those whose
+# scale drifted, and rooms that look alike, 35 to 99 %.
+_MAX_REJECTED, _FEW_REJECTED = 0.25, 5
 
 # The focal length is estimated again until its relative change is smaller.
 _SAME_FOCAL = 0.005
@@ -230,6 +233,12 @@ def _doubts(motion: CameraMotion) -> list[str]:
         doubts.append(
             f"the scale may have changed after frame {motion.scale_frame}, where little connects "
             "the images before and after: the camera turned without moving, or too fast"
+        )
+    rejected, compared = motion.loops.rejected, motion.loops.rejected + motion.loops.revisits
+    if rejected > max(_FEW_REJECTED, _MAX_REJECTED * compared):
+        doubts.append(
+            f"{rejected} of {compared} pairs of images that seem to show the same place contradict "
+            "the motion: it has drifted, or places look alike"
         )
     if motion.error_px > _MAX_ERROR * motion.camera.width:
         doubts.append(

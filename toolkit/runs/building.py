@@ -23,7 +23,9 @@ from toolkit.slam import Slam
 from toolkit.submaps.factory import build_atlas
 from toolkit.taxonomy_building.factory import build_labeller
 from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.guided import GuidedTracker
 from toolkit.tracking.placement import KeyframePlacement
+from toolkit.tracking.tracker import Tracker
 
 
 def build_slam(
@@ -78,7 +80,11 @@ def build_slam(
     if dataset is None or dataset.ground_truth is None:
         name = "this sequence" if dataset is None else dataset.name
         raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
-    poses = GivenPoses(dataset.ground_truth)
+    poses: Tracker
+    if settings.depth == "none":
+        poses = GuidedTracker(dataset.ground_truth, settings.backend, recorder)
+    else:
+        poses = GivenPoses(dataset.ground_truth)
     return Slam(poses, mapper, recorder, labeller, atlas, denoise=settings.denoise)
 
 

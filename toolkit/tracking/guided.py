@@ -1,0 +1,122 @@
+"""Tracking of frames without depth near a trajectory that is known roughly.
+
+The map is rendered at the given pose. That view has depth, so that the frame can be aligned to it
+by its intensities alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.backend import align
+from toolkit.alignment.data import INITIAL_SCALES, Alignment, FrameLevel, GaussNewtonOptions
+from toolkit.alignment.exposure import estimate_exposure
+from toolkit.alignment.levels import finest_level, model_level, pyramid, view_level
+from toolkit.exposure import IDENTITY, Exposure
+from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.result import TrackingResult
+
+# Given poses are wrong by one or two pixels.
+_LEVELS = 2
+_ITERATIONS = 10
+_MIN_SILHOUETTE = 0.9
+# Fraction of the image that the map must cover.
+_MIN_COVERED = 0.3
+_MIN_PIXELS = 50
+_MAX_DISTANCE = 0.1
+# Depth is the view's own, and must not hold the frame at the pose of the view.
+_PHOTOMETRIC_WEIGHT = 1e7
+_SMALL_TRANSLATION_M, _SMALL_ROTATION_RAD = 2e-5, 1e-5
+# A larger correction, the sum of rotation and of translation at the median depth, is a failure.
+_MAX_CORRECTION_PX = 8.0
+
+
+class GuidedTracker(GivenPoses):
+    """Aligns each frame to the map, starting at its pose in a trajectory.
+
+    Where the map covers too little of the image, or alignment fails, the pose is the given one.
+
+    Args:
+        trajectory: poses of the frames, wrong by a few pixels.
+    """
+
+    def __init__(
+        self, trajectory: Trajectory, backend_name: str = "auto", recorder: Recorder | None = None
+    ) -> None:
+        super().__init__(trajectory)
+        self._backend = backend(backend_name)
+        self._recorder = recorder or NullRecorder()
+        self._exposure = IDENTITY
+
+    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+        """Align a frame to the Gaussians; its exposure is relative to the map."""
+        given = super().track(frame, gaussians)
+        if given.lost:
+            return given
+        T_map_view = given.T_map_camera
+        with self._recorder.timed("tracking render"):
+            options = RenderOptions(_MIN_SILHOUETTE)
+            T_view_map = se3.inverse(T_map_view)
+            surface = render_surface(self._backend, gaussians, frame.camera, T_view_map, options)
+            view = view_level(surface, _MIN_SILHOUETTE)
+        known = view.depth_m[view.depth_m > 0]
+        if len(known) < _MIN_COVERED * view.depth_m.numel():
+            return given
+        with self._recorder.timed("tracking align"):
+            found, exposure = self._aligned(frame, view)
+        correction = float(
+            np.linalg.norm(found.T_view_camera[:3, 3]) / float(known.median())
+            + se3.rotation_angle_rad(found.T_view_camera[:3, :3])
+        )
+        if not correction * frame.camera.focal < _MAX_CORRECTION_PX:
+            return given
+        self._exposure = exposure
+        return replace(
+            given,
+            T_map_camera=se3.orthonormalise(T_map_view @ found.T_view_camera),
+            converged=found.converged,
+            iterations=found.iterations,
+            renders=1,
+            intensity_residual=found.scales.intensity,
+            exposure=exposure,
+        )
+
+    def _aligned(self, frame: Frame, view: FrameLevel) -> tuple[Alignment, Exposure]:
+        """The frame's pose relative to a view of the map, and its exposure."""
+        own = finest_level(frame, view.depth_m.device)
+        views = pyramid(view, _LEVELS)
+        models = [model_level(level) for level in views]
+        frames = pyramid(FrameLevel(frame.camera, own.intensity, view.depth_m), _LEVELS)
+        options = GaussNewtonOptions(
+            iterations=_ITERATIONS,
+            max_distance=_MAX_DISTANCE,
+            photometric_weight=_PHOTOMETRIC_WEIGHT,
+            exposure=self._exposure,
+            min_pixels=_MIN_PIXELS,
+            min_translation_m=_SMALL_TRANSLATION_M,
+            min_rotation_rad=_SMALL_ROTATION_RAD,
+        )
+        start = Alignment(np.eye(4), INITIAL_SCALES, self._exposure)
+        found = align(models, frames, start, options)
+        levels = list(zip(models, frames, strict=True))
+        exposure = estimate_exposure(
+            levels, found.T_view_camera, found.scales, found.exposure, _MAX_DISTANCE
+        )
+        return found, exposure
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        return super().state() | {"exposure": np.array([self._exposure.gain, self._exposure.bias])}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Restore an earlier `state`."""
+        super().restore(state)
+        self._exposure = Exposure(*(float(value) for value in state["exposure"]))
