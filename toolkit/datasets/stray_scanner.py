@@ -42,7 +42,7 @@ def describe(path: Path) -> Recording:
     rows = _odometry(folder / _ODOMETRY)
     video = folder / _VIDEO
     files = tuple(
-        FrameFiles(time_s, video, depth[n], video_frame=n, confidence=confidence.get(n))
+        FrameFiles(time_s, video, depth[n], number=n, confidence=confidence.get(n))
         for n, (time_s, _) in rows.items()
         if n in depth
     )

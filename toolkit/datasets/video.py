@@ -32,7 +32,7 @@ def describe(path: Path) -> Recording:
     video = VideoFile(path)
     height, width = video.rgb(0).shape[:2]
     times = video.timestamps_s()
-    files = tuple(FrameFiles(t, path, None, video_frame=n) for n, t in times.items())
+    files = tuple(FrameFiles(t, path, None, number=n) for n, t in times.items())
     calibration = path.with_suffix(".yaml")
     if calibration.exists():
         intrinsics = read_intrinsics(calibration, has_depth=False)
@@ -41,7 +41,14 @@ def describe(path: Path) -> Recording:
                 f"{calibration} is for {intrinsics.camera.width}x{intrinsics.camera.height} pixels "
                 f"but {path.name} has {width}x{height}; correct the file"
             )
-        return Recording(path.stem, intrinsics.camera, files, 1.0, distortion=intrinsics.distortion)
+        return Recording(
+            path.stem,
+            intrinsics.camera,
+            files,
+            1.0,
+            distortion=intrinsics.distortion,
+            fisheye=intrinsics.fisheye,
+        )
     return Recording(
         path.stem,
         typical_camera(width, height),

@@ -82,6 +82,7 @@ def run(
         settings.max_frames,
         needs_depth,
         settings.dataset.fov_deg,
+        settings.dataset.topics,
     )
     config = dump_settings(settings)
     load_lpips(settings)  # reports unusable weights before the run instead of after it
