@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.resize import ImageGrid, enlarge_depth, resize_colour
 from toolkit.datasets.undistortion import Undistortion
@@ -68,6 +69,7 @@ class FrameFiles:
         depth: depth image, or the file that contains it, or None without depth.
         labels: image of class ids, or None.
         number: number of the frame in the file `rgb`; None if `rgb` is an image.
+        orientation: of the colour image, as in EXIF; 1 if the pixels are stored as shown.
         confidence: image of the depth's confidence, where depth with 0 is missing, or None.
     """
 
@@ -77,6 +79,7 @@ class FrameFiles:
     labels: Path | None = None
     number: int | None = None
     confidence: Path | None = None
+    orientation: int = 1
 
     @property
     def stem(self) -> str:
@@ -111,7 +114,9 @@ class Recording:
         depth_fault: why the depth of the recording cannot be used, if it has any.
         flaws: one line for each defect of the recording that was worked around.
         notes: one line for each kind of gap that is common in this format.
-        calibrated: whether the focal length is known; otherwise it is a guess.
+        calibrated: whether the focal length is known; otherwise it is to be estimated.
+        focal_sigma: relative standard deviation of the focal length that metadata states; None if
+            nothing is stated, so that a typical one is the initial value.
     """
 
     name: str
@@ -130,6 +135,7 @@ class Recording:
     flaws: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     calibrated: bool = True
+    focal_sigma: float | None = None
 
 
 class RecordedDataset:
@@ -242,7 +248,7 @@ class RecordedDataset:
 
     def _colour(self, files: FrameFiles) -> NDArray[np.float32]:
         if files.number is None:
-            return images.read_rgb(files.rgb)
+            return oriented(images.read_rgb(files.rgb), files.orientation)
         if self.recording.container is not None:
             return self.recording.container.rgb(files.number)
         if files.rgb not in self._videos:

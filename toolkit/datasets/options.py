@@ -18,6 +18,7 @@ DatasetKind = Literal[
     "stray-scanner",
     "folder",
     "video",
+    "images",
     "bag",
 ]
 
@@ -38,10 +39,10 @@ class DatasetOptions:
 
     kind: DatasetKind = "synthetic"
     """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
-    stray-scanner, folder, video or bag."""
+    stray-scanner, folder, video, images or bag."""
     path: Path | None = None
-    """Folder of the dataset, or file of a video or bag. By default, a synthetic room is created
-    beside the run folder."""
+    """Folder of the dataset, or file of a video, bag or list of images. By default, a synthetic
+    room is created beside the run folder."""
     fov_deg: Annotated[float, Range(gt=0, lt=180)] | None = None
     """Horizontal field of view in degrees of a recording without intrinsics. By default, it is
     estimated."""

@@ -12,6 +12,7 @@ from toolkit.datasets import (
     bag,
     folder,
     nerfstudio,
+    photos,
     replica,
     scannet,
     seven_scenes,
@@ -35,6 +36,7 @@ KINDS: dict[str, Callable[[Path], Recording]] = {
     "stray-scanner": stray_scanner.describe,
     "folder": folder.describe,
     "video": video.describe,
+    "images": photos.describe,
     "bag": bag.describe,
 }
 
@@ -72,7 +74,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         if recording.calibrated:
             raise DatasetError(f"{path} has intrinsics; remove the field of view")
         camera = video.camera_with_fov(recording.camera, fov_deg)
-        recording = replace(recording, camera=camera, calibrated=True)
+        recording = replace(recording, camera=camera, calibrated=True, focal_sigma=None)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
     depth = dataset.files(0).depth

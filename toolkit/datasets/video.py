@@ -15,6 +15,9 @@ from toolkit.io.video import VideoFile
 # Focal length relative to the longer side of the image, where nothing else is known: that of a
 # phone's main camera, 28 mm on 35 mm film.
 TYPICAL_FOCAL = 28.0 / 36.0
+# Relative standard deviation of a focal length that metadata states. Equivalents on 35 mm film are
+# rounded to 1 mm, which is 2 % of a phone's 26 mm, and autofocus changes the focal length.
+FOCAL_SIGMA = 0.03
 
 
 def describe(path: Path) -> Recording:
@@ -61,8 +64,12 @@ def describe(path: Path) -> Recording:
 
 def typical_camera(width: int, height: int) -> Camera:
     """Camera with the focal length of a phone's main camera."""
-    focal = TYPICAL_FOCAL * max(width, height)
-    return Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    return camera_with_focal(width, height, TYPICAL_FOCAL * max(width, height))
+
+
+def camera_with_focal(width: int, height: int, focal_px: float) -> Camera:
+    """Camera with square pixels whose principal point is the centre of the image."""
+    return Camera(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
 def camera_with_fov(camera: Camera, fov_deg: float) -> Camera:

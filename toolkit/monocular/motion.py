@@ -94,6 +94,7 @@ def estimate_motion(
     camera: Camera,
     calibrated: bool = True,
     options: OdometryOptions | None = None,
+    focal_sigma: float | None = None,
 ) -> CameraMotion:
     """Estimate the motion of the camera from all frames of a sequence.
 
@@ -103,14 +104,46 @@ def estimate_motion(
         camera: intrinsics.
         calibrated: whether the focal length is known. Otherwise it is estimated together with the
             motion, repeatedly, because the first motion follows from a wrong one.
+        focal_sigma: relative standard deviation of a focal length that is to be estimated, with
+            which the estimate is combined; None if it is only a guess.
     """
-    rounds = 1 if calibrated else _FOCAL_ROUNDS
-    for _ in range(rounds):
-        motion, factor = _estimate(frames(), camera, not calibrated, options)
-        if abs(factor - 1.0) < _SAME_FOCAL:
+    if calibrated:
+        return _estimate(frames(), camera, False, options)[0]
+    stated = camera
+    for _ in range(_FOCAL_ROUNDS):
+        motion, factor = _estimate(frames(), camera, True, options)
+        if motion.focal_sigma is None:
+            return motion
+        change, sigma = factor, motion.focal_sigma
+        if focal_sigma is not None:
+            before = camera.fx / stated.fx
+            relative, sigma = combined_focal(focal_sigma, factor * before, sigma)
+            change = relative / before
+        if abs(change - 1.0) < _SAME_FOCAL:
             break
-        camera = replace(camera, fx=factor * camera.fx, fy=factor * camera.fy)
-    return motion
+        camera = replace(camera, fx=change * camera.fx, fy=change * camera.fy)
+    if abs(factor / change - 1.0) >= _SAME_FOCAL:
+        # The last poses belong to another focal length than the combined one.
+        motion, _ = _estimate(frames(), camera, False, options)
+    if not motion.views:
+        return motion
+    motion = replace(motion, focal_sigma=sigma)
+    return replace(motion, doubts=_doubts(motion))
+
+
+def combined_focal(stated_sigma: float, estimated: float, sigma: float) -> tuple[float, float]:
+    """Combine a stated focal length with an estimate of it, both with normal logarithms.
+
+    Args:
+        stated_sigma: relative standard deviation of the stated focal length, > 0.
+        estimated: estimate relative to the stated focal length.
+        sigma: relative standard deviation of the estimate; infinite if it is not determined.
+
+    Returns:
+        The combination relative to the stated focal length, and its relative standard deviation.
+    """
+    information = stated_sigma**-2 + sigma**-2
+    return float(estimated ** (sigma**-2 / information)), float(information**-0.5)
 
 
 def _estimate(

@@ -186,7 +186,9 @@ def _motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
         return progress(prefetched(dataset, range(total)), total, 0)
 
     calibrated = dataset.recording.calibrated
-    motion = estimate_motion(frames, dataset.camera, calibrated)
+    motion = estimate_motion(
+        frames, dataset.camera, calibrated, focal_sigma=dataset.recording.focal_sigma
+    )
     if not calibrated:
         _log.info("The focal length is %.0f pixels.", motion.camera.fx)
         dataset.camera = motion.camera
