@@ -56,7 +56,7 @@ def read_photo_info(path: Path) -> PhotoInfo:
     )
 
 
-def focal_of_equivalent(equivalent_mm: float, width: int, height: int) -> float:
+def focal_of_equivalent(equivalent_mm: float, width: float, height: float) -> float:
     """Focal length in pixels of an image whose equivalent on 35 mm film is known."""
     return equivalent_mm / FILM_DIAGONAL_MM * math.hypot(width, height)
 
