@@ -16,6 +16,9 @@ DatasetKind = Literal[
     "scannet",
     "nerfstudio",
     "stray-scanner",
+    "record3d",
+    "polycam",
+    "colmap",
     "folder",
     "video",
     "images",
@@ -39,7 +42,7 @@ class DatasetOptions:
 
     kind: DatasetKind = "synthetic"
     """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
-    stray-scanner, folder, video, images or bag."""
+    stray-scanner, record3d, polycam, colmap, folder, video, images or bag."""
     path: Path | None = None
     """Folder of the dataset, or file of a video, bag or list of images. By default, a synthetic
     room is created beside the run folder."""

@@ -16,6 +16,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_matrix
 
+# From the axes of OpenGL's camera, y up and z back, to ours: T_world_camera = T @ OPENGL_AXES.
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 # Maximum number of files listed in one line; the rest are counted.
 _NAMED_FILES = 3
 

@@ -10,9 +10,12 @@ from pathlib import Path
 
 from toolkit.datasets import (
     bag,
+    colmap,
     folder,
     nerfstudio,
     photos,
+    polycam,
+    record3d,
     replica,
     scannet,
     seven_scenes,
@@ -34,6 +37,9 @@ KINDS: dict[str, Callable[[Path], Recording]] = {
     "scannet": scannet.describe,
     "nerfstudio": nerfstudio.describe,
     "stray-scanner": stray_scanner.describe,
+    "record3d": record3d.describe,
+    "polycam": polycam.describe,
+    "colmap": colmap.describe,
     "folder": folder.describe,
     "video": video.describe,
     "images": photos.describe,

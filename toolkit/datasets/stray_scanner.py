@@ -62,6 +62,7 @@ def describe(path: Path) -> Recording:
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
         colour_may_be_larger=True,
+        colour_camera=colour,
         flaws=unpaired(
             f"row(s) of {_ODOMETRY} without a depth image", [str(n) for n in rows if n not in depth]
         )
