@@ -9,31 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from film_boxes import box, change, turned_upright
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.video import FILM_FOCAL_SIGMA, STABILISATION_CROP, TYPICAL_FOCAL
 from toolkit.io.quicktime import EQUIVALENT_FOCAL_MM, read_metadata
 
 WIDTH, HEIGHT, FRAMES = 64, 36, 5
-# Boxes whose content is boxes.
-PARENTS = (b"moov", b"trak", b"mdia", b"minf", b"stbl")
-
-
-def box(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I4s", len(content) + 8, kind) + content
-
-
-def edited(content: bytes, edit: Callable[[bytes, bytes], bytes]) -> bytes:
-    """Boxes with the contents that `edit` returns, which is given type and content of each."""
-    result, position = b"", 0
-    while position < len(content):
-        size, kind = struct.unpack_from(">I4s", content, position)
-        inside = content[position + 8 : position + size]
-        if kind in PARENTS:
-            inside = edited(inside, edit)
-        result += box(kind, edit(kind, inside))
-        position += size
-    return result
 
 
 def metadata(value: bytes, kind: int, versioned: bool = False) -> bytes:
@@ -60,12 +42,6 @@ def film(tmp_path) -> Path:
         writer.write(image)
     writer.release()
     return path
-
-
-def change(path: Path, edit: Callable[[bytes, bytes], bytes]) -> None:
-    content = edited(path.read_bytes(), edit)
-    assert content != path.read_bytes()
-    path.write_bytes(content)
 
 
 def add_to(kind: bytes, addition: bytes) -> Callable[[bytes, bytes], bytes]:
@@ -123,16 +99,8 @@ def test_damaged_metadata_is_ignored(film, tmp_path):
     assert read_metadata(path) == {}
 
 
-def rotate(kind: bytes, content: bytes) -> bytes:
-    """Turn by 90 degrees clockwise, as a phone that is held upright does."""
-    if kind != b"tkhd":
-        return content
-    matrix = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, HEIGHT << 16, 0, 1 << 30)
-    return content[:40] + matrix + content[76:]
-
-
 def test_a_portrait_film_is_shown_upright_with_intrinsics_for_it(film):
-    change(film, rotate)
+    change(film, turned_upright(HEIGHT))
     dataset = opened(film)
     assert dataset.camera.size == (HEIGHT, WIDTH)
     assert dataset[0].rgb.shape == (WIDTH, HEIGHT, 3)

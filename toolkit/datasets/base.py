@@ -110,6 +110,7 @@ class Recording:
         fisheye: whether `distortion` is (k1, k2, k3, k4) of the model of Kannala and Brandt.
         colour_may_be_larger: whether colour images are resized to the size of the depth images.
         colour_camera: intrinsics of these larger colour images, for use without depth.
+        rotated: whether rotation metadata of a video is applied.
         container: reads the images of frames with a `number`; None if they are a video's.
         depth_fault: why the depth of the recording cannot be used, if it has any.
         flaws: one line for each defect of the recording that was worked around.
@@ -130,6 +131,7 @@ class Recording:
     fisheye: bool = False
     colour_may_be_larger: bool = False
     colour_camera: Camera | None = None
+    rotated: bool = True
     container: Container | None = None
     depth_fault: str | None = None
     flaws: tuple[str, ...] = ()
@@ -252,7 +254,7 @@ class RecordedDataset:
         if self.recording.container is not None:
             return self.recording.container.rgb(files.number)
         if files.rgb not in self._videos:
-            self._videos[files.rgb] = VideoFile(files.rgb)
+            self._videos[files.rgb] = VideoFile(files.rgb, self.recording.rotated)
         return self._videos[files.rgb].rgb(files.number)
 
 

@@ -30,7 +30,11 @@ def describe(path: Path) -> Recording:
 
     Frames are the rows of `odometry.csv` with a depth image; row and depth image have the number of
     the video's frame. Colour is resized to the depth images. Depth with the confidence 0 counts as
-    missing. The poses of ARKit become the ground truth.
+    missing. The poses of ARKit become the ground truth; the app has turned them to our axes. Depth
+    and intrinsics are those of the sensor, which is held sideways: the rotation by which players
+    show the video upright is not applied.
+
+    Source: `docs/format.md` and `OdometryEncoder.swift` of github.com/strayrobots/scanner.
 
     Raises:
         DatasetError: the folder has a different layout, or the video is damaged.
@@ -53,7 +57,7 @@ def describe(path: Path) -> Recording:
         )
     truth = attach_poses(files, [pose for n, (_, pose) in rows.items() if n in depth])
     height, width = read_depth_m(next(iter(depth.values())), DEPTH_SCALE).shape
-    colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video).size)
+    colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video, rotated=False).size)
     scale = width / colour.width, height / colour.height
     return Recording(
         name=folder.resolve().name,
@@ -63,6 +67,7 @@ def describe(path: Path) -> Recording:
         ground_truth=truth.trajectory,
         colour_may_be_larger=True,
         colour_camera=colour,
+        rotated=False,
         flaws=unpaired(
             f"row(s) of {_ODOMETRY} without a depth image", [str(n) for n in rows if n not in depth]
         )
