@@ -2,52 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-from conftest import HEIGHT, WIDTH, frame_depth_m, frame_rgb, pose
+from conftest import camera_file, frame_depth_m, frame_rgb, pose
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError
-from toolkit.io import images
 
-FRAMES, ENLARGED = 3, 2
-
-
-def camera_file(index: int, **changes: Any) -> str:
-    """Camera of a frame; ARKit's y axis is up and its z axis back."""
-    T = pose(index) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    content = {f"t_{i}{j}": T[i, j] for i in range(3) for j in range(4)}
-    content |= {"fx": 60.0, "fy": 62.0, "cx": 32.0, "cy": 24.0, "width": 64, "height": 48}
-    return json.dumps(content | {"blur_score": 0.1} | changes)
-
-
-@pytest.fixture
-def make_polycam(tmp_path) -> Callable[..., Path]:
-    def make(corrected: bool = True) -> Path:
-        folder = tmp_path / "poly"
-        keyframes = folder / "keyframes"
-        kinds = ["", "corrected_"] if corrected else [""]
-        for kind in (*(f"{k}{n}" for k in kinds for n in ("images", "cameras")), "depth"):
-            (keyframes / kind).mkdir(parents=True)
-        (keyframes / "confidence").mkdir()
-        for i in range(FRAMES):
-            stem = str(9_900_000 + 100_000 * i)  # the second one has more digits
-            for kind in kinds:
-                rgb = np.kron(frame_rgb(i if kind or not corrected else 7), np.ones((2, 2, 1)))
-                images.write_rgb(keyframes / f"{kind}images/{stem}.png", rgb)
-                (keyframes / f"{kind}cameras/{stem}.json").write_text(camera_file(i))
-            images.write_depth_png(keyframes / f"depth/{stem}.png", frame_depth_m(i), 1000)
-            confidence = np.full((HEIGHT, WIDTH), 255, np.uint8)
-            confidence[3, 5], confidence[3, 6] = 0, 127
-            images.write_png(keyframes / f"confidence/{stem}.png", confidence)
-        return folder
-
-    return make
+FRAMES = 3
 
 
 @pytest.mark.parametrize("corrected", [True, False])

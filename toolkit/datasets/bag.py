@@ -129,6 +129,7 @@ def describe(path: Path, topics: BagTopics | None = None) -> Recording:
         flaws=tuple(flaws),
         notes=chosen.notes + notes,
         calibrated=lens.calibrated,
+        focal_sigma=lens.focal_sigma,
     )
 
 

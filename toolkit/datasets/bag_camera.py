@@ -21,6 +21,7 @@ _SAME_CAMERA = 0.01
 T265_SIZE = (848, 800)
 _T265 = Camera(286.0, 286.0, 423.5, 399.5, *T265_SIZE)
 _T265_DISTORTION = (-0.0020, 0.0390, -0.0372, 0.0062)
+_T265_SIGMA = 0.02
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,14 @@ class BagCamera:
         distortion: OpenCV's coefficients, or None.
         fisheye: whether they are those of the model of Kannala and Brandt.
         calibrated: whether the focal length is known.
+        focal_sigma: relative standard deviation of a nominal focal length.
     """
 
     camera: Camera
     distortion: tuple[float, ...] | None = None
     fisheye: bool = False
     calibrated: bool = True
+    focal_sigma: float | None = None
 
 
 def camera_of(topic: ImageTopic) -> BagCamera | None:
@@ -101,7 +104,7 @@ def _t265(topic: ImageTopic) -> BagCamera | None:
     """Nominal intrinsics of a T265, recognised by size and name."""
     if topic.size != T265_SIZE or "fisheye" not in topic.name.lower():
         return None
-    return BagCamera(_T265, _T265_DISTORTION, fisheye=True, calibrated=False)
+    return BagCamera(_T265, _T265_DISTORTION, True, False, _T265_SIGMA)
 
 
 def differs(colour: Camera, depth: Camera) -> bool:

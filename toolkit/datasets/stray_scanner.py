@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,8 @@ def describe(path: Path) -> Recording:
     truth = attach_poses(files, [pose for n, (_, pose) in rows.items() if n in depth])
     height, width = read_depth_m(next(iter(depth.values())), DEPTH_SCALE).shape
     colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video, rotated=False).size)
+    # ARKit measures the principal point from the corner of the first pixel.
+    colour = replace(colour, cx=colour.cx - 0.5, cy=colour.cy - 0.5)
     scale = width / colour.width, height / colour.height
     return Recording(
         name=folder.resolve().name,
