@@ -36,8 +36,23 @@ _FOCAL_ROUNDS = 5
 
 
 @dataclass(frozen=True)
+class MetricScale:
+    """How a motion was scaled to metres.
+
+    Attributes:
+        factor: metres per former unit.
+        sigma: relative standard deviation of the length in the images that it follows from.
+        source: what that length is.
+    """
+
+    factor: float
+    sigma: float
+    source: str
+
+
+@dataclass(frozen=True)
 class CameraMotion:
-    """Estimated motion of a camera up to scale.
+    """Estimated motion of a camera, up to scale unless `scale` is known.
 
     Attributes:
         trajectory: poses of all frames that have one.
@@ -50,6 +65,7 @@ class CameraMotion:
         weakest: smallest number of points with a measured depth that connect a frame with the
             keyframes before where most points have none, and the frame's number; None if that
             never happened.
+        scale: how the motion was scaled to metres; None if its unit is arbitrary.
         without_pose: why frames have no pose: number of frames by reason.
         doubts: why the result is not reliable; empty if it is.
     """
@@ -62,6 +78,7 @@ class CameraMotion:
     error_px: float = float("nan")
     weakest: tuple[int, int] | None = None
     focal_sigma: float | None = None
+    scale: MetricScale | None = None
     without_pose: dict[str, int] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
 
@@ -84,8 +101,13 @@ class CameraMotion:
             "monocular_focal_sigma_percent": None
             if self.focal_sigma is None or not np.isfinite(self.focal_sigma)
             else 100.0 * self.focal_sigma,
+            "monocular_metric_scale": None if self.scale is None else self.scale.factor,
+            "monocular_scale_sigma_percent": None
+            if self.scale is None
+            else 100.0 * self.scale.sigma,
             "monocular_convention": "extent: RMS distance of the camera from its mean position "
-            "relative to the median depth; the unit of length is arbitrary",
+            "relative to the median depth; the unit of length is "
+            + ("arbitrary" if self.scale is None else f"the metre, by {self.scale.source}"),
         }
 
 
