@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ def read_photo_info(path: Path) -> PhotoInfo:
     from PIL import Image  # only photos need it
 
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             size, exif = image.size, image.getexif()
             orientation, details = exif.get(_ORIENTATION, 1), exif.get_ifd(_EXIF)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
