@@ -114,6 +114,17 @@ def test_points_are_projected_as_colmap_does(tmp_path, model):
     np.testing.assert_allclose(found + 0.5, expected, atol=1e-6)
 
 
+def test_poses_are_those_that_colmap_reads(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    project = write(tmp_path)
+    (project / "sparse/0/points3D.txt").write_text("7 0 0 0 0 0 0 0 2 1\n")
+    theirs = pycolmap.Reconstruction(project / "sparse/0")
+    found = {image.name: image.cam_from_world().matrix() for image in theirs.images.values()}
+    dataset = opened(project)
+    for files, T in zip(dataset.recording.files, dataset.ground_truth.T_world_camera, strict=True):
+        np.testing.assert_allclose(np.linalg.inv(T)[:3], found[files.rgb.name], atol=1e-9)
+
+
 def test_similar_cameras_of_several_images_are_averaged(tmp_path):
     cameras = "\n".join(
         f"{i} SIMPLE_RADIAL {WIDTH} {HEIGHT} {focal} 16 12 {k}"
