@@ -32,7 +32,8 @@ COLUMNS = (
     "depth_outliers_percent",
     "monocular_reliable",
     "monocular_extent",
-    "monocular_weakest_connection",
+    "monocular_scale_sigma_percent",
+    "monocular_revisits",
     "monocular_reprojection_px",
     "monocular_keyframes",
     "gaussians",
@@ -118,7 +119,7 @@ def _depth(dataset: RecordedDataset, scale: float) -> Metrics:
     """Density and errors of the depth of some keyframes."""
     if dataset.files(0).depth is None:
         return {}
-    motion = estimate_motion(lambda: dataset, dataset.camera)
+    motion = estimate_motion(dataset, dataset.camera)
     sequence = MonocularSequence(dataset, motion)
     known, measured, errors = 0, 0, []
     for number in np.unique(np.linspace(0, len(motion.views) - 1, _DEPTH_VIEWS).astype(int)):

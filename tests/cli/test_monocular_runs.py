@@ -104,7 +104,7 @@ def test_a_known_distance_gives_a_map_in_metres(recording, tmp_path):
     metrics = metrics_of(tmp_path / "run")
     assert metrics["ate_scale"] == pytest.approx(1.0, abs=0.05)
     assert metrics["monocular_metric_scale"] > 0
-    assert metrics["monocular_scale_sigma_percent"] < 5
+    assert metrics["monocular_metric_scale_sigma_percent"] < 5
     found = read_tum(tmp_path / "run/trajectory.txt").positions_m
     assert np.linalg.norm(found[11] - found[0]) == pytest.approx(float(distance_m), rel=0.05)
 

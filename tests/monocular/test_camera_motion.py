@@ -34,7 +34,7 @@ class Film:
 
 
 def motion_of(frames: list[Frame], **options) -> CameraMotion:
-    return estimate_motion(lambda: frames, frames[0].camera, **options)
+    return estimate_motion(frames, frames[0].camera, **options)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_an_unknown_focal_length_is_estimated(factor):
     frames = film(wind())
     true = frames[0].camera
     wrong = replace(true, fx=factor * true.fx, fy=factor * true.fy)
-    motion = estimate_motion(lambda: frames, wrong, calibrated=False)
+    motion = estimate_motion(frames, wrong, calibrated=False)
     assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
     assert motion.focal_sigma == pytest.approx(0.01, rel=0.5)
     assert motion.metrics()["monocular_focal_px"] == motion.camera.fx
@@ -115,7 +115,7 @@ def test_a_stated_focal_length_is_kept_where_the_motion_does_not_tell_it(walked)
     """A walk to the side without the turns that tell the focal length."""
     true = walked[0].camera
     stated = replace(true, fx=1.02 * true.fx, fy=1.02 * true.fy)
-    motion = estimate_motion(lambda: walked, stated, calibrated=False, focal_sigma=0.03)
+    motion = estimate_motion(walked, stated, calibrated=False, focal_sigma=0.03)
     assert motion.camera.fx == pytest.approx(stated.fx, rel=0.03)
     assert motion.focal_sigma <= 0.03
     assert motion.reliable
@@ -125,7 +125,7 @@ def test_a_stated_focal_length_is_corrected_by_a_motion_that_tells_it():
     frames = film(wind())
     true = frames[0].camera
     stated = replace(true, fx=1.06 * true.fx, fy=1.06 * true.fy)
-    motion = estimate_motion(lambda: frames, stated, calibrated=False, focal_sigma=0.03)
+    motion = estimate_motion(frames, stated, calibrated=False, focal_sigma=0.03)
     assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
 
 

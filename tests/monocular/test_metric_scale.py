@@ -112,12 +112,12 @@ def test_markers_in_images_give_metres():
     np.testing.assert_allclose(found[0].corners_px, expected, atol=0.25)
     small = scaled(motion_at(VIEWS), 0.25)
     motion = with_metric_scale(small, Film(frames), times(small), ScaleOptions(marker_m=SIDE_M))
-    assert motion.scale.factor == pytest.approx(4.0, rel=0.005)
+    assert motion.metric_scale.factor == pytest.approx(4.0, rel=0.005)
     np.testing.assert_allclose(motion.trajectory.positions_m, [T[:3, 3] for T in VIEWS], atol=0.005)
     assert motion.views[2].far == pytest.approx(2.0, rel=0.02)
     metrics = motion.metrics()
-    assert metrics["monocular_metric_scale"] == motion.scale.factor
-    assert 0 < metrics["monocular_scale_sigma_percent"] < 5
+    assert metrics["monocular_metric_scale"] == motion.metric_scale.factor
+    assert 0 < metrics["monocular_metric_scale_sigma_percent"] < 5
     assert "the metre, by the side of 1 marker(s)" in metrics["monocular_convention"]
 
 
@@ -128,7 +128,7 @@ def test_images_without_markers_leave_the_unit_arbitrary_and_raise_a_doubt():
     ]
     before = motion_at(VIEWS)
     motion = with_metric_scale(before, Film(frames), times(before), ScaleOptions(marker_m=0.1))
-    assert motion.scale is None
+    assert motion.metric_scale is None
     assert not motion.reliable
     assert "no apriltag-36h11 marker is seen" in motion.doubts[0]
     assert motion.metrics()["monocular_metric_scale"] is None
@@ -140,11 +140,11 @@ def test_a_known_distance_gives_metres():
     options = ScaleOptions(distance_m=0.6, distance_frames=(0, 3))
     distance = np.linalg.norm(VIEWS[3][:3, 3] - VIEWS[0][:3, 3])
     motion = with_metric_scale(before, object(), times(before), options)
-    assert motion.scale.factor == pytest.approx(0.6 / distance)
+    assert motion.metric_scale.factor == pytest.approx(0.6 / distance)
     moved = motion.trajectory.positions_m
     assert np.linalg.norm(moved[3] - moved[0]) == pytest.approx(0.6)
     # Half a pixel at 1 m, of two positions.
-    assert motion.scale.sigma == pytest.approx(np.sqrt(2) * 0.5 / 200 / distance)
+    assert motion.metric_scale.sigma == pytest.approx(np.sqrt(2) * 0.5 / 200 / distance)
 
 
 def test_a_distance_to_a_frame_without_pose_raises_a_doubt():

@@ -25,7 +25,7 @@ def fed(frames: Sequence[Frame]) -> tuple[VisualOdometry, list[OdometryResult]]:
 
 
 def trajectory(odometry: VisualOdometry, frames: int) -> Trajectory:
-    poses = [odometry.T_world_camera(n) for n in range(frames)]
+    poses = [odometry.map.T_world_camera(n) for n in range(frames)]
     assert all(pose is not None for pose in poses)
     return Trajectory(np.arange(frames) / 30.0, np.array(poses))
 
@@ -47,7 +47,7 @@ def test_frames_before_the_initialisation_get_poses_later(walked):
     odometry, results = fed(walked)
     first = next(n for n, result in enumerate(results) if result.state is State.TRACKING)
     assert first > 1
-    assert all(odometry.T_world_camera(n) is not None for n in range(first))
+    assert all(odometry.map.T_world_camera(n) is not None for n in range(first))
 
 
 def test_results_are_reproducible(walked):
@@ -59,7 +59,7 @@ def test_a_rotation_creates_no_structure():
     odometry, results = fed(film(turn()))
     assert {result.state for result in results} == {State.INITIALISING}
     assert results[-1].reason == "the camera has only turned"
-    assert not odometry.views
+    assert not odometry.map.views
 
 
 def test_a_rotation_after_a_walk_is_tracked():
@@ -67,7 +67,7 @@ def test_a_rotation_after_a_walk_is_tracked():
     frames = film(np.concatenate([there, there[-1] @ turn(10)]))
     odometry, results = fed(frames)
     assert results[-1].state is State.TRACKING
-    last, before = (odometry.T_world_camera(n) for n in (len(frames) - 1, len(there) - 1))
+    last, before = (odometry.map.T_world_camera(n) for n in (len(frames) - 1, len(there) - 1))
     angle = np.degrees(np.arccos((np.trace(before[:3, :3].T @ last[:3, :3]) - 1) / 2))
     assert angle == pytest.approx(np.degrees(0.03 * 9), abs=0.5)
 
@@ -93,7 +93,7 @@ def test_tracking_continues_after_covered_images(walked):
     assert states[8:11] == [State.LOST] * 3
     assert states[11:] == [State.TRACKING] * len(walked[8:])
     known = [n for n in range(len(covered)) if n not in (8, 9, 10)]
-    poses = np.array([odometry.T_world_camera(n) for n in known])
+    poses = np.array([odometry.map.T_world_camera(n) for n in known])
     error, _ = error_m(Trajectory(np.arange(len(known)) / 30.0, poses), walk())
     assert error < 0.02
 

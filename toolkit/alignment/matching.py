@@ -16,6 +16,7 @@ from toolkit.alignment.health import failure_reason
 from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.options import MatchingOptions
+from toolkit.features.keypoints import Keypoints, detect_keypoints, match_keypoints
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
@@ -134,12 +135,11 @@ def _pixel_size(first: Camera, second: Camera) -> float:
 
 def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:
     """Mutual matches of two images with depth in both; None without any."""
-    pixels_a, descriptors_a = _features(first, options.features)
-    pixels_b, descriptors_b = _features(second, options.features)
-    matches = _mutual_matches(descriptors_a, descriptors_b, options.ratio)
+    a, b = (_keypoints(keyframe, options.features) for keyframe in (first, second))
+    matches = match_keypoints(a, b, options.ratio)
     if len(matches) == 0:
         return None
-    pixels_a, pixels_b = pixels_a[matches[:, 0]], pixels_b[matches[:, 1]]
+    pixels_a, pixels_b = a.px[matches[:, 0]], b.px[matches[:, 1]]
     points_a = _points_at(first, pixels_a)
     points_b = _points_at(second, pixels_b)
     measured = (points_a[:, 2] > 0) & (points_b[:, 2] > 0)
@@ -163,36 +163,9 @@ def _by_features(
     return matched.motion(options, generator)
 
 
-def _features(keyframe: Keyframe, count: int) -> tuple[Array, NDArray[np.float32]]:
-    """Pixels [n, 2] and SIFT descriptors [n, 128] of a keyframe's image."""
+def _keypoints(keyframe: Keyframe, count: int) -> Keypoints:
     grey = cv2.cvtColor(keyframe.rgb.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2GRAY)
-    points, descriptors = cv2.SIFT_create(nfeatures=count).detectAndCompute(grey, None)
-    if descriptors is None:
-        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    return np.array([point.pt for point in points], dtype=np.float64), descriptors
-
-
-def _mutual_matches(
-    descriptors_a: NDArray[np.float32], descriptors_b: NDArray[np.float32], ratio: float
-) -> NDArray[np.int64]:
-    """Index pairs [m, 2] of mutual nearest neighbours that pass the ratio test both ways."""
-    if min(len(descriptors_a), len(descriptors_b)) < 2:
-        return np.zeros((0, 2), np.int64)
-    forward = _distinct_matches(descriptors_a, descriptors_b, ratio)
-    backward = _distinct_matches(descriptors_b, descriptors_a, ratio)
-    pairs = [(a, b) for a, b in forward.items() if backward.get(b) == a]
-    return np.array(pairs, np.int64).reshape(-1, 2)
-
-
-def _distinct_matches(
-    descriptors: NDArray[np.float32], others: NDArray[np.float32], ratio: float
-) -> dict[int, int]:
-    choices = cv2.BFMatcher(cv2.NORM_L2).knnMatch(descriptors, others, k=2)
-    return {
-        best.queryIdx: best.trainIdx
-        for best, second in choices
-        if best.distance < ratio * second.distance
-    }
+    return detect_keypoints(grey, count)
 
 
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:

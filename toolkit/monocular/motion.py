@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.alignment.levels import intensity_of
 from toolkit.depth_priors.multi_view import DepthView
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.monocular.loop_closure import LoopClosure, close_loops
 from toolkit.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State, VisualOdometry
+from toolkit.visual_odometry.scale_drift import scale_sigma
+from toolkit.visual_odometry.sparse_map import SparseMap
 
 # Percentiles of a keyframe's landmark depths that count as near and far.
 _NEAR_PERCENT, _FAR_PERCENT = 2.0, 98.0
@@ -24,8 +29,9 @@ _MIN_LANDMARKS = 10
 # to the median depth: replica_office0 0.2, fr1_rpy, which only turns, 0.03.
 _MIN_EXTENT = 0.05
 _MAX_MISSING = 0.2
-# The HoloLens walk, whose scale changes where the camera turns, has 2 or 3; fr1_rpy 21 to 58.
-_MIN_CONNECTED = 75
+# Relative change of scale that image errors of one pixel cause at one place. Recordings with a
+# correct scale have 0.003 to 0.015; fr1_rpy 0.03, the HoloLens walk 0.1, where the camera turns.
+_MAX_SCALE_SIGMA = 0.02
 # Median reprojection error relative to the width of the image.
 _MAX_ERROR = 1.0 / 320.0
 _MAX_FOCAL_SIGMA = 0.05
@@ -52,7 +58,7 @@ class MetricScale:
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Estimated motion of a camera, up to scale unless `scale` is known.
+    """Estimated motion of a camera, up to scale unless `metric_scale` is known.
 
     Attributes:
         trajectory: poses of all frames that have one.
@@ -62,10 +68,10 @@ class CameraMotion:
         frames: number of frames.
         extent: RMS distance of the camera from its mean position relative to the median depth.
         error_px: median reprojection error; nan without keyframes.
-        weakest: smallest number of points with a measured depth that connect a frame with the
-            keyframes before where most points have none, and the frame's number; None if that
-            never happened.
-        scale: how the motion was scaled to metres; None if its unit is arbitrary.
+        scale_sigma: largest relative change of scale within the sequence that image errors of one
+            pixel can cause. scale_frame: frame after which it may change.
+        loops: places that the camera visited again.
+        metric_scale: how the motion was scaled to metres; None if its unit is arbitrary.
         without_pose: why frames have no pose: number of frames by reason.
         doubts: why the result is not reliable; empty if it is.
     """
@@ -76,9 +82,11 @@ class CameraMotion:
     frames: int
     extent: float = 0.0
     error_px: float = float("nan")
-    weakest: tuple[int, int] | None = None
+    scale_sigma: float = float("nan")
+    scale_frame: int = 0
+    loops: LoopClosure = field(default_factory=LoopClosure)
     focal_sigma: float | None = None
-    scale: MetricScale | None = None
+    metric_scale: MetricScale | None = None
     without_pose: dict[str, int] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
 
@@ -89,65 +97,76 @@ class CameraMotion:
 
     def metrics(self) -> dict[str, float | int | str | bool | None]:
         """Entries of metrics.json."""
-        known = bool(self.views)
+        known, metric = bool(self.views), self.metric_scale
         return {
             "monocular_reliable": self.reliable,
             "monocular_doubts": "; ".join(self.doubts),
             "monocular_keyframes": len(self.views),
             "monocular_extent": self.extent if known else None,
-            "monocular_weakest_connection": None if self.weakest is None else self.weakest[0],
+            "monocular_scale_sigma_percent": 100.0 * self.scale_sigma if known else None,
+            "monocular_scale_frame": self.scale_frame if known else None,
+            "monocular_metric_scale": None if metric is None else metric.factor,
+            "monocular_metric_scale_sigma_percent": None
+            if metric is None
+            else 100.0 * metric.sigma,
+            "monocular_revisits": self.loops.revisits,
+            "monocular_revisits_rejected": self.loops.rejected,
             "monocular_reprojection_px": self.error_px if known else None,
             "monocular_focal_px": self.camera.fx if self.focal_sigma is not None else None,
             "monocular_focal_sigma_percent": None
             if self.focal_sigma is None or not np.isfinite(self.focal_sigma)
             else 100.0 * self.focal_sigma,
-            "monocular_metric_scale": None if self.scale is None else self.scale.factor,
-            "monocular_scale_sigma_percent": None
-            if self.scale is None
-            else 100.0 * self.scale.sigma,
             "monocular_convention": "extent: RMS distance of the camera from its mean position "
-            "relative to the median depth; the unit of length is "
-            + ("arbitrary" if self.scale is None else f"the metre, by {self.scale.source}"),
+            "relative to the median depth; scale sigma: largest relative change of scale that "
+            "image errors of one pixel can cause; the unit of length is "
+            + ("arbitrary" if metric is None else f"the metre, by {metric.source}"),
         }
 
 
+class Frames(Protocol):
+    """Frames of a sequence; only their images are used."""
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    def __getitem__(self, index: int, /) -> Frame: ...
+
+
 def estimate_motion(
-    frames: Callable[[], Iterable[Frame]],
+    frames: Frames,
     camera: Camera,
     calibrated: bool = True,
     options: OdometryOptions | None = None,
     focal_sigma: float | None = None,
+    progress: Callable[[Frames], Iterable[Frame]] = iter,
 ) -> CameraMotion:
     """Estimate the motion of the camera from all frames of a sequence.
 
     Args:
-        frames: returns the frames in order, from the first one at every call; only their images
-            are used.
         camera: intrinsics.
         calibrated: whether the focal length is known. Otherwise it is estimated together with the
             motion, repeatedly, because the first motion follows from a wrong one.
         focal_sigma: relative standard deviation of a focal length that is to be estimated, with
             which the estimate is combined; None if it is only a guess.
+        progress: iterates over the frames, for instance with a progress bar.
     """
-    if calibrated:
-        return _estimate(frames(), camera, False, options)[0]
-    stated = camera
-    for _ in range(_FOCAL_ROUNDS):
-        motion, factor = _estimate(frames(), camera, True, options)
-        if motion.focal_sigma is None:
-            return motion
-        change, sigma = factor, motion.focal_sigma
-        if focal_sigma is not None:
-            before = camera.fx / stated.fx
-            relative, sigma = combined_focal(focal_sigma, factor * before, sigma)
-            change = relative / before
-        if abs(change - 1.0) < _SAME_FOCAL:
+    stated, sigma = camera, None
+    for _ in range(1 if calibrated else _FOCAL_ROUNDS):
+        odometry = _followed(progress(frames), camera, options)
+        adjusted = odometry.sparse_map.adjust_all(focal=not calibrated)
+        before, estimated = camera, odometry.sparse_map.camera
+        camera = estimated
+        if focal_sigma is not None and adjusted is not None and not calibrated:
+            factor, sigma = combined_focal(
+                focal_sigma, estimated.fx / stated.fx, adjusted.focal_sigma
+            )
+            camera = replace(stated, fx=factor * stated.fx, fy=factor * stated.fy)
+        if abs(camera.fx / before.fx - 1.0) < _SAME_FOCAL:
             break
-        camera = replace(camera, fx=change * camera.fx, fy=change * camera.fy)
-    if abs(factor / change - 1.0) >= _SAME_FOCAL:
-        # The last poses belong to another focal length than the combined one.
-        motion, _ = _estimate(frames(), camera, False, options)
-    if not motion.views:
+    if abs(estimated.fx / camera.fx - 1.0) >= _SAME_FOCAL:
+        # The last map belongs to another focal length than the combined one, which is kept.
+        odometry, calibrated = _followed(progress(frames), camera, options), True
+    motion = _evaluated(odometry, frames, calibrated)
+    if sigma is None or not motion.views:
         return motion
     motion = replace(motion, focal_sigma=sigma)
     return replace(motion, doubts=_doubts(motion))
@@ -168,55 +187,85 @@ def combined_focal(stated_sigma: float, estimated: float, sigma: float) -> tuple
     return float(estimated ** (sigma**-2 / information)), float(information**-0.5)
 
 
-def _estimate(
-    frames: Iterable[Frame], camera: Camera, focal: bool, options: OdometryOptions | None
-) -> tuple[CameraMotion, float]:
-    """Estimate the motion, and a factor by which the focal length should be multiplied."""
+@dataclass(frozen=True)
+class _Followed:
+    """The map of visual odometry, the timestamps of all frames, and why some have no pose."""
+
+    sparse_map: SparseMap
+    times_s: list[float]
+    reasons: Counter[str]
+
+
+def _followed(
+    frames: Iterable[Frame], camera: Camera, options: OdometryOptions | None
+) -> _Followed:
     odometry = VisualOdometry(camera, options)
-    reasons: Counter[str] = Counter()
-    times: list[float] = []
+    found = _Followed(odometry.map, [], Counter())
     for frame in frames:
-        image = np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
-        result = odometry.process(image)
-        times.append(frame.timestamp_s)
+        result = odometry.process(_grey(frame))
+        found.times_s.append(frame.timestamp_s)
         if result.state is not State.TRACKING and result.reason != FIRST_IMAGES:
-            reasons[result.reason] += 1
-    adjusted = odometry.adjust_all(focal)
-    poses = [odometry.T_world_camera(n) for n in range(len(times))]
-    known = [n for n, pose in enumerate(poses) if pose is not None]
+            found.reasons[result.reason] += 1
+    return found
+
+
+def _grey(frame: Frame) -> NDArray[np.uint8]:
+    return np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
+
+
+def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraMotion:
+    """The motion after correction by revisits, and what speaks against it."""
+    sparse_map, times_s = odometry.sparse_map, odometry.times_s
+    known = [n for n in range(len(times_s)) if sparse_map.T_world_camera(n) is not None]
+    # Frames before the initialisation have a pose afterwards.
+    without = dict(odometry.reasons.most_common()) if len(known) < len(times_s) else {}
+    if len(_depth_views(sparse_map)[0]) < 3:
+        reason = next(iter(without), "there are too few frames")
+        doubts = [f"the motion of the camera could not be determined: {reason}"]
+        nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+        return CameraMotion(
+            nothing, sparse_map.camera, [], len(times_s), without_pose=without, doubts=doubts
+        )
+    sparse_map, loops = close_loops(sparse_map, lambda n: _grey(frames[n]))
+    adjusted = sparse_map.adjust_all(focal=not calibrated)
+    assert adjusted is not None, "there are three views"
+    poses = [sparse_map.T_world_camera(n) for n in known]
     trajectory = Trajectory(
-        np.array([times[n] for n in known]),
-        np.array([poses[n] for n in known]).reshape(-1, 4, 4),
+        np.array([times_s[n] for n in known]), np.array(poses).reshape(-1, 4, 4)
     )
+    views, depths = _depth_views(sparse_map)
+    centres = trajectory.T_world_camera[:, :3, 3]
+    spread = float(np.sqrt(((centres - centres.mean(0)) ** 2).sum(1).mean()))
+    # The first two views define the unit of length; there is nothing before them to compare with.
+    sigma = scale_sigma(sparse_map)[1:]
+    weakest = int(sigma.argmax())
+    motion = CameraMotion(
+        trajectory,
+        sparse_map.camera,
+        views,
+        len(times_s),
+        extent=spread / float(np.median(depths)) if depths else 0.0,
+        error_px=float(np.median(adjusted.error_px)),
+        scale_sigma=float(sigma[weakest]),
+        scale_frame=sparse_map.views[weakest + 1].frame,
+        loops=loops,
+        focal_sigma=None if calibrated else adjusted.focal_sigma,
+        without_pose=without,
+    )
+    return replace(motion, doubts=_doubts(motion))
+
+
+def _depth_views(sparse_map: SparseMap) -> tuple[list[DepthView], list[float]]:
+    """Views whose depth can be estimated, and their median depths."""
     views, depths = [], []
-    for number, view in enumerate(odometry.views):
-        depth = odometry.landmark_depths(number)
+    for number, view in enumerate(sparse_map.views):
+        depth = sparse_map.landmark_depths(number)
         if len(depth) < _MIN_LANDMARKS:
             continue
         near, far = np.percentile(depth, [_NEAR_PERCENT, _FAR_PERCENT])
         views.append(DepthView(view.frame, view.T_world_camera, float(near), float(far)))
         depths.append(float(np.median(depth)))
-    # Frames before the initialisation have a pose afterwards.
-    without = dict(reasons.most_common()) if len(known) < len(times) else {}
-    if len(views) < 2 or adjusted is None:
-        reason = reasons.most_common(1)[0][0] if reasons else "there are too few frames"
-        doubts = [f"the motion of the camera could not be determined: {reason}"]
-        empty = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-        return CameraMotion(empty, camera, [], len(times), without_pose=without, doubts=doubts), 1.0
-    centres = trajectory.T_world_camera[:, :3, 3]
-    spread = float(np.sqrt(((centres - centres.mean(0)) ** 2).sum(1).mean()))
-    motion = CameraMotion(
-        trajectory,
-        camera,
-        views,
-        len(times),
-        extent=spread / float(np.median(depths)),
-        error_px=float(np.median(adjusted.error_px)),
-        weakest=odometry.weakest,
-        focal_sigma=adjusted.focal_sigma if focal else None,
-        without_pose=without,
-    )
-    return replace(motion, doubts=_doubts(motion)), adjusted.focal_factor
+    return views, depths
 
 
 def _doubts(motion: CameraMotion) -> list[str]:
@@ -231,11 +280,10 @@ def _doubts(motion: CameraMotion) -> list[str]:
     if missing > _MAX_MISSING * motion.frames:
         reason = next(iter(motion.without_pose), "tracking failed")
         doubts.append(f"{missing} of {motion.frames} frames have no pose ({reason})")
-    if motion.weakest is not None and motion.weakest[0] < _MIN_CONNECTED:
-        count, frame = motion.weakest
+    if not motion.scale_sigma < _MAX_SCALE_SIGMA:
         doubts.append(
-            f"only {count} points of known distance connect frame {frame} with those before, so "
-            "that the scale may have changed there: the camera turned without moving, or too fast"
+            f"the scale may have changed after frame {motion.scale_frame}, where little connects "
+            "the images before and after: the camera turned without moving, or too fast"
         )
     if motion.error_px > _MAX_ERROR * motion.camera.width:
         doubts.append(

@@ -75,8 +75,8 @@ def with_metric_scale(
         options: the known length.
 
     Returns:
-        The motion in metres with its `scale`; unchanged without a known length, and with a doubt if
-        the length could not be found in the images.
+        The motion in metres with its `metric_scale`; unchanged without a known length, and with a
+        doubt if the length could not be found in the images.
     """
     known_m: float | None
     found: Callable[[], _Length | str]
@@ -96,7 +96,7 @@ def with_metric_scale(
         doubt = f"the metric scale could not be determined: {length}"
         return replace(motion, doubts=[*motion.doubts, doubt])
     scale = MetricScale(known_m / length.value, length.sigma, length.source)
-    return replace(scaled(motion, scale.factor), scale=scale)
+    return replace(scaled(motion, scale.factor), metric_scale=scale)
 
 
 def scaled(motion: CameraMotion, factor: float) -> CameraMotion:

@@ -69,7 +69,7 @@ def solve(
         DependencyError: GTSAM is not installed.
         ToolkitError: the system is singular to working precision.
     """
-    gtsam = _gtsam()
+    gtsam = load_gtsam()
     options = options or SolverOptions()
     factors = _factors(gtsam, graph, options)
     initial = _values(gtsam, graph)
@@ -113,7 +113,7 @@ def kernel_weights(chi2: Array, options: SolverOptions) -> Array:
     return np.ones_like(chi2)
 
 
-def _gtsam() -> ModuleType:
+def load_gtsam() -> ModuleType:
     try:
         import gtsam
     except ImportError as error:

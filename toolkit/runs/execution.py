@@ -188,12 +188,13 @@ def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress)
     _log.info("Estimating the motion of the camera from the images.")
     total = len(dataset)
 
-    def frames() -> Iterable[Frame]:
-        return progress(prefetched(dataset, range(total)), total, 0)
-
     calibrated = dataset.recording.calibrated
     motion = estimate_motion(
-        frames, dataset.camera, calibrated, focal_sigma=dataset.recording.focal_sigma
+        dataset,
+        dataset.camera,
+        calibrated,
+        focal_sigma=dataset.recording.focal_sigma,
+        progress=lambda frames: progress(frames, total, 0),
     )
     if not calibrated:
         _log.info("The focal length is %.0f pixels.", motion.camera.fx)
@@ -206,11 +207,11 @@ def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress)
             len(motion.views),
         )
         motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale)
-    if motion.scale is not None:
+    if motion.metric_scale is not None:
         _log.info(
             "The unit of length is the metre, by %s (uncertain by %.1f %%).",
-            motion.scale.source,
-            100.0 * motion.scale.sigma,
+            motion.metric_scale.source,
+            100.0 * motion.metric_scale.sigma,
         )
     for doubt in motion.doubts:
         _log.warning("The result is not reliable: %s.", doubt)

@@ -62,6 +62,24 @@ class LandmarkTable:
         self.inverse_depth = np.concatenate([self.inverse_depth, np.zeros(count)])
         self.measured = np.concatenate([self.measured, np.zeros(count, bool)])
 
+    def append(
+        self, anchor: NDArray[np.int32], px: Array, inverse_depth: Array
+    ) -> NDArray[np.int64]:
+        """Add measured landmarks [N]; returns their identities [N]."""
+        ids = len(self.anchor) + np.arange(len(anchor))
+        self.anchor = np.concatenate([self.anchor, anchor.astype(np.int32)])
+        self.px = np.concatenate([self.px, px])
+        self.inverse_depth = np.concatenate([self.inverse_depth, inverse_depth])
+        self.measured = np.concatenate([self.measured, np.ones(len(anchor), bool)])
+        return ids
+
+    def copy(self) -> LandmarkTable:
+        """An independent copy."""
+        other = LandmarkTable()
+        other.anchor, other.px = self.anchor.copy(), self.px.copy()
+        other.inverse_depth, other.measured = self.inverse_depth.copy(), self.measured.copy()
+        return other
+
     def assume(self, ids: NDArray[np.int64], inverse_depth: float) -> None:
         """Make landmarks of those features that are none yet, at an assumed inverse depth."""
         new = ids[self.inverse_depth[ids] == 0]
