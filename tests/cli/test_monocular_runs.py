@@ -96,6 +96,37 @@ def test_an_estimated_focal_length_is_used_again(tmp_path):
     assert metrics_of(out)["psnr_db"] == pytest.approx(before["psnr_db"], abs=0.05)
 
 
+def test_a_known_distance_gives_a_map_in_metres(recording, tmp_path):
+    truth = read_tum(recording / "trajectory.txt").positions_m
+    distance_m = str(np.linalg.norm(truth[11] - truth[0]))
+    known = ["--scale.distance-m", distance_m, "--scale.distance-frames", "0", "11"]
+    assert main(arguments(recording, tmp_path / "run", "--depth", "none", *known)) == 0
+    metrics = metrics_of(tmp_path / "run")
+    assert metrics["ate_scale"] == pytest.approx(1.0, abs=0.05)
+    assert metrics["monocular_metric_scale"] > 0
+    assert metrics["monocular_metric_scale_sigma_percent"] < 5
+    found = read_tum(tmp_path / "run/trajectory.txt").positions_m
+    assert np.linalg.norm(found[11] - found[0]) == pytest.approx(float(distance_m), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--scale.camera-height-m", "1.5"), "add --depth none"),
+        (("--depth", "none", "--scale.distance-m", "1"), "belong together"),
+        (
+            ("--depth", "none", "--scale.distance-m", "1", "--scale.distance-frames", "0", "99"),
+            "frames below 12",
+        ),
+    ],
+)
+def test_lengths_that_cannot_be_used_are_refused(recording, tmp_path, capsys, words, message):
+    capsys.readouterr()
+    error = one_line_of_error(capsys, *arguments(recording, tmp_path / "run", *words))
+    assert message in error
+    assert not (tmp_path / "run").exists()
+
+
 def test_runs_are_reproducible(recording, run, tmp_path):
     assert main(arguments(recording, tmp_path / "again", "--depth", "none")) == 0
     for name in ("trajectory.txt", "map.ply"):

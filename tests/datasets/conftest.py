@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -166,7 +167,41 @@ def make_stray_scanner(tmp_path) -> Callable[..., Path]:
             values = [100.0 + i / 60, *pose(i)[:3, 3], *se3.quaternion_xyzw(pose(i)[:3, :3])]
             rows.append(f"{values[0]}, {i:06d}, " + ", ".join(map(str, values[1:])))
         (folder / "odometry.csv").write_text("\n".join(rows) + "\n")
-        (folder / "camera_matrix.csv").write_text("120, 0, 63.5\n0, 124, 47.5\n0, 0, 1\n")
+        (folder / "camera_matrix.csv").write_text("120, 0, 64\n0, 124, 48\n0, 0, 1\n")
+        return folder
+
+    return make
+
+
+def camera_file(index: int, **changes: Any) -> str:
+    """Camera of a frame; ARKit's y axis is up and its z axis back."""
+    T = pose(index) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    content = {f"t_{i}{j}": T[i, j] for i in range(3) for j in range(4)}
+    content |= {"fx": 60.0, "fy": 62.0, "cx": 32.0, "cy": 24.0, "width": 64, "height": 48}
+    return json.dumps(content | {"blur_score": 0.1} | changes)
+
+
+@pytest.fixture
+def make_polycam(tmp_path) -> Callable[..., Path]:
+    """Writes raw data of Polycam, whose colour is twice as large as depth."""
+
+    def make(corrected: bool = True, frames: int = 3) -> Path:
+        folder = tmp_path / "poly"
+        keyframes = folder / "keyframes"
+        kinds = ["", "corrected_"] if corrected else [""]
+        for kind in (*(f"{k}{n}" for k in kinds for n in ("images", "cameras")), "depth"):
+            (keyframes / kind).mkdir(parents=True)
+        (keyframes / "confidence").mkdir()
+        for i in range(frames):
+            stem = str(9_900_000 + 100_000 * i)  # the second one has more digits
+            for kind in kinds:
+                rgb = np.kron(frame_rgb(i if kind or not corrected else 7), np.ones((2, 2, 1)))
+                images.write_rgb(keyframes / f"{kind}images/{stem}.png", rgb)
+                (keyframes / f"{kind}cameras/{stem}.json").write_text(camera_file(i))
+            images.write_depth_png(keyframes / f"depth/{stem}.png", frame_depth_m(i), 1000)
+            confidence = np.full((HEIGHT, WIDTH), 255, np.uint8)
+            confidence[3, 5], confidence[3, 6] = 0, 127
+            images.write_png(keyframes / f"confidence/{stem}.png", confidence)
         return folder
 
     return make

@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
+from toolkit.datasets.pairing import associate
 from toolkit.datasets.registry import KINDS, open_dataset
-from toolkit.datasets.tum import associate
 from toolkit.errors import DatasetError, FormatError
 from toolkit.geometry import se3
 from toolkit.io import images

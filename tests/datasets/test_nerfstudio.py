@@ -87,7 +87,8 @@ def test_the_unit_of_depth_can_be_given(make_nerfstudio):
         (None, {"w": None}, "lacks the number w"),
         (None, {"fl_x": "wide"}, "no valid number fl_x"),
         (None, {"fl_x": -5.0}, "correct the intrinsics"),
-        (None, {"camera_model": "OPENCV_FISHEYE"}, "undistort the images"),
+        (None, {"camera_model": "EQUIRECTANGULAR"}, "undistort the images"),
+        (0, {"camera_model": "OPENCV_FISHEYE"}, "several camera models"),
         (None, {"k4": 0.1}, "distortion beyond k3"),
         (None, {"depth_unit_scale_factor": 0}, "must be positive"),
         (0, {"fl_x": 33.0}, "record with fixed focus"),
@@ -102,6 +103,25 @@ def test_bad_files_are_refused_in_one_line(make_nerfstudio, frame, values, messa
         open_dataset("nerfstudio", folder)
     assert "transforms.json" in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_fisheye_images_have_four_coefficients(make_nerfstudio):
+    values = {"k1": 0.1, "k2": 0.2, "k3": 0.3, "k4": 0.4}
+    folder = changed(make_nerfstudio(), camera_model="OPENCV_FISHEYE", **values)
+    recording = open_dataset("nerfstudio", folder).recording
+    assert recording.fisheye
+    assert recording.distortion == (0.1, 0.2, 0.3, 0.4)
+
+
+def test_without_depth_colour_keeps_its_size(make_nerfstudio):
+    folder = make_nerfstudio(frames=2, enlarged=2)
+    dataset = open_dataset("nerfstudio", folder, needs_depth=False)
+    assert dataset.camera.size == (64, 48)
+    assert (dataset.camera.fx, dataset.camera.cx) == (60.0, 31.5)
+    frame = dataset[1]
+    assert frame.rgb.shape == (48, 64, 3)
+    small = open_dataset("nerfstudio", folder)[1]
+    np.testing.assert_array_equal(frame.depth_m[::2, ::2], small.depth_m)
 
 
 def test_colour_only_needs_the_option_for_missing_depth(make_nerfstudio):

@@ -1,5 +1,6 @@
 """Real recordings have the expected frames, cameras and depths."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -23,6 +24,30 @@ def test_frames_camera_truth(real_data, kind, name, frames, fx):
     for frame in prefetched(dataset, range(0, frames, frames // 3)):
         assert frame.rgb.std() > 0.05
         assert 0.5 < np.median(frame.depth_m[frame.depth_m > 0]) < 4.0
+
+
+def test_a_bag_of_a_tracking_camera_gives_undistorted_images(real_data):
+    """The left edge of the door is straight, as it is not in the image of the fisheye."""
+    pytest.importorskip("rosbags")
+    path = real_data("recordings") / "trimmed_locoffice.bag"
+    dataset = open_dataset("bag", path, needs_depth=False)
+    assert len(dataset) == 3
+    assert dataset.camera.size == (848, 800)
+    assert dataset.timestamps_s[0] == pytest.approx(1553180224.360916)
+    assert dataset.recording.fisheye
+    assert not dataset.recording.calibrated
+    assert dataset.recording.container is not None
+    assert bend_px(dataset[1].rgb) < 0.7
+    assert bend_px(dataset.recording.container.rgb(1)) > 1.0
+
+
+def bend_px(rgb: np.ndarray) -> float:
+    """Largest distance of the steepest step near the edge of the door from a straight line."""
+    rows, left = np.arange(270, 630, 10), 365
+    smooth = cv2.GaussianBlur(rgb[..., 0], (0, 0), 1.5)[rows, left : left + 37]
+    columns = np.abs(np.diff(smooth, axis=1)).argmax(axis=1)
+    line = np.polyval(np.polyfit(rows, columns, 1), rows)
+    return float(np.abs(columns - line).max())
 
 
 @pytest.mark.parametrize(("kind", "name", "frames", "fx"), RECORDINGS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from film_boxes import change, turned_upright
 from test_formats import check_truth, depth_of
 
 from toolkit.datasets.checks import check_dataset
@@ -21,7 +22,7 @@ def test_frames_camera_and_poses_are_those_written(make_stray_scanner):
     dataset = open_dataset("stray-scanner", make_stray_scanner())
     assert len(dataset) == 6
     check_truth(dataset, list(range(6)), list(range(6)))
-    camera = dataset.camera  # a quarter of the video, whose centre is (63.5, 47.5)
+    camera = dataset.camera  # a quarter of the video, whose centre is (64, 48) from its corner
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (30.0, 31.0, 15.5, 11.5)
     for i in range(6):
         frame = dataset[i]
@@ -31,6 +32,30 @@ def test_frames_camera_and_poses_are_those_written(make_stray_scanner):
         expected = depth_of(i).astype(np.float32)
         expected[3, 5] = 0.0  # no confidence
         np.testing.assert_allclose(frame.depth_m, expected, atol=0.001)
+
+
+def test_the_rotation_of_the_video_is_not_applied(make_stray_scanner):
+    """Depth and intrinsics are for the pixels of the sensor."""
+    folder = make_stray_scanner()
+    upright = turned_upright(96)
+    change(folder / "rgb.mp4", upright)
+    assert VideoFile(folder / "rgb.mp4").size == (96, 128)
+    dataset = open_dataset("stray-scanner", folder)
+    assert dataset.camera.size == (32, 24)
+    assert dataset.camera.fx == pytest.approx(30.0)
+    assert grey(dataset, 3) == pytest.approx(0.4, abs=0.02)
+    alone = open_dataset("stray-scanner", folder, needs_depth=False)
+    assert alone[3].rgb.shape == (96, 128, 3)
+
+
+def test_without_depth_colour_keeps_its_size(make_stray_scanner):
+    dataset = open_dataset("stray-scanner", make_stray_scanner(), needs_depth=False)
+    assert dataset.camera.size == (128, 96)
+    assert (dataset.camera.fx, dataset.camera.cx) == (120.0, 63.5)
+    frame = dataset[2]
+    assert frame.rgb.shape == (96, 128, 3)
+    assert frame.depth_m[3 * 4 + 1, 5 * 4 + 2] == 0.0  # no confidence
+    assert frame.depth_m[0, 0] == pytest.approx(depth_of(2)[0, 0], abs=1e-3)
 
 
 def test_any_order_of_access_gives_the_same_frames(make_stray_scanner):

@@ -69,7 +69,9 @@ def test_intrinsics_and_field_of_view_contradict(film):
 
 def test_intrinsics_of_another_size_are_rejected(film):
     film.with_suffix(".yaml").write_text(INTRINSICS.replace("width: 64", "width: 640"))
-    with pytest.raises(DatasetError, match=r"is for 640x48 pixels but film\.mp4 has 64x48"):
+    with pytest.raises(
+        DatasetError, match=r"is for 640x48 pixels but film\.mp4 is shown with 64x48"
+    ):
         opened(film)
 
 

@@ -10,7 +10,7 @@ from moving_camera import error_m, film, turn, walk, wind
 
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.motion import CameraMotion, estimate_motion
+from toolkit.monocular.motion import CameraMotion, combined_focal, estimate_motion
 from toolkit.monocular.sequence import MonocularSequence
 
 
@@ -109,6 +109,30 @@ def test_an_unknown_focal_length_is_estimated(factor):
     assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
     assert motion.focal_sigma == pytest.approx(0.01, rel=0.5)
     assert motion.metrics()["monocular_focal_px"] == motion.camera.fx
+
+
+def test_a_stated_focal_length_is_kept_where_the_motion_does_not_tell_it(walked):
+    """A walk to the side without the turns that tell the focal length."""
+    true = walked[0].camera
+    stated = replace(true, fx=1.02 * true.fx, fy=1.02 * true.fy)
+    motion = estimate_motion(walked, stated, calibrated=False, focal_sigma=0.03)
+    assert motion.camera.fx == pytest.approx(stated.fx, rel=0.03)
+    assert motion.focal_sigma <= 0.03
+    assert motion.reliable
+
+
+def test_a_stated_focal_length_is_corrected_by_a_motion_that_tells_it():
+    frames = film(wind())
+    true = frames[0].camera
+    stated = replace(true, fx=1.06 * true.fx, fy=1.06 * true.fy)
+    motion = estimate_motion(frames, stated, calibrated=False, focal_sigma=0.03)
+    assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
+
+
+def test_focal_lengths_are_combined_by_their_information():
+    assert combined_focal(0.03, 1.5, np.inf) == pytest.approx((1.0, 0.03))
+    assert combined_focal(0.03, 1.1, 0.03) == pytest.approx((1.1**0.5, 0.03 / 2**0.5))
+    assert combined_focal(0.1, 1.2, 0.001)[0] == pytest.approx(1.2, abs=1e-3)
 
 
 def test_keyframes_have_depth_and_other_frames_none(walked):

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from tqdm import tqdm
 
 from toolkit.cli.programs import CheckDataOptions
-from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe
 
 
 def main(options: CheckDataOptions) -> int:
@@ -20,7 +21,8 @@ def main(options: CheckDataOptions) -> int:
     Raises:
         ToolkitError: the dataset cannot be opened.
     """
-    report = check_dataset(options.kind, options.path, options.image_size, _with_progress)
+    recording = describe(options.kind, options.path, options.topics)
+    report = check_recording(recording, options.image_size, _with_progress)
     for line in report.summary:
         print(line)
     for line in report.notes:

@@ -20,6 +20,7 @@ from toolkit.errors import DependencyError, SettingsError
 _REQUIRED = {
     "numpy": "numpy",
     "cv2": "opencv-python-headless",
+    "PIL": "pillow",
     "sklearn": "scikit-learn",
     "faiss": "faiss-cpu",
     "gtsam": "gtsam",
@@ -36,6 +37,8 @@ _REQUIRED = {
 _OPTIONAL = {
     "transformers": ("transformers", "DINOv2 and segmentation models"),
     "openai": ("openai", "building a taxonomy with a language model"),
+    "rosbags": ("rosbags", "bags of ROS and RealSense"),
+    "lzfse": ("lzfse", "depth of Record3D"),
 }
 
 # Shared library that Open3D loads: Debian package.

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.datasets.options import DatasetKind
+from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
 from toolkit.registration.options import RegistrationOptions
@@ -189,9 +189,10 @@ class CheckDataOptions:
     kind: DatasetKind
     """Layout of the dataset (docs/guides/datasets.md)."""
     path: Path
-    """Folder of the dataset."""
+    """Folder of the dataset, or file of a video or bag."""
     image_size: ImageSize | None = None
     """Width and height in pixels to which images are resized. By default, they keep their size."""
+    topics: BagTopics = BagTopics()
 
 
 @dataclass(frozen=True)

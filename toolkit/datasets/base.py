@@ -14,8 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
-from toolkit.datasets.resize import ImageGrid, resize_colour
+from toolkit.datasets.resize import ImageGrid, enlarge_depth, resize_colour
 from toolkit.datasets.undistortion import Undistortion
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
@@ -48,16 +49,27 @@ class Dataset(Protocol):
     def __iter__(self) -> Iterator[Frame]: ...
 
 
+class Container(Protocol):
+    """A file that contains the images of all frames, for instance a bag."""
+
+    def rgb(self, number: int) -> NDArray[np.float32]:
+        """Colour image [H, W, 3] of frame `number`, RGB in [0, 1]."""
+
+    def depth_m(self, number: int) -> NDArray[np.float32]:
+        """Depth image [H, W] of frame `number` in metres, 0 where missing."""
+
+
 @dataclass(frozen=True)
 class FrameFiles:
     """The files of one frame.
 
     Attributes:
         timestamp_s: seconds, strictly increasing.
-        rgb: colour image, or the video that contains it.
-        depth: depth image, or None without depth.
+        rgb: colour image, or the video or other file that contains it.
+        depth: depth image, or the file that contains it, or None without depth.
         labels: image of class ids, or None.
-        video_frame: number of the frame in the video; None if `rgb` is an image.
+        number: number of the frame in the file `rgb`; None if `rgb` is an image.
+        orientation: of the colour image, as in EXIF; 1 if the pixels are stored as shown.
         confidence: image of the depth's confidence, where depth with 0 is missing, or None.
     """
 
@@ -65,20 +77,21 @@ class FrameFiles:
     rgb: Path
     depth: Path | None
     labels: Path | None = None
-    video_frame: int | None = None
+    number: int | None = None
     confidence: Path | None = None
+    orientation: int = 1
 
     @property
     def stem(self) -> str:
         """Name for files that belong to the frame, without suffix."""
-        return self.rgb.stem if self.video_frame is None else f"{self.video_frame:06d}"
+        return self.rgb.stem if self.number is None else f"{self.number:06d}"
 
     @property
     def name(self) -> str:
         """Name of the colour image in messages."""
-        if self.video_frame is None:
+        if self.number is None:
             return self.rgb.name
-        return f"{self.rgb.name} frame {self.video_frame}"
+        return f"{self.rgb.name} frame {self.number}"
 
 
 @dataclass(frozen=True)
@@ -93,11 +106,18 @@ class Recording:
         ground_truth: poses at the timestamps of the frames, or None.
         label_names: class names by id, or None.
         saturated_is_missing: whether the depth value 65535 marks missing depth.
-        distortion: OpenCV's (k1, k2, p1, p2, k3) of both images, or None.
+        distortion: OpenCV's (k1, k2, p1, p2, k3[, k4, k5, k6]) of both images, or None.
+        fisheye: whether `distortion` is (k1, k2, k3, k4) of the model of Kannala and Brandt.
         colour_may_be_larger: whether colour images are resized to the size of the depth images.
+        colour_camera: intrinsics of these larger colour images, for use without depth.
+        rotated: whether rotation metadata of a video is applied.
+        container: reads the images of frames with a `number`; None if they are a video's.
+        depth_fault: why the depth of the recording cannot be used, if it has any.
         flaws: one line for each defect of the recording that was worked around.
         notes: one line for each kind of gap that is common in this format.
-        calibrated: whether the focal length is known; otherwise it is a guess.
+        calibrated: whether the focal length is known; otherwise it is to be estimated.
+        focal_sigma: relative standard deviation of the focal length that metadata states; None if
+            nothing is stated, so that a typical one is the initial value.
     """
 
     name: str
@@ -108,10 +128,16 @@ class Recording:
     label_names: dict[int, str] | None = None
     saturated_is_missing: bool = False
     distortion: tuple[float, ...] | None = None
+    fisheye: bool = False
     colour_may_be_larger: bool = False
+    colour_camera: Camera | None = None
+    rotated: bool = True
+    container: Container | None = None
+    depth_fault: str | None = None
     flaws: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     calibrated: bool = True
+    focal_sigma: float | None = None
 
 
 class RecordedDataset:
@@ -142,7 +168,9 @@ class RecordedDataset:
         self.stems = [files.stem for files in recording.files[:max_frames]]
         self._files = recording.files[:max_frames]
         self._undistortion = (
-            Undistortion(recording.camera, recording.distortion) if recording.distortion else None
+            Undistortion(recording.camera, recording.distortion, recording.fisheye)
+            if recording.distortion
+            else None
         )
         self._grid = ImageGrid(recording.camera, image_size) if image_size else None
         self.camera = self._grid.camera if self._grid else recording.camera
@@ -193,41 +221,54 @@ class RecordedDataset:
         rgb = self._colour(files)
         if recording.colour_may_be_larger and rgb.shape[:2] != depth_m.shape:
             rgb = resize_colour(rgb, recording.camera.size)
-        _check_size(rgb, recording.camera, files.rgb)
+        check_size(rgb, recording.camera.size, files.rgb)
         labels = None
         if files.labels is not None:
             labels = images.read_labels(files.labels)
-            _check_size(labels, recording.camera, files.labels)
+            check_size(labels, recording.camera.size, files.labels)
         return rgb, depth_m, labels
 
     def _depth_m(self, files: FrameFiles) -> NDArray[np.float32]:
         recording = self.recording
         if files.depth is None:
             return np.zeros((recording.camera.height, recording.camera.width), np.float32)
-        depth_m = images.read_depth_m(
-            files.depth, recording.depth_scale, recording.saturated_is_missing
-        )
-        _check_size(depth_m, recording.camera, files.depth)
+        if recording.container is not None and files.number is not None:
+            depth_m = recording.container.depth_m(files.number)
+        else:
+            depth_m = images.read_depth_m(
+                files.depth, recording.depth_scale, recording.saturated_is_missing
+            )
         if files.confidence is not None:
             confidence = images.read_labels(files.confidence)
-            _check_size(confidence, recording.camera, files.confidence)
+            height, width = depth_m.shape
+            check_size(confidence, (width, height), files.confidence)
             depth_m[confidence == 0] = 0.0
+        if recording.camera == recording.colour_camera:
+            depth_m = enlarge_depth(depth_m, recording.camera.size)
+        check_size(depth_m, recording.camera.size, files.depth)
         return depth_m
 
     def _colour(self, files: FrameFiles) -> NDArray[np.float32]:
-        if files.video_frame is None:
-            return images.read_rgb(files.rgb)
+        if files.number is None:
+            return oriented(images.read_rgb(files.rgb), files.orientation)
+        if self.recording.container is not None:
+            return self.recording.container.rgb(files.number)
         if files.rgb not in self._videos:
-            self._videos[files.rgb] = VideoFile(files.rgb)
-        return self._videos[files.rgb].rgb(files.video_frame)
+            self._videos[files.rgb] = VideoFile(files.rgb, self.recording.rotated)
+        return self._videos[files.rgb].rgb(files.number)
 
 
-def _check_size(image: NDArray, camera: Camera, path: Path) -> None:
+def check_size(image: NDArray, size: tuple[int, int], path: Path) -> None:
+    """Check that an image [H, W, ...] of a file has the (width, height) of the camera.
+
+    Raises:
+        DatasetError: it has not.
+    """
     height, width = image.shape[:2]
-    if (width, height) != camera.size:
+    if (width, height) != size:
         raise DatasetError(
-            f"{path} is {width}x{height} but the camera of this dataset is "
-            f"{camera.width}x{camera.height}; colour, depth and intrinsics must have the same size"
+            f"{path} is {width}x{height} but the camera of this dataset is {size[0]}x{size[1]}; "
+            f"colour, depth and intrinsics must have the same size"
         )
 
 

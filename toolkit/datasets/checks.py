@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.decoder_warnings import decoder_warning
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import measure_registration
@@ -77,12 +77,30 @@ def check_dataset(
         DatasetError: the dataset does not exist.
         FormatError: a text file is malformed.
     """
-    dataset = RecordedDataset(describe(kind, path), image_size)
+    return check_recording(describe(kind, path), image_size, watch)
+
+
+def check_recording(
+    recording: Recording,
+    image_size: tuple[int, int] | None = None,
+    watch: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> CheckReport:
+    """Read every frame of a recording and report defects.
+
+    Args:
+        recording: from `registry.describe`.
+        image_size, watch: as for `check_dataset`.
+
+    Raises:
+        DatasetError: the recording has no frames.
+    """
+    dataset = RecordedDataset(recording, image_size)
     findings = _Findings()
     for index in watch(range(len(dataset))):
         _check_frame(dataset, index, findings)
     faults = [
         *dataset.recording.flaws,
+        *([recording.depth_fault] if recording.depth_fault else []),
         *_time_faults(dataset),
         *_frame_faults(findings),
         *_depth_scale_faults(findings, dataset.recording.depth_scale),
@@ -99,7 +117,7 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
     except ToolkitError as error:
         findings.failures.append(f"frame {index}: {error}")
         return
-    if files.video_frame is None and decoder_warning(files.rgb):
+    if files.number is None and decoder_warning(files.rgb):
         findings.damaged.append(files.name)
     if float(np.ptp(frame.rgb)) == 0.0:
         findings.blank.append(files.name)

@@ -22,7 +22,7 @@ from toolkit.io.trajectories import read_tum_lines
 
 DEFAULT_FPS = 30.0
 _REQUIRED = ("fx", "fy", "cx", "cy", "width", "height")
-_OPTIONAL = ("depth_scale", "distortion", "fps")
+_OPTIONAL = ("depth_scale", "distortion", "fisheye", "fps")
 _COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -30,13 +30,14 @@ _COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 class Intrinsics:
     """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate.
 
-    Without depth, `depth_scale` is 1.
+    Without depth, `depth_scale` is 1. With `fisheye`, `distortion` is the key of that name.
     """
 
     camera: Camera
     depth_scale: float
     distortion: tuple[float, ...] | None
     fps: float
+    fisheye: bool = False
 
 
 def describe(path: Path) -> Recording:
@@ -73,6 +74,7 @@ def describe(path: Path) -> Recording:
         ground_truth=trajectory,
         label_names=read_class_names(folder / "labels" / "classes.json") if labels else None,
         distortion=intrinsics.distortion,
+        fisheye=intrinsics.fisheye,
         flaws=flaws,
     )
 
@@ -104,6 +106,7 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
         depth_scale = float(values.get("depth_scale", 1.0))
         fps = float(values.get("fps", DEFAULT_FPS))
         distortion = tuple(float(k) for k in values.get("distortion") or ())
+        fisheye = tuple(float(k) for k in values.get("fisheye") or ())
         camera = Camera(
             numbers["fx"],
             numbers["fy"],
@@ -114,12 +117,18 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
         )
     except (TypeError, ValueError, OverflowError, SettingsError) as error:
         raise DatasetError(f"{path}: {error}; correct the value") from error
-    if len(distortion) not in (0, 5) or not np.isfinite(distortion).all():
-        raise DatasetError(f"{path}: distortion must be the 5 numbers [k1, k2, p1, p2, k3]")
+    if len(distortion) not in (0, 5, 8) or not np.isfinite(distortion).all():
+        raise DatasetError(
+            f"{path}: distortion must be the 5 numbers [k1, k2, p1, p2, k3], or 8 with k4, k5, k6"
+        )
+    if len(fisheye) not in (0, 4) or not np.isfinite(fisheye).all() or (fisheye and distortion):
+        raise DatasetError(
+            f"{path}: fisheye must be the 4 numbers [k1, k2, k3, k4], without distortion"
+        )
     for key, value in (("depth_scale", depth_scale), ("fps", fps)):
         if not 0 < value < float("inf"):
             raise DatasetError(f"{path}: {key} must be positive, got {value}")
-    return Intrinsics(camera, depth_scale, distortion or None, fps)
+    return Intrinsics(camera, depth_scale, fisheye or distortion or None, fps, bool(fisheye))
 
 
 def _load_mapping(path: Path) -> dict:

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.pairing import attach_poses, folder_holding, is_number, listed, unpaired
+from toolkit.datasets.common_camera import camera_of_depth, common_camera
+from toolkit.datasets.pairing import (
+    OPENGL_AXES,
+    attach_poses,
+    folder_holding,
+    is_number,
+    unpaired,
+)
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_depth_m
@@ -24,11 +31,7 @@ _FILE = "transforms.json"
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 _PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
-# Exports of phones have a focal length for each frame, because of the autofocus. Recordings have
-# one camera, the median; a larger relative deviation is an error.
-_MAX_FOCAL_DEVIATION = 0.02
-# From OpenGL's camera, whose y axis points up and whose z axis points back, to ours.
-_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+_FISHEYE_MODEL, _FISHEYE_DISTORTION = "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,7 @@ class _Lens:
 
     camera: Camera
     distortion: tuple[float, ...]
+    fisheye: bool = False
 
 
 def describe(path: Path) -> Recording:
@@ -48,8 +52,8 @@ def describe(path: Path) -> Recording:
     the ground truth.
 
     Raises:
-        DatasetError: the file is malformed, has no frames with depth, or its frames differ in size
-            or by more than 2 % in focal length, or the lens is a fisheye.
+        DatasetError: the file is malformed, or its frames differ in camera model or size, or by
+            more than 2 % in focal length, or the camera model is not supported.
     """
     folder = folder_holding(path, (_FILE,), "nerfstudio")
     file = folder / _FILE
@@ -78,8 +82,10 @@ def describe(path: Path) -> Recording:
         files=files,
         depth_scale=1.0 / scale,
         ground_truth=truth.trajectory,
-        distortion=lens.distortion if any(lens.distortion) else None,
+        distortion=lens.distortion if any(lens.distortion) or lens.fisheye else None,
+        fisheye=lens.fisheye,
         colour_may_be_larger=True,
+        colour_camera=lens.camera,
         flaws=unpaired("colour image(s) without depth", alone) + truth.flaws + lens_flaws,
     )
 
@@ -141,7 +147,7 @@ def _pose(file: Path, name: str, rows: Any) -> NDArray[np.float64]:
         T = np.vstack([T, [0.0, 0.0, 0.0, 1.0]])
     if T.shape != (4, 4):
         raise DatasetError(f"{file}: transform_matrix of {name} is not a 4x4 matrix")
-    return T @ _OPENGL
+    return T @ OPENGL_AXES
 
 
 def _number(file: Path, values: dict[str, Any], key: str, default: float | None = None) -> float:
@@ -155,12 +161,13 @@ def _number(file: Path, values: dict[str, Any], key: str, default: float | None 
 def _lens(file: Path, name: str, values: dict[str, Any]) -> _Lens:
     """The intrinsics of one frame; those of the frame override the common ones."""
     model = values.get("camera_model", "OPENCV")
-    if model not in _PINHOLE_MODELS:
+    fisheye = model == _FISHEYE_MODEL
+    if model not in _PINHOLE_MODELS and not fisheye:
         raise DatasetError(
             f"{file}: camera model {model} of {name} is not supported; undistort the images and "
             f"export them as {_PINHOLE_MODELS[0]}"
         )
-    if any(_number(file, values, key, 0.0) for key in ("k4", "k5", "k6")):
+    if not fisheye and any(_number(file, values, key, 0.0) for key in ("k4", "k5", "k6")):
         raise DatasetError(f"{file}: {name} has distortion beyond k3; undistort the images")
     width, height = (_number(file, values, key) for key in ("w", "h"))
     if "fl_x" in values or "camera_angle_x" not in values:
@@ -174,44 +181,20 @@ def _lens(file: Path, name: str, values: dict[str, Any]) -> _Lens:
         camera = Camera(fx, fy, cx - 0.5, cy - 0.5, int(width), int(height))
     except SettingsError as error:
         raise DatasetError(f"{file}: {error}; correct the intrinsics") from error
-    return _Lens(camera, tuple(_number(file, values, key, 0.0) for key in _DISTORTION))
+    keys = _FISHEYE_DISTORTION if fisheye else _DISTORTION
+    return _Lens(camera, tuple(_number(file, values, key, 0.0) for key in keys), fisheye)
 
 
 def _common_lens(file: Path, lenses: Sequence[_Lens]) -> tuple[_Lens, tuple[str, ...]]:
     """The median of the frames' intrinsics, and a line about their variation."""
-    cameras = [lens.camera for lens in lenses]
-    sizes = sorted({camera.size for camera in cameras})
-    if len(sizes) > 1:
-        named = [f"{width}x{height}" for width, height in sizes]
-        raise DatasetError(
-            f"{file} has images of different sizes ({listed(named)}); use the frames of one camera"
-        )
-    values = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
-    median = np.median(values, axis=0)
-    deviation = float(np.abs(values[:, :2] / median[:2] - 1.0).max())
-    if not deviation <= _MAX_FOCAL_DEVIATION:
-        raise DatasetError(
-            f"{file}: focal lengths of the frames differ by {100 * deviation:.1f} % from their "
-            f"median; record with fixed focus and zoom"
-        )
+    if len({lens.fisheye for lens in lenses}) > 1:
+        raise DatasetError(f"{file} has frames of several camera models; use those of one camera")
+    common = common_camera(file, [lens.camera for lens in lenses])
     distortion = np.median([lens.distortion for lens in lenses], axis=0)
-    fx, fy, cx, cy = (float(value) for value in median)
-    lens = _Lens(Camera(fx, fy, cx, cy, *sizes[0]), tuple(float(k) for k in distortion))
-    if deviation < 1e-3:
-        return lens, ()
-    return lens, (
-        f"focal lengths of the frames differ by up to {100 * deviation:.1f} %; the median "
-        f"{fx:.1f} px is used for all",
-    )
+    values = tuple(float(k) for k in distortion)
+    return _Lens(common.camera, values, lenses[0].fisheye), common.flaws
 
 
 def _camera_of_depth(colour: Camera, depth_file: Path) -> Camera:
-    """The camera of the depth images, which may be smaller than the colour images."""
     height, width = read_depth_m(depth_file, 1.0).shape
-    scale_x, scale_y = width / colour.width, height / colour.height
-    if abs(scale_x - scale_y) > 0.01 * scale_x:
-        raise DatasetError(
-            f"{depth_file} is {width}x{height}, but the colour images are "
-            f"{colour.width}x{colour.height}; export both with the same aspect ratio"
-        )
-    return colour.scaled(scale_x, scale_y, width, height)
+    return camera_of_depth(colour, (width, height), depth_file)

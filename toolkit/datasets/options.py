@@ -16,9 +16,24 @@ DatasetKind = Literal[
     "scannet",
     "nerfstudio",
     "stray-scanner",
+    "record3d",
+    "polycam",
+    "colmap",
     "folder",
     "video",
+    "images",
+    "bag",
 ]
+
+
+@dataclass(frozen=True)
+class BagTopics:
+    """Topics of a bag whose automatic choice is ambiguous."""
+
+    colour: str | None = None
+    """Topic of the colour images. By default, it is chosen by type, encoding and name."""
+    depth: str | None = None
+    """Topic of the depth images. By default, it is chosen by type, encoding and name."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +42,11 @@ class DatasetOptions:
 
     kind: DatasetKind = "synthetic"
     """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
-    stray-scanner, folder or video."""
+    stray-scanner, record3d, polycam, colmap, folder, video, images or bag."""
     path: Path | None = None
-    """Folder of the dataset, or file of a video. By default, a synthetic room is created beside the
-    run folder."""
+    """Folder of the dataset, or file of a video, bag or list of images. By default, a synthetic
+    room is created beside the run folder."""
     fov_deg: Annotated[float, Range(gt=0, lt=180)] | None = None
-    """Horizontal field of view in degrees of a video without intrinsics. By default, it is
+    """Horizontal field of view in degrees of a recording without intrinsics. By default, it is
     estimated."""
+    topics: BagTopics = BagTopics()

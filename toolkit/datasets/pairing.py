@@ -16,6 +16,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_matrix
 
+# From the axes of OpenGL's camera, y up and z back, to ours: T_world_camera = T @ OPENGL_AXES.
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 # Maximum number of files listed in one line; the rest are counted.
 _NAMED_FILES = 3
 
@@ -120,6 +122,33 @@ def pairing_flaws(rgb: dict, depth: dict, labels: dict) -> tuple[str, ...]:
         *unpaired("depth image(s) without colour", [depth[n].name for n in depth if n not in rgb]),
         *unpaired("frame(s) without the labels that others have", unlabelled),
     )
+
+
+def associate(
+    times_a: NDArray[np.float64], times_b: NDArray[np.float64], max_difference: float
+) -> list[tuple[int, int]]:
+    """Associate timestamps one to one, greedily by the smallest difference.
+
+    Args:
+        times_a, times_b: ascending timestamps.
+        max_difference: maximum difference of a pair, in the same unit.
+
+    Returns:
+        Index pairs (a, b), ordered by a.
+    """
+    candidates = []
+    for i, time in enumerate(times_a):
+        low, high = np.searchsorted(times_b, [time - max_difference, time + max_difference])
+        candidates += [(abs(times_b[j] - time), i, int(j)) for j in range(low, high)]
+    used_a: set[int] = set()
+    used_b: set[int] = set()
+    pairs = []
+    for _, i, j in sorted(candidates):
+        if i not in used_a and j not in used_b:
+            used_a.add(i)
+            used_b.add(j)
+            pairs.append((i, j))
+    return sorted(pairs)
 
 
 def attach_poses(files: tuple[FrameFiles, ...], poses: list[NDArray[np.float64] | None]) -> Truth:

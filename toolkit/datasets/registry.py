@@ -9,8 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets import (
+    bag,
+    colmap,
     folder,
     nerfstudio,
+    photos,
+    polycam,
+    record3d,
     replica,
     scannet,
     seven_scenes,
@@ -19,6 +24,7 @@ from toolkit.datasets import (
     video,
 )
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.options import BagTopics
 from toolkit.errors import DatasetError
 
 _log = logging.getLogger(__name__)
@@ -31,18 +37,24 @@ KINDS: dict[str, Callable[[Path], Recording]] = {
     "scannet": scannet.describe,
     "nerfstudio": nerfstudio.describe,
     "stray-scanner": stray_scanner.describe,
+    "record3d": record3d.describe,
+    "polycam": polycam.describe,
+    "colmap": colmap.describe,
     "folder": folder.describe,
     "video": video.describe,
+    "images": photos.describe,
+    "bag": bag.describe,
 }
 
 
-def open_dataset(
+def open_dataset(  # noqa: PLR0913 - everything that a user can state about a recording
     kind: str,
     path: str | os.PathLike[str],
     image_size: tuple[int, int] | None = None,
     max_frames: int | None = None,
     needs_depth: bool = True,
     fov_deg: float | None = None,
+    topics: BagTopics | None = None,
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -55,24 +67,34 @@ def open_dataset(
         max_frames: maximum number of frames from the start, or None for all.
         needs_depth: whether a recording without depth is an error.
         fov_deg: horizontal field of view of a recording without intrinsics; None to estimate it.
+        topics: names of topics of a bag; None to choose them.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
         FormatError: a text file is malformed.
     """
-    recording = describe(kind, path)
+    recording = describe(kind, path, topics)
+    if not needs_depth and recording.colour_camera is not None:
+        recording = replace(recording, camera=recording.colour_camera)
     if fov_deg is not None:
         if recording.calibrated:
             raise DatasetError(f"{path} has intrinsics; remove the field of view")
         camera = video.camera_with_fov(recording.camera, fov_deg)
-        recording = replace(recording, camera=camera, calibrated=True)
+        recording = replace(recording, camera=camera, calibrated=True, focal_sigma=None)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
     depth = dataset.files(0).depth
     if needs_depth and depth is None:
         raise DatasetError(
-            f"{path} has no depth images; add them, or estimate depth from the images with "
+            f"{path}: {recording.depth_fault}"
+            if recording.depth_fault
+            else f"{path} has no depth images; add them, or estimate depth from the images with "
             "--depth none"
+        )
+    if needs_depth and not recording.calibrated:
+        raise DatasetError(
+            f"{path} has no intrinsics; add them (docs/guides/datasets.md), or specify the field "
+            f"of view with --dataset.fov-deg"
         )
     if needs_depth and not first.depth_m.any():
         raise DatasetError(
@@ -86,8 +108,8 @@ def open_dataset(
     return dataset
 
 
-def describe(kind: str, path: str | os.PathLike[str]) -> Recording:
-    """Describe the recording in a folder without loading its frames.
+def describe(kind: str, path: str | os.PathLike[str], topics: BagTopics | None = None) -> Recording:
+    """Describe the recording at a path without loading its frames.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
@@ -95,4 +117,8 @@ def describe(kind: str, path: str | os.PathLike[str]) -> Recording:
     """
     if kind not in KINDS:
         raise DatasetError(f"unknown dataset kind {kind!r}; supported are {', '.join(KINDS)}")
+    if topics is not None and topics != BagTopics():
+        if kind != "bag":
+            raise DatasetError(f"dataset.topics is for bags; remove it for {kind}")
+        return bag.describe(Path(path), topics)
     return KINDS[kind](Path(path))

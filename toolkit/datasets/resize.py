@@ -21,6 +21,11 @@ def resize_colour(rgb: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np
     return np.asarray(cv2.resize(rgb, size, interpolation=method), dtype=np.float32)
 
 
+def enlarge_depth(depth_m: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Enlarge a depth image [H, W] to (width, height) by nearest neighbour."""
+    return np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT))
+
+
 class ImageGrid:
     """Pixel grid to which the images of one camera are resampled.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,11 @@ def describe(path: Path) -> Recording:
 
     Frames are the rows of `odometry.csv` with a depth image; row and depth image have the number of
     the video's frame. Colour is resized to the depth images. Depth with the confidence 0 counts as
-    missing. The poses of ARKit become the ground truth.
+    missing. The poses of ARKit become the ground truth; the app has turned them to our axes. Depth
+    and intrinsics are those of the sensor, which is held sideways: the rotation by which players
+    show the video upright is not applied.
+
+    Source: `docs/format.md` and `OdometryEncoder.swift` of github.com/strayrobots/scanner.
 
     Raises:
         DatasetError: the folder has a different layout, or the video is damaged.
@@ -42,7 +47,7 @@ def describe(path: Path) -> Recording:
     rows = _odometry(folder / _ODOMETRY)
     video = folder / _VIDEO
     files = tuple(
-        FrameFiles(time_s, video, depth[n], video_frame=n, confidence=confidence.get(n))
+        FrameFiles(time_s, video, depth[n], number=n, confidence=confidence.get(n))
         for n, (time_s, _) in rows.items()
         if n in depth
     )
@@ -53,7 +58,9 @@ def describe(path: Path) -> Recording:
         )
     truth = attach_poses(files, [pose for n, (_, pose) in rows.items() if n in depth])
     height, width = read_depth_m(next(iter(depth.values())), DEPTH_SCALE).shape
-    colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video).size)
+    colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video, rotated=False).size)
+    # ARKit measures the principal point from the corner of the first pixel.
+    colour = replace(colour, cx=colour.cx - 0.5, cy=colour.cy - 0.5)
     scale = width / colour.width, height / colour.height
     return Recording(
         name=folder.resolve().name,
@@ -62,6 +69,8 @@ def describe(path: Path) -> Recording:
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
         colour_may_be_larger=True,
+        colour_camera=colour,
+        rotated=False,
         flaws=unpaired(
             f"row(s) of {_ODOMETRY} without a depth image", [str(n) for n in rows if n not in depth]
         )

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.pairing import Truth, attach_poses, folder_holding, listed, unpaired
+from toolkit.datasets.pairing import (
+    Truth,
+    associate,
+    attach_poses,
+    folder_holding,
+    listed,
+    unpaired,
+)
 from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 from toolkit.io.trajectories import read_tum_lines, text_lines
@@ -72,33 +79,6 @@ def describe(path: Path) -> Recording:
         )
         + truth.missing,
     )
-
-
-def associate(
-    times_a: NDArray[np.float64], times_b: NDArray[np.float64], max_difference: float
-) -> list[tuple[int, int]]:
-    """Associate timestamps one to one, greedily by the smallest difference.
-
-    Args:
-        times_a, times_b: ascending timestamps.
-        max_difference: maximum difference of a pair, in the same unit.
-
-    Returns:
-        Index pairs (a, b), ordered by a.
-    """
-    candidates = []
-    for i, time in enumerate(times_a):
-        low, high = np.searchsorted(times_b, [time - max_difference, time + max_difference])
-        candidates += [(abs(times_b[j] - time), i, int(j)) for j in range(low, high)]
-    used_a: set[int] = set()
-    used_b: set[int] = set()
-    pairs = []
-    for _, i, j in sorted(candidates):
-        if i not in used_a and j not in used_b:
-            used_a.add(i)
-            used_b.add(j)
-            pairs.append((i, j))
-    return sorted(pairs)
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,16 @@ class Undistortion:
 
     Args:
         camera: intrinsics of the distorted and undistorted images.
-        distortion: OpenCV's (k1, k2, p1, p2, k3).
+        distortion: OpenCV's (k1, k2, p1, p2, k3[, k4, k5, k6]), or with `fisheye` (k1, k2, k3, k4)
+            of the model of Kannala and Brandt.
+        fisheye: selects the model.
     """
 
-    def __init__(self, camera: Camera, distortion: tuple[float, ...]) -> None:
-        self._map_x, self._map_y = cv2.initUndistortRectifyMap(
+    def __init__(
+        self, camera: Camera, distortion: tuple[float, ...], fisheye: bool = False
+    ) -> None:
+        rectify = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+        self._map_x, self._map_y = rectify(
             camera.matrix,
             np.array(distortion, dtype=np.float64),
             np.eye(3),

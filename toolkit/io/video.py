@@ -20,18 +20,20 @@ class VideoFile:
     """Decodes frames of a video; ascending numbers are fast.
 
     Frames are counted while decoding, since seeking is inexact in files with a variable frame rate:
-    an earlier frame than the last one is found by decoding from the start again. Rotation metadata
-    is applied. Not for use by several threads at the same time.
+    an earlier frame than the last one is found by decoding from the start again. Not for use by
+    several threads at the same time.
 
     Args:
         path: of a file that FFmpeg reads, for instance .mp4 or .mov.
+        rotated: whether rotation metadata is applied, so that frames are as they are shown.
 
     Raises:
         DatasetError: the file is missing or is not a video.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, rotated: bool = True) -> None:
         self._path = path
+        self._rotated = rotated
         self._next = 0
         self._capture = self._opened()
 
@@ -90,4 +92,5 @@ class VideoFile:
             raise DatasetError(
                 f"{self._path} is damaged or not a video that FFmpeg reads; copy the file again"
             )
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self._rotated))
         return capture

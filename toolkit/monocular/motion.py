@@ -45,8 +45,23 @@ _FOCAL_ROUNDS = 5
 
 
 @dataclass(frozen=True)
+class MetricScale:
+    """How a motion was scaled to metres.
+
+    Attributes:
+        factor: metres per former unit.
+        sigma: relative standard deviation of the length in the images that it follows from.
+        source: what that length is.
+    """
+
+    factor: float
+    sigma: float
+    source: str
+
+
+@dataclass(frozen=True)
 class CameraMotion:
-    """Estimated motion of a camera up to scale.
+    """Estimated motion of a camera, up to scale unless `metric_scale` is known.
 
     Attributes:
         trajectory: poses of all frames that have one.
@@ -59,6 +74,7 @@ class CameraMotion:
         scale_sigma: largest relative change of scale within the sequence that image errors of one
             pixel can cause. scale_frame: frame after which it may change.
         loops: places that the camera visited again.
+        metric_scale: how the motion was scaled to metres; None if its unit is arbitrary.
         without_pose: why frames have no pose: number of frames by reason.
         doubts: why the result is not reliable; empty if it is.
     """
@@ -73,6 +89,7 @@ class CameraMotion:
     scale_frame: int = 0
     loops: LoopClosure = field(default_factory=LoopClosure)
     focal_sigma: float | None = None
+    metric_scale: MetricScale | None = None
     without_pose: dict[str, int] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
 
@@ -83,7 +100,7 @@ class CameraMotion:
 
     def metrics(self) -> dict[str, float | int | str | bool | None]:
         """Entries of metrics.json."""
-        known = bool(self.views)
+        known, metric = bool(self.views), self.metric_scale
         return {
             "monocular_reliable": self.reliable,
             "monocular_doubts": "; ".join(self.doubts),
@@ -91,6 +108,10 @@ class CameraMotion:
             "monocular_extent": self.extent if known else None,
             "monocular_scale_sigma_percent": 100.0 * self.scale_sigma if known else None,
             "monocular_scale_frame": self.scale_frame if known else None,
+            "monocular_metric_scale": None if metric is None else metric.factor,
+            "monocular_metric_scale_sigma_percent": None
+            if metric is None
+            else 100.0 * metric.sigma,
             "monocular_revisits": self.loops.revisits,
             "monocular_revisits_rejected": self.loops.rejected,
             "monocular_reprojection_px": self.error_px if known else None,
@@ -100,7 +121,8 @@ class CameraMotion:
             else 100.0 * self.focal_sigma,
             "monocular_convention": "extent: RMS distance of the camera from its mean position "
             "relative to the median depth; scale sigma: largest relative change of scale that "
-            "image errors of one pixel can cause; the unit of length is arbitrary",
+            "image errors of one pixel can cause; the unit of length is "
+            + ("arbitrary" if metric is None else f"the metre, by {metric.source}"),
         }
 
 
@@ -117,6 +139,7 @@ def estimate_motion(
     camera: Camera,
     calibrated: bool = True,
     options: OdometryOptions | None = None,
+    focal_sigma: float | None = None,
     progress: Callable[[Frames], Iterable[Frame]] = iter,
 ) -> CameraMotion:
     """Estimate the motion of the camera from all frames of a sequence.
@@ -125,15 +148,46 @@ def estimate_motion(
         camera: intrinsics.
         calibrated: whether the focal length is known. Otherwise it is estimated together with the
             motion, repeatedly, because the first motion follows from a wrong one.
+        focal_sigma: relative standard deviation of a focal length that is to be estimated, with
+            which the estimate is combined; None if it is only a guess.
         progress: iterates over the frames, for instance with a progress bar.
     """
+    stated, sigma = camera, None
     for _ in range(1 if calibrated else _FOCAL_ROUNDS):
         odometry = _followed(progress(frames), camera, options)
-        odometry.sparse_map.adjust_all(focal=not calibrated)
-        before, camera = camera.fx, odometry.sparse_map.camera
-        if abs(camera.fx / before - 1.0) < _SAME_FOCAL:
+        adjusted = odometry.sparse_map.adjust_all(focal=not calibrated)
+        before, estimated = camera, odometry.sparse_map.camera
+        camera = estimated
+        if focal_sigma is not None and adjusted is not None and not calibrated:
+            factor, sigma = combined_focal(
+                focal_sigma, estimated.fx / stated.fx, adjusted.focal_sigma
+            )
+            camera = replace(stated, fx=factor * stated.fx, fy=factor * stated.fy)
+        if abs(camera.fx / before.fx - 1.0) < _SAME_FOCAL:
             break
-    return _evaluated(odometry, frames, calibrated)
+    if abs(estimated.fx / camera.fx - 1.0) >= _SAME_FOCAL:
+        # The last map belongs to another focal length than the combined one, which is kept.
+        odometry, calibrated = _followed(progress(frames), camera, options), True
+    motion = _evaluated(odometry, frames, calibrated)
+    if sigma is None or not motion.views:
+        return motion
+    motion = replace(motion, focal_sigma=sigma)
+    return replace(motion, doubts=_doubts(motion))
+
+
+def combined_focal(stated_sigma: float, estimated: float, sigma: float) -> tuple[float, float]:
+    """Combine a stated focal length with an estimate of it, both with normal logarithms.
+
+    Args:
+        stated_sigma: relative standard deviation of the stated focal length, > 0.
+        estimated: estimate relative to the stated focal length.
+        sigma: relative standard deviation of the estimate; infinite if it is not determined.
+
+    Returns:
+        The combination relative to the stated focal length, and its relative standard deviation.
+    """
+    information = stated_sigma**-2 + sigma**-2
+    return float(estimated ** (sigma**-2 / information)), float(information**-0.5)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.monocular.motion import CameraMotion, estimate_motion
+from toolkit.monocular.options import ScaleOptions
+from toolkit.monocular.scale import check_scale, with_metric_scale
 from toolkit.monocular.sequence import MonocularSequence
 from toolkit.pacing.paced import PacedSlam
 from toolkit.pacing.record import PaceSummary
@@ -82,7 +84,9 @@ def run(
         settings.max_frames,
         needs_depth,
         settings.dataset.fov_deg,
+        settings.dataset.topics,
     )
+    check_scale(settings.scale, len(dataset))
     config = dump_settings(settings)
     load_lpips(settings)  # reports unusable weights before the run instead of after it
     # Check the saved map before the folder is created. A checkpoint already contains the map.
@@ -114,7 +118,7 @@ def _execute(
     motion = None
     if settings.depth == "none":
         with recorder.timed(MOTION), _logged_to(folder.log):
-            motion = _motion(dataset, progress)
+            motion = _motion(dataset, settings, progress)
             if not motion.views:
                 write_motion_alone(motion, folder)
                 return
@@ -165,7 +169,10 @@ def _check(settings: RunSettings) -> None:
     Raises:
         SettingsError: with the option to remove.
     """
+    check_scale(settings.scale)
     if settings.depth == "sensor":
+        if settings.scale != ScaleOptions():
+            raise SettingsError("--scale is for runs without depth; remove it, or add --depth none")
         return
     for name, used in {
         "--pace": settings.pace,
@@ -176,7 +183,7 @@ def _check(settings: RunSettings) -> None:
             raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
 
 
-def _motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
+def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress) -> CameraMotion:
     """Estimate the motion of the camera from the images alone, and log what is not certain."""
     _log.info("Estimating the motion of the camera from the images.")
     total = len(dataset)
@@ -186,6 +193,7 @@ def _motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
         dataset,
         dataset.camera,
         calibrated,
+        focal_sigma=dataset.recording.focal_sigma,
         progress=lambda frames: progress(frames, total, 0),
     )
     if not calibrated:
@@ -197,6 +205,13 @@ def _motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
             len(motion.trajectory),
             total,
             len(motion.views),
+        )
+        motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale)
+    if motion.metric_scale is not None:
+        _log.info(
+            "The unit of length is the metre, by %s (uncertain by %.1f %%).",
+            motion.metric_scale.source,
+            100.0 * motion.metric_scale.sigma,
         )
     for doubt in motion.doubts:
         _log.warning("The result is not reliable: %s.", doubt)

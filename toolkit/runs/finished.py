@@ -129,6 +129,7 @@ class FinishedRun:
             settings.max_frames,
             needs_depth,
             settings.dataset.fov_deg,
+            settings.dataset.topics,
         )
         camera = self.stored_camera
         if not dataset.recording.calibrated and camera and camera.size == dataset.camera.size:

@@ -14,6 +14,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.mapping.options import MapperOptions
+from toolkit.monocular.options import ScaleOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
 from toolkit.pacing.options import FramesPerSecond, PacingOptions
 from toolkit.semantics.options import SemanticsOptions
@@ -53,7 +54,7 @@ class RunSettings:
     """Smooth depth images according to their estimated noise."""
     depth: Literal["sensor", "none"] = "sensor"
     """Depth of the images: that of the dataset (sensor), or estimated from the images alone (none).
-    Without depth, the unit of length is arbitrary."""
+    Without depth, the unit of length is arbitrary, unless a length is known (scale)."""
     poses: Literal["slam", "given"] = "slam"
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
     pace: FramesPerSecond = 0.0
@@ -74,6 +75,7 @@ class RunSettings:
     semantics: SemanticsOptions = SemanticsOptions()
     submaps: SubmapOptions = SubmapOptions()
     loops: LoopClosureOptions = LoopClosureOptions()
+    scale: ScaleOptions = ScaleOptions()
     pacing: PacingOptions = PacingOptions()
     checkpoint: CheckpointOptions = CheckpointOptions()
     evaluation: EvaluationOptions = EvaluationOptions()
