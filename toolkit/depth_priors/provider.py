@@ -246,6 +246,11 @@ class DepthProvider(Protocol):
     """Source of depth priors."""
 
     @property
+    def model(self) -> PriorModel:
+        """What produces the priors."""
+        ...
+
+    @property
     def joint(self) -> bool:
         """Whether images are better predicted in sets than alone."""
         ...

@@ -11,6 +11,7 @@ import yaml
 
 from toolkit.closing.options import LoopClosureOptions
 from toolkit.datasets.options import DatasetOptions
+from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.mapping.options import MapperOptions
@@ -54,6 +55,7 @@ class RunSettings:
     depth: Literal["sensor", "none"] = "sensor"
     """Depth of the images: that of the dataset (sensor), or estimated from the images alone (none).
     Without depth, the unit of length is arbitrary."""
+    depth_prior: DepthPriorOptions = DepthPriorOptions()
     poses: Literal["slam", "given"] = "slam"
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
     pace: FramesPerSecond = 0.0
