@@ -1,9 +1,8 @@
 """Scale and shift of depth priors: robustly for a set of images, and smooth across an image.
 
-The reference (rendered or triangulated depth) is much more accurate than the prior. Therefore the
-values of the prior are explained by the reference, `value = a x + b`, with x = z or 1 / z. Solving
-for the reference instead, as H-16 does, attenuates the scale: with 20 % noise by a quarter in a
-room. Scale and shift of the correction follow: `x = scale value + shift`, scale = 1 / a,
+The values of the prior are explained by the reference (rendered or triangulated depth), `value =
+a x + b`, with x = z or 1 / z. Solving for the reference instead, as H-16 does, attributes all noise
+to the reference and attenuates the scale: with 20 % noise by a quarter in a room. Scale and shift of the correction follow: `x = scale value + shift`, scale = 1 / a,
 shift = -b / a.
 """
 
@@ -29,6 +28,9 @@ _ROUNDS, _SAME = 80, 1e-6
 # Width, in standard deviations of the noise, of the peak that the final estimate is the middle of.
 # Outliers that are all on one side of the inliers and reach into their noise bias it less.
 _PEAK = 0.5
+# Relative error of the reference, and the largest share of the residuals' variance that is
+# attributed to it: as much as to the prior.
+_REFERENCE_NOISE, _MAX_REFERENCE_SHARE = 0.02, 0.5
 # Noise is proportional to the value, but not less than this fraction of the median value.
 _MIN_RELATIVE = 0.25
 _MIN_SIGMA = 1e-4
@@ -307,15 +309,24 @@ def _mixture(
 
 
 def _peak(design: Array, samples: Samples, fit: _Fit) -> Array:
-    """Parameters [P] of the middle of the densest part of the residuals (modal regression)."""
+    """Parameters [P] of the middle of the densest part of the residuals (modal regression).
+
+    Errors of the reference are taken into account by instrumental variables: the expected true
+    reference given both observations replaces the observed one in the moment conditions.
+    """
     values, parameters = samples.values, fit.parameters
     floor = _MIN_RELATIVE * float(np.median(np.abs(values)))
-    width = _PEAK * max(fit.noise, _MIN_SIGMA)
+    noise = max(fit.noise, _MIN_SIGMA)
+    # Share of the reference in the variance of the residuals.
+    share = min((_REFERENCE_NOISE / noise) ** 2, _MAX_REFERENCE_SHARE)
     for _ in range(_ROUNDS):
         expected = design @ parameters
         unit = np.maximum(np.abs(expected), floor)
-        weight = samples.weights * np.exp(-0.5 * ((values - expected) / (unit * width)) ** 2)
-        weighted = design * (weight / unit**2)[:, None]
+        residual = values - expected
+        weight = samples.weights * np.exp(-0.5 * (residual / (unit * _PEAK * noise)) ** 2)
+        instruments = design.copy()
+        instruments[:, 0] += share * residual / parameters[0]
+        weighted = instruments * (weight / unit**2)[:, None]
         previous = parameters
         parameters = np.linalg.lstsq(weighted.T @ design, weighted.T @ values, rcond=None)[0]
         if np.abs(parameters - previous).max() < _SAME * np.abs(parameters).max():

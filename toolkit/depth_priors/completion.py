@@ -19,6 +19,7 @@ from toolkit.depth_priors.alignment import (
 )
 from toolkit.depth_priors.multi_view import DepthView
 from toolkit.depth_priors.options import DepthPriorOptions
+from toolkit.depth_priors.outliers import without_outliers
 from toolkit.depth_priors.provider import Image, Mask, PriorImage
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -74,6 +75,8 @@ class DepthCompletion:
         """Depth of a keyframe, where it is known or can be inferred."""
         known = self._known(number)
         prior = self._prior(number)
+        if self._options.correction.filter:
+            prior = without_outliers(prior)
         nothing = CompletedDepth(known, np.zeros(known.shape, bool))
         correction = self._correction(number, known, prior)
         if correction is None:

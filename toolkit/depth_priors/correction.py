@@ -83,7 +83,7 @@ class DepthCorrection:
 
         Its own depth, where it has any, fixes the unit of length.
         """
-        prior = self._prior(frame.index)
+        prior = self._filtered(frame.index)
         has_depth = bool((frame.depth_m > 0).any())
         if self._needs_reference and not has_depth:
             return frame
@@ -100,7 +100,7 @@ class DepthCorrection:
 
     def correct(self, frame: Frame, rendered: RenderedDepth) -> Frame:
         """A frame with the depth of its prior, aligned with the map where the map is opaque."""
-        prior = self._prior(frame.index)
+        prior = self._filtered(frame.index)
         group = self._group(frame, prior)
         visible = rendered.silhouette > self._options.min_silhouette
         reference = np.where(visible, rendered.depth_m, np.float32(0.0))
@@ -109,6 +109,12 @@ class DepthCorrection:
         if whole is None:
             return frame
         return self._corrected(frame, prior.image, self._local(own, whole, prior.image))
+
+    def _filtered(self, index: int) -> FramePrior:
+        prior = self._prior(index)
+        if not self._options.filter:
+            return prior
+        return replace(prior, image=without_outliers(prior.image))
 
     def _group(self, frame: Frame, prior: FramePrior) -> int:
         return frame.index if self._options.share == "frame" else prior.group
@@ -137,11 +143,11 @@ class DepthCorrection:
         nodes = self._options.grid
         if nodes < 2:
             return whole
-        return fit_grid(samples, whole, nodes, self._options.shift and prior.kind.has_shift)
+        return fit_grid(samples, whole, nodes, with_shift=False)
 
-    def _corrected(self, frame: Frame, prior: PriorImage, correction: Correction) -> Frame:
-        depth = correction.apply(prior)
-        return replace(frame, depth_m=without_outliers(depth) if self._options.filter else depth)
+    @staticmethod
+    def _corrected(frame: Frame, prior: PriorImage, correction: Correction) -> Frame:
+        return replace(frame, depth_m=correction.apply(prior))
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""

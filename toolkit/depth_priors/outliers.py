@@ -2,33 +2,55 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
-from toolkit.depth_priors.provider import Image
+from toolkit.depth_priors.provider import Image, PriorImage
 
-# Relative noise between neighbouring pixels above which depth is filtered once, and twice.
-_SMALL, _LARGE = 0.02, 0.08
-_WINDOW = 5
+# Relative noise between neighbouring pixels from which values are filtered.
+_MIN_NOISE = 0.02
+_MEDIAN_WINDOW, _RADIUS = 5, 4
+# Mean shift: rounds, and width of the kernel in standard deviations of the noise.
+_ROUNDS, _WIDTH = 5, 0.7
 
 
-def without_outliers(depth_m: Image) -> Image:
-    """Replace noisy depth [H, W] by the median around each pixel.
+def without_outliers(prior: PriorImage) -> PriorImage:
+    """Replace noisy values by the most frequent value around each pixel.
 
-    Depth that is smooth between neighbours, as that of most models, is returned unchanged, and
-    missing depth (0) stays missing.
+    Means and medians would be biased where most wrong values lie on one side. Values that are
+    smooth between neighbours, as those of most models, are returned unchanged. Unknown values stay
+    unknown.
     """
-    known = depth_m > 0
+    known = prior.known & (prior.values > 0)
+    values = np.where(known, prior.values, np.float32(0.0))
     if not known.any():
-        return depth_m
-    inverse = np.divide(1.0, depth_m, out=np.zeros_like(depth_m), where=known)
-    local = cv2.medianBlur(inverse, _WINDOW)
-    compared = known & (local > 0)
+        return prior
+    median = cv2.medianBlur(values, _MEDIAN_WINDOW)
+    compared = known & (median > 0)
     if not compared.any():
-        return depth_m
-    noise = 1.4826 * float(np.median(np.abs(inverse[compared] / local[compared] - 1.0)))
-    if noise < _SMALL:
-        return depth_m
-    if noise > _LARGE:
-        local = cv2.medianBlur(local, _WINDOW)
-    return np.divide(1.0, local, out=np.zeros_like(depth_m), where=known & (local > 0))
+        return prior
+    noise = 1.4826 * float(np.median(np.abs(values[compared] / median[compared] - 1.0)))
+    if noise < _MIN_NOISE:
+        return prior
+    mode = np.where(median > 0, median, 1.0)
+    for _ in range(_ROUNDS):
+        mode = _mean_around(values, mode, _WIDTH * noise)
+    return replace(prior, values=mode, known=compared)
+
+
+def _mean_around(values: Image, mode: Image, width: float) -> Image:
+    """Mean [H, W] of the values around each pixel, weighted by their closeness to a mode [H, W]."""
+    height, width_px = values.shape
+    padded = cv2.copyMakeBorder(values, *(_RADIUS,) * 4, cv2.BORDER_CONSTANT, value=0.0)
+    total, weights = np.zeros_like(mode), np.full_like(mode, 1e-12)
+    # Noise is proportional to the value.
+    inverse = (1.0 / (width * mode)).astype(np.float32)
+    for row in range(2 * _RADIUS + 1):
+        for column in range(2 * _RADIUS + 1):
+            other = padded[row : row + height, column : column + width_px]
+            weight = np.exp(-0.5 * ((other - mode) * inverse) ** 2) * (other > 0)
+            total += weight * other
+            weights += weight
+    return np.where(weights > 1e-6, total / weights, mode).astype(np.float32)
