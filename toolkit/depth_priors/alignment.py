@@ -2,8 +2,8 @@
 
 The values of the prior are explained by the reference (rendered or triangulated depth), `value =
 a x + b`, with x = z or 1 / z. Solving for the reference instead, as H-16 does, attributes all noise
-to the reference and attenuates the scale: with 20 % noise by a quarter in a room. Scale and shift of the correction follow: `x = scale value + shift`, scale = 1 / a,
-shift = -b / a.
+to the reference and attenuates the scale: with 20 % noise by a quarter in a room. Scale and shift
+of the correction follow: `x = scale value + shift`, scale = 1 / a, shift = -b / a.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _ROUNDS, _SAME = 80, 1e-6
 _PEAK = 0.5
 # Relative error of the reference, and the largest share of the residuals' variance that is
 # attributed to it: as much as to the prior.
-_REFERENCE_NOISE, _MAX_REFERENCE_SHARE = 0.02, 0.5
+REFERENCE_NOISE, _MAX_REFERENCE_SHARE = 0.012, 0.5
 # Noise is proportional to the value, but not less than this fraction of the median value.
 _MIN_RELATIVE = 0.25
 _MIN_SIGMA = 1e-4
@@ -40,7 +40,7 @@ _MIN_SPREAD = 0.03
 _CORRELATED_PIXELS = 50.0
 # Expected changes from one node of the grid to the next, relative to the scale and to the typical
 # value, and of single nodes from the whole image.
-_STEP_SCALE, _STEP_SHIFT, _FROM_GLOBAL = 0.15, 0.03, 0.3
+_STEP_SCALE, _STEP_SHIFT, _FROM_GLOBAL = 0.05, 0.03, 1.0
 # Local scales are limited to this factor around the global one.
 _MAX_LOCAL = 2.0
 
@@ -127,6 +127,11 @@ class ScaleShiftGrid:
     whole: ScaleShift
     slope: Array
     offset: Array
+
+    @property
+    def bend(self) -> float:
+        """RMS deviation of the scales at the nodes from that of the whole image, relative to it."""
+        return float(np.sqrt(np.mean((self.slope * self.whole.scale - 1.0) ** 2)))
 
     def apply(self, prior: PriorImage) -> Image:
         """Corrected depth [H, W] in the unit of the reference, 0 where there is none."""
@@ -318,7 +323,7 @@ def _peak(design: Array, samples: Samples, fit: _Fit) -> Array:
     floor = _MIN_RELATIVE * float(np.median(np.abs(values)))
     noise = max(fit.noise, _MIN_SIGMA)
     # Share of the reference in the variance of the residuals.
-    share = min((_REFERENCE_NOISE / noise) ** 2, _MAX_REFERENCE_SHARE)
+    share = min((REFERENCE_NOISE / noise) ** 2, _MAX_REFERENCE_SHARE)
     for _ in range(_ROUNDS):
         expected = design @ parameters
         unit = np.maximum(np.abs(expected), floor)

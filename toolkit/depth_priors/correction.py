@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.depth_priors.alignment import (
+    REFERENCE_NOISE,
     Correction,
     Samples,
     ScaleShift,
@@ -29,6 +30,10 @@ from toolkit.rendering import SurfaceView
 _KEPT = 20_000
 # The last sets that may still grow: as many as interleave.
 _GROUPS = 16
+# A grid with a smaller RMS deviation from the whole image only repeats the errors of the map.
+_MIN_BEND = 0.03
+# Depths that differ by at most this number of standard deviations belong to the same surface.
+_SAME_SURFACE = 3.0
 _FIELDS = ("values", "reference", "weights", "positions")
 
 
@@ -108,7 +113,10 @@ class DepthCorrection:
         whole = self._whole(group, own, prior.image.kind)
         if whole is None:
             return frame
-        return self._corrected(frame, prior.image, self._local(own, whole, prior.image))
+        found = self._corrected(frame, prior.image, self._local(own, whole, prior.image))
+        if not self._options.filter:
+            return found
+        return replace(found, depth_m=_combined(found.depth_m, reference, whole.noise))
 
     def _filtered(self, index: int) -> FramePrior:
         prior = self._prior(index)
@@ -143,7 +151,8 @@ class DepthCorrection:
         nodes = self._options.grid
         if nodes < 2:
             return whole
-        return fit_grid(samples, whole, nodes, with_shift=False)
+        grid = fit_grid(samples, whole, nodes, with_shift=False)
+        return whole if grid.bend < _MIN_BEND else grid
 
     @staticmethod
     def _corrected(frame: Frame, prior: PriorImage, correction: Correction) -> Frame:
@@ -167,3 +176,19 @@ class DepthCorrection:
         )
         self._first = values["first"]
         self.found = {int(group): ScaleShift(*f) for group, f in values["found"].items()}
+
+
+def _combined(depth_m: Image, reference_m: Image, noise: float) -> Image:
+    """Mean of corrected and rendered depth [H, W] where both show the same surface.
+
+    Weights follow from their errors. Without it, every noisy prior would scatter the surface that
+    the map knows already, and scattered surfaces are rendered too near.
+
+    Args:
+        noise: standard deviation of the difference, relative to the depth.
+    """
+    difference = depth_m - reference_m
+    same = (depth_m > 0) & (reference_m > 0)
+    same &= np.abs(difference) < _SAME_SURFACE * noise * reference_m
+    share = min((REFERENCE_NOISE / max(noise, REFERENCE_NOISE)) ** 2, 1.0)
+    return np.where(same, reference_m + np.float32(share) * difference, depth_m)
