@@ -40,7 +40,7 @@ _MIN_SPREAD = 0.03
 _CORRELATED_PIXELS = 50.0
 # Expected changes from one node of the grid to the next, relative to the scale and to the typical
 # value, and of single nodes from the whole image.
-_STEP_SCALE, _STEP_SHIFT, _FROM_GLOBAL = 0.05, 0.03, 1.0
+_STEP_SCALE, _STEP_SHIFT, _FROM_GLOBAL = 0.15, 0.03, 0.3
 # Local scales are limited to this factor around the global one.
 _MAX_LOCAL = 2.0
 

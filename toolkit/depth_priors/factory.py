@@ -35,4 +35,23 @@ def build_provider(
 
 
 def _model(options: DepthPriorOptions) -> DepthProvider:
-    raise SettingsError(f"unknown kind of depth priors: {options.kind}")
+    """Load a model; packages and weights are only imported for the kind that needs them."""
+    if options.kind == "transformers":
+        from toolkit.depth_priors.providers.transformers_models import TransformersDepth
+
+        return TransformersDepth(options.model)
+    if options.kind in ("dust3r", "mast3r"):
+        from toolkit.depth_priors.providers.dust3r import PairwiseDepth
+
+        return PairwiseDepth(options.model, options.kind)
+    if options.kind == "depth-anything-3":
+        from toolkit.depth_priors.providers.depth_anything_3 import DepthAnything3Depth
+
+        return DepthAnything3Depth(options.model)
+    if options.kind == "moge":
+        from toolkit.depth_priors.providers.moge import MogeDepth
+
+        return MogeDepth(options.model)
+    from toolkit.depth_priors.providers.vggt import VggtDepth
+
+    return VggtDepth(options.model)

@@ -48,6 +48,9 @@ class PriorModelOptions:
     """Local folder or file with the weights; required for all sources except maps."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device that runs the model."""
+    values: Literal["auto", "metric", "scaled", "affine", "affine-inverse"] = "auto"
+    """What a model of the transformers library predicts, as in --depth-prior.maps.values; by
+    default as its configuration states (auto)."""
     min_confidence: NonNegativeFloat = 0.0
     """Minimum confidence of a pixel, in the unit of the model (see the guide). By default, all
     pixels are used."""

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 Image = NDArray[np.float32]
@@ -262,11 +261,6 @@ class DepthProvider(Protocol):
             ToolkitError: a file is missing or unreadable, or the model fails.
         """
         ...
-
-
-def relative_poses(T_world_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """T_first_camera [S, 4, 4] of camera-to-world poses [S, 4, 4]."""
-    return np.asarray(se3.inverse(T_world_camera[0]) @ T_world_camera)
 
 
 def frame_sets(count: int, size: int, stride: int) -> list[tuple[int, ...]]:
