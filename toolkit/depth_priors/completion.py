@@ -13,6 +13,7 @@ from toolkit.depth_priors.alignment import (
     MAX_SAMPLES,
     Correction,
     Samples,
+    explains,
     fit,
     fit_grid,
     samples_of,
@@ -96,9 +97,9 @@ class DepthCompletion:
         around = [samples_of(prior, self._seen_from(number, n)) for n in self._around(number)]
         samples = Samples.joined([own, *(s.thinned(MAX_SAMPLES // 8) for s in around)])
         whole = fit(samples, prior.kind, options.shift, options.robust)
-        if whole is None:
+        if whole is None or whole.inliers < _MIN_INLIERS:
             return None
-        if whole.noise > self._options.max_noise or whole.inliers < _MIN_INLIERS:
+        if not explains(samples, whole, self._options.max_noise):
             return None
         if options.grid < 2:
             return whole

@@ -22,7 +22,7 @@ from toolkit.submaps.options import SubmapOptions
 from toolkit.tracking.options import PlacementOptions, TrackingOptions
 
 # Sets of settings to start from: one YAML file each in PRESETS, with the source of every value.
-PresetName = Literal["fast", "default", "best", "hier-slam", "gausem"]
+PresetName = Literal["fast", "default", "best", "hier-slam", "hier-slam-mono", "gausem"]
 PRESETS = Path(__file__).with_name("presets")
 
 
