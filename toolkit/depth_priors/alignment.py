@@ -41,8 +41,6 @@ _CORRELATED_PIXELS = 50.0
 # Expected changes from one node of the grid to the next, relative to the scale and to the typical
 # value, and of single nodes from the whole image.
 _STEP_SCALE, _STEP_SHIFT, _FROM_GLOBAL = 0.15, 0.03, 0.3
-# Error of a useful prior relative to that of a constant depth. Smaller errors are always useful.
-_OF_CONSTANT, _MIN_ERROR = 0.85, 0.02
 # Local scales are limited to this factor around the global one.
 _MAX_LOCAL = 2.0
 
@@ -204,20 +202,6 @@ def robust_fit(samples: Samples, with_shift: bool = True) -> ScaleShift | None:
     if not a > 0:
         return None
     return ScaleShift(1.0 / a, -b / a, fit.noise, fit.inliers)
-
-
-def explains(samples: Samples, found: ScaleShift, max_error: float) -> bool:
-    """Whether a corrected prior is closer to the reference than one constant depth, and close.
-
-    Args:
-        max_error: maximum median error relative to the reference.
-    """
-    x = samples.reference
-    error, flat = (
-        float(np.median(np.abs(estimate / x - 1.0)))
-        for estimate in (found.scale * samples.values + found.shift, np.median(x))
-    )
-    return error < max_error and error < max(_OF_CONSTANT * flat, _MIN_ERROR)
 
 
 def fit_grid(samples: Samples, whole: ScaleShift, nodes: int, with_shift: bool) -> ScaleShiftGrid:

@@ -13,7 +13,6 @@ from toolkit.depth_priors.alignment import (
     MAX_SAMPLES,
     Correction,
     Samples,
-    explains,
     fit,
     fit_grid,
     samples_of,
@@ -29,6 +28,8 @@ from toolkit.geometry.camera import Camera
 _AROUND = 2
 # A prior must agree with this fraction of the known depth.
 _MIN_INLIERS = 0.4
+# Mean error of a useful prior relative to that of a constant depth; smaller errors always are.
+_OF_CONSTANT, _MIN_ERROR = 0.85, 0.02
 # Inferred depth is kept up to this factor outside the range of the known depth.
 _RANGE = 1.5
 
@@ -83,6 +84,8 @@ class DepthCompletion:
         if correction is None:
             return nothing
         filled = correction.apply(prior)
+        if not _agrees(filled, known, self._options.max_noise):
+            return nothing
         reference = known[known > 0]
         if reference.size:
             near, far = np.percentile(reference, [1.0, 99.0])
@@ -98,8 +101,6 @@ class DepthCompletion:
         samples = Samples.joined([own, *(s.thinned(MAX_SAMPLES // 8) for s in around)])
         whole = fit(samples, prior.kind, options.shift, options.robust)
         if whole is None or whole.inliers < _MIN_INLIERS:
-            return None
-        if not explains(samples, whole, self._options.max_noise):
             return None
         if options.grid < 2:
             return whole
@@ -124,6 +125,16 @@ class DepthCompletion:
         depth = self._known(other)
         points = se3.transform_points(T, camera.unproject(depth)[depth > 0])
         return splatted(points[points[:, 2] > 0], camera)
+
+
+def _agrees(corrected: Image, known: Image, max_error: float) -> bool:
+    """Whether a corrected prior is close to known depth, and closer than one constant depth."""
+    both = (corrected > 0) & (known > 0)
+    if not both.any():
+        return True
+    error = float(np.mean(np.abs(corrected[both] / known[both] - 1.0)))
+    flat = float(np.mean(np.abs(np.median(known[both]) / known[both] - 1.0)))
+    return error < max_error and error < max(_OF_CONSTANT * flat, _MIN_ERROR)
 
 
 def splatted(points: NDArray[np.float64], camera: Camera) -> Image:
