@@ -26,7 +26,10 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.runs.settings import PresetName, RunSettings, load_settings
 
-PRESETS: tuple[PresetName, ...] = get_args(PresetName)
+# The monocular system needs weights.
+PRESETS: tuple[PresetName, ...] = tuple(
+    name for name in get_args(PresetName) if name != "hier-slam-mono"
+)
 SEQUENCES = {"RedKitchen": "redkitchen", "fr1_rpy": "fr1_rpy", "room": "room"}
 
 ONLINE, TOTAL = "online_ms_per_frame", "total_ms_per_frame"

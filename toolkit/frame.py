@@ -24,6 +24,8 @@ class Frame:
         depth_m: [H, W] float32 z-depth in metres, 0 where missing.
         camera: intrinsics of both images.
         labels: [H, W] int32 class ids, 0 void, or None.
+        inferred: [H, W] bool, where the depth was neither measured nor triangulated but follows
+            from a depth prior; None if it does nowhere.
 
     Raises:
         ValueError: shapes or types disagree with the camera.
@@ -35,6 +37,7 @@ class Frame:
     depth_m: NDArray[np.float32]
     camera: Camera
     labels: NDArray[np.int32] | None = None
+    inferred: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         height, width = self.camera.height, self.camera.width
@@ -42,6 +45,7 @@ class Frame:
             ("rgb", self.rgb, (height, width, 3), np.float32),
             ("depth_m", self.depth_m, (height, width), np.float32),
             ("labels", self.labels, (height, width), np.int32),
+            ("inferred", self.inferred, (height, width), np.bool_),
         ):
             if image is None:
                 continue

@@ -35,16 +35,24 @@ class Observed:
 
     Attributes:
         rgb: [3, H, W] uint8. depth_m: [H, W] float32. class_ids: [H, W] int16, or None.
+        inferred: [H, W] bool, or None.
     """
 
     rgb: Tensor
     depth_m: Tensor
     class_ids: Tensor | None
+    inferred: Tensor | None = None
+
+    @property
+    def measured_m(self) -> Tensor:
+        """Depth [H, W] without the inferred one, 0 where missing."""
+        return _measured(self.depth_m, self.inferred)
 
     def to(self, device: torch.device) -> Observed:
         """Copy the images to a device."""
         ids = None if self.class_ids is None else self.class_ids.to(device)
-        return Observed(self.rgb.to(device), self.depth_m.to(device), ids)
+        inferred = None if self.inferred is None else self.inferred.to(device)
+        return Observed(self.rgb.to(device), self.depth_m.to(device), ids, inferred)
 
 
 @dataclass
@@ -61,6 +69,9 @@ class Keyframe:
         points: [P, 3] float32 sparse observed points in camera coordinates (m).
         class_ids: [H, W] int16 class ids of the taxonomy, 0 void, or None.
         pose_moments: [13] float64 state of the pose optimiser; None until it moves the pose.
+        inferred: [H, W] bool, where the depth follows from a depth prior, or None.
+        prior_m: [H, W] float32 depth whose scale and shift are optimised with the map, or None.
+        depth_moments: [7] float64 scale, shift and the state of their optimiser, or None.
     """
 
     index: int
@@ -73,8 +84,14 @@ class Keyframe:
     points: NDArray[np.float32]
     class_ids: Tensor | None = None
     pose_moments: NDArray[np.float64] | None = None
+    inferred: Tensor | None = None
+    prior_m: Tensor | None = None
+    depth_moments: NDArray[np.float64] | None = None
 
-    ARRAYS: ClassVar = ("T_map_camera", "rgb", "depth_m", "points", "class_ids", "pose_moments")
+    ARRAYS: ClassVar = (
+        *("T_map_camera", "rgb", "depth_m", "points", "class_ids", "pose_moments"),
+        *("inferred", "prior_m", "depth_moments"),
+    )
 
     def arrays(self) -> dict[str, NDArray]:
         """Arrays of a checkpoint; None is left out."""
@@ -93,7 +110,7 @@ class Keyframe:
     @classmethod
     def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Keyframe:
         """Restore a keyframe from its `arrays` and `values`."""
-        moments = arrays.get("pose_moments")
+        moments, adjusted = arrays.get("pose_moments"), arrays.get("depth_moments")
         return cls(
             index=int(values["index"]),
             timestamp_s=float(values["timestamp_s"]),
@@ -105,6 +122,9 @@ class Keyframe:
             points=np.array(arrays["points"]),
             class_ids=_tensor(arrays.get("class_ids")),
             pose_moments=None if moments is None else np.array(moments),
+            inferred=_tensor(arrays.get("inferred")),
+            prior_m=_tensor(arrays.get("prior_m")),
+            depth_moments=None if adjusted is None else np.array(adjusted),
         )
 
     @classmethod
@@ -128,12 +148,18 @@ class Keyframe:
             exposure=exposure,
             points=sparse[sparse[..., 2] > 0].astype(np.float32),
             class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
+            inferred=_tensor(frame.inferred),
         )
 
     @property
     def images(self) -> Observed:
         """The keyframe's images on the CPU."""
-        return Observed(self.rgb, self.depth_m, self.class_ids)
+        return Observed(self.rgb, self.depth_m, self.class_ids, self.inferred)
+
+    @property
+    def measured_m(self) -> Tensor:
+        """Depth [H, W] without the inferred one, 0 where missing."""
+        return _measured(self.depth_m, self.inferred)
 
     def target_rgb(self, images: Observed | None = None) -> Tensor:
         """Observed colour [3, H, W] at the map's exposure.
@@ -166,7 +192,8 @@ class Keyframe:
         rgb = self.target_rgb().permute(1, 2, 0).contiguous().numpy()
         labels = None if self.labels is None else self.labels.numpy()
         depth_m = self.depth_m.numpy()
-        return Frame(self.index, self.timestamp_s, rgb, depth_m, self.camera, labels)
+        inferred = None if self.inferred is None else self.inferred.numpy()
+        return Frame(self.index, self.timestamp_s, rgb, depth_m, self.camera, labels, inferred)
 
     def points_in_map(self) -> NDArray[np.float64]:
         """The sparse observed points [P, 3] in the map's frame."""
@@ -184,7 +211,7 @@ class Keyframe:
 
     def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
-        inside, z, depth_m = self._depths_at(points_map)
+        inside, z, depth_m = self._depths_at(points_map, self.measured_m)
         margin = np.maximum(_FREE_SPACE_M, _FREE_SPACE * depth_m)
         inside[inside] = (depth_m > 0) & (z < depth_m - margin)
         return inside
@@ -207,21 +234,23 @@ class Keyframe:
         return float(near.sum() / len(points_map))
 
     def _depths_at(
-        self, points_map: NDArray[np.float64]
+        self, points_map: NDArray[np.float64], depth_m: Tensor | None = None
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
         """Mask [P] of the map points inside the image; their depths; the measured depths there."""
         points = self._to_camera(points_map)
         inside, uv = self._projected(points)
-        return inside, points[inside, 2], self._measured_at(uv[inside])
+        return inside, points[inside, 2], self._measured_at(uv[inside], depth_m)
 
     def _to_camera(self, points_map: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map points [P, 3] in camera coordinates."""
         return se3.transform_points(se3.inverse(self.T_map_camera), points_map)
 
-    def _measured_at(self, uv: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Measured depth [P] at the pixels nearest to image points [P, 2] inside the image."""
+    def _measured_at(
+        self, uv: NDArray[np.float64], depth_m: Tensor | None = None
+    ) -> NDArray[np.float32]:
+        """Depth [P] at the pixels nearest to image points [P, 2] inside the image."""
         column, row = np.rint(uv).astype(np.intp).T
-        return self.depth_m.numpy()[row, column]
+        return (self.depth_m if depth_m is None else depth_m).numpy()[row, column]
 
     def _projected(
         self, points: NDArray[np.float64]
@@ -256,3 +285,7 @@ def _not_behind(z_m: NDArray[np.float64], measured_m: NDArray[np.float32]) -> ND
 
 def _tensor(array: NDArray | None) -> Tensor | None:
     return None if array is None else torch.from_numpy(np.array(array))
+
+
+def _measured(depth_m: Tensor, inferred: Tensor | None) -> Tensor:
+    return depth_m if inferred is None else depth_m.masked_fill(inferred, 0.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
@@ -33,6 +34,8 @@ from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
 
+_Part = Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
+
 
 class Slam:
     """RGB-D Gaussian SLAM: call `process_frame` for each frame in order, then `finish`."""
@@ -47,6 +50,7 @@ class Slam:
         closer: LoopClosing | None = None,
         denoise: bool = True,
         placement: KeyframePlacement | None = None,
+        correction: DepthCorrection | None = None,
     ) -> None:
         """Assemble the system.
 
@@ -59,6 +63,8 @@ class Slam:
             closer: closes loops and relocalises the camera; by default neither is done.
             denoise: filter the depth of each frame according to its noise.
             placement: refines the poses of new keyframes against earlier keyframes.
+            correction: gives frames that may become keyframes the depth of their priors, aligned
+                with the map; None if depth is measured.
         """
         self.tracker = tracker
         self.mapper = mapper
@@ -67,7 +73,7 @@ class Slam:
         self._labeller = labeller
         self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
         self._filter = DepthFilter() if denoise else None
-        self._placement = placement
+        self._placement, self._correction = placement, correction
         self._path = CameraPath()
         self._between = IntermediateFrames()
         self._recovery = Recovery(
@@ -114,6 +120,7 @@ class Slam:
         frame = self._denoised(frame)
         if self._labels_first:
             frame = self._segmented(frame, None)
+        frame = self._with_prior(frame)
 
         located = self._locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
@@ -122,6 +129,8 @@ class Slam:
             return FrameResult(frame.index, None, tracking)
 
         mapping = None
+        if may_map:
+            frame = self._with_prior(frame, T_map_camera)
         if may_map and self.mapper.wants(frame, T_map_camera):
             mapping = self._add_keyframe(frame, T_map_camera, tracking)
             self._start_submap_if_due(tracking)
@@ -235,6 +244,22 @@ class Slam:
         with self._recorder.timed("denoising"):
             return self._filter.of(frame)
 
+    def _with_prior(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
+        """The frame with the depth of its prior, if it may be mapped.
+
+        Args:
+            T_map_camera: [4, 4] pose of the frame; None before there is a map.
+        """
+        if self._correction is None or bool(self.mapper.keyframes) != (T_map_camera is not None):
+            return frame
+        with self._recorder.timed("depth prior"):
+            if T_map_camera is None:
+                return self._denoised(self._correction.start(frame))
+            if not self.mapper.wants_view(frame.index, T_map_camera):
+                return frame
+            view = self.mapper.render(self.mapper.gaussians, frame.camera, T_map_camera)
+            return self._denoised(self._correction.correct(frame, RenderedDepth.of(view)))
+
     def _locate(self, frame: Frame, may_map: bool) -> Located:
         """Estimate the pose of a frame in the active submap."""
         if not self.atlas.has_active_submap:
@@ -254,6 +279,8 @@ class Slam:
         """Create a keyframe, refine its pose, and extend the map with it."""
         frame = self._labelled(frame, T_map_camera)
         keyframe = Keyframe.from_frame(frame, T_map_camera, exposure_of(tracking))
+        if self._correction is not None:
+            keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
         if self.mapper.keyframes:
             self._between.select(self.mapper.keyframes[-1], keyframe)
@@ -318,7 +345,7 @@ class Slam:
         arrays = {f"tracker/{k}": a for k, a in self.tracker.state().items()}
         if self._labeller is not None:
             arrays |= {f"segmenter/{k}": a for k, a in self._labeller.segmenter.state().items()}
-        values = {}
+        values: dict[str, Any] = {}
         for name, part in self._parts().items():
             part_arrays, values[name] = part.state()
             arrays |= {f"{name}/{k}": a for k, a in part_arrays.items()}
@@ -332,12 +359,13 @@ class Slam:
         if self._labeller is not None:
             self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
 
-    def _parts(self) -> dict[str, Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames]:
+    def _parts(self) -> dict[str, _Part]:
         """Components whose state consists of arrays and JSON values, in the order of restoring."""
-        return {
+        parts: dict[str, _Part] = {
             "mapper": self.mapper,
             "atlas": self.atlas,
             "closer": self._closer,
             "path": self._path,
             "between": self._between,
         }
+        return parts if self._correction is None else parts | {"correction": self._correction}

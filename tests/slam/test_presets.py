@@ -86,7 +86,22 @@ def test_hier_slam_has_the_values_of_the_paper():
     assert (settings.tracking.first_order.iterations, mapping.iterations) == (40, 60)
 
 
-@pytest.mark.parametrize("name", NAMES)
+def test_the_monocular_hier_slam_differs_in_its_depth_alone():
+    depth, mono = (load_settings(preset=name) for name in ("hier-slam", "hier-slam-mono"))
+    assert (mono.depth, mono.depth_prior.kind, mono.depth_prior.use) == (
+        "none",
+        "dust3r",
+        "correct",
+    )
+    correction = mono.depth_prior.correction
+    assert not correction.robust and not correction.filter and correction.shift  # H-16
+    assert (correction.grid, correction.share) == (1, "frame")
+    assert mono.mapping.depth_adjustment.use  # H-17
+    for stage in ("mapping", "semantics", "submaps", "loops"):
+        assert getattr(mono, stage) == getattr(depth, stage)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "hier-slam-mono"])
 def test_a_preset_builds_a_system_that_tracks_and_maps(name):
     frames, _ = tiny_room(3, 64, 48)
     settings, recorder = shortened(name), StageRecorder()

@@ -25,8 +25,8 @@ class RunProgram(RunSettings):
     out: Path
     """Folder of the run, new or empty unless the run is resumed."""
     preset: PresetName = "default"
-    """Settings to start from: fast, default or best, or those of the papers' systems, hier-slam and
-    gausem."""
+    """Settings to start from: fast, default or best, or those of the papers' systems: hier-slam,
+    hier-slam-mono and gausem."""
     config: Path | None = None
     """YAML file of settings. They take precedence over the preset, and options on the command line
     over both."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import seed
-from toolkit.keyframe import Keyframe
+from toolkit.keyframe import Keyframe, Observed
 from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -34,18 +34,25 @@ class Densification:
         self._start_values = semantics.start_values
 
     def seed(
-        self, gaussian_map: GaussianMap, keyframe: Keyframe, view: SurfaceView, depth_m: Tensor
+        self, gaussian_map: GaussianMap, keyframe: Keyframe, view: SurfaceView, observed: Observed
     ) -> int:
         """Seed Gaussians at the pixels that the map does not explain; return how many.
 
         Args:
             view: the map rendered from the keyframe.
-            depth_m: [H, W] measured depth on the map's device.
+            observed: images of the keyframe on the map's device.
         """
         options = self._options
         mask = uncovered_pixels(
-            view, depth_m, options.min_silhouette, options.depth_floor, options.depth_factor
+            view,
+            observed.measured_m,
+            options.min_silhouette,
+            options.depth_floor,
+            options.depth_factor,
         )
+        if observed.inferred is not None:
+            # Inferred depth does not contradict a surface of the map.
+            mask |= observed.inferred & ~self.covered(view)
         seeds = self.seeds(keyframe.as_frame(), keyframe.T_map_camera, mask.cpu().numpy())
         if len(seeds):
             gaussian_map.append(seeds, keyframe)

@@ -103,11 +103,14 @@ class Mapper:
         """Whether a tracked frame should become a keyframe."""
         if not self.keyframes:
             return True
-        if not has_depth(frame):
-            return False
+        return has_depth(frame) and self.wants_view(frame.index, T_map_camera)
+
+    def wants_view(self, index: int, T_map_camera: NDArray[np.float64]) -> bool:
+        """Whether the view of a frame should become a keyframe, if the frame has depth."""
+        if not self.keyframes:
+            return True
         last = self.keyframes[-1]
-        overlap = last.fraction_seen_by(T_map_camera)
-        return self.keyframe_choice.wants(frame.index - last.index, overlap)
+        return self.keyframe_choice.wants(index - last.index, last.fraction_seen_by(T_map_camera))
 
     def add_keyframe(self, keyframe: Keyframe) -> MappingResult:
         """Extend and optimise the map with a keyframe.
@@ -120,12 +123,12 @@ class Mapper:
             keyframe.class_ids = None
         self.keyframes.append(keyframe)
         self.semantics.observe(keyframe.class_ids)
-        depth_m = self._observations.of(keyframe).depth_m
+        observed = self._observations.of(keyframe)
         if self.options.fuse_depth:
             with self._recorder.timed("depth fusion"):
-                fuse_depth(self.map, depth_m)
+                fuse_depth(self.map, observed.measured_m)
         with self._recorder.timed("seeding"):
-            seeded = self._densification.seed(self.map, keyframe, self.view(keyframe), depth_m)
+            seeded = self._densification.seed(self.map, keyframe, self.view(keyframe), observed)
         all_new = seeded == len(self.gaussians)
         steps = self.options.first_iterations if all_new else self.options.iterations
         if self.deferred is None:

@@ -11,8 +11,10 @@ from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.frame import Recorder
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.losses.depth_gradient import weigh_depth
 from toolkit.losses.features import FeatureLoss
 from toolkit.losses.photometric import rgbd_loss
+from toolkit.mapping.depth_adjustment import adjust_depth
 from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.options import MapperOptions
@@ -72,7 +74,8 @@ class MapOptimisation:
             progress: number of this step and total number of steps of the call.
         """
         T_camera_map = se3.inverse(keyframe.T_map_camera)
-        rgb, depth_m, labels = keyframe.observed(self._observations.of(keyframe))
+        observed = self._observations.of(keyframe)
+        rgb, depth_m, labels = keyframe.observed(observed)
         if not self._semantics.is_due(progress[0]):
             labels = None
         with self._recorder.timed("map forward"):
@@ -86,6 +89,10 @@ class MapOptimisation:
             images = view.forward_pass.images
             gradient = images.new_empty(len(images) - 3, *images.shape[1:])
             loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, gradient[:BASE_CHANNELS])
+            if observed.inferred is not None:
+                weigh_depth(gradient, images, observed.inferred, self._options.inferred_depth)
+            if keyframe.prior_m is not None and self._options.depth_adjustment.use:
+                adjust_depth(keyframe, gradient, images, self._options.depth_adjustment)
             if objective.feature is not None:
                 feature_loss, colour_gradient = objective.feature.gradient(images[COLOUR], rgb)
                 gradient[COLOUR] += colour_gradient

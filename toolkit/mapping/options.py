@@ -78,6 +78,23 @@ class ConsensusOptions:
 
 
 @dataclass(frozen=True)
+class DepthAdjustmentOptions:
+    """Scale and shift of corrected depth priors, optimised with the map (Hier-SLAM++, equation 17).
+
+    Depth of sensors and of neighbouring keyframes is not adjusted."""
+
+    use: bool = True
+    """Optimise scale and shift of each keyframe whose depth is a corrected prior."""
+    shift: bool = True
+    """Optimise the shift as well."""
+    regularisation: NonNegativeFloat = 0.1
+    """Weight of the absolute deviation of scale and shift (in units of the depth) from their
+    initial values, relative to the depth loss (Hier-SLAM++: L_reg)."""
+    rate: PositiveFloat = 1e-3
+    """Learning rate of the scale, and of the shift relative to the median depth."""
+
+
+@dataclass(frozen=True)
 class MapperOptions:
     """Mapping: seeding, optimisation and refinement of the Gaussians."""
 
@@ -130,8 +147,11 @@ class MapperOptions:
     """Opacity below which Gaussians are pruned."""
     max_radius_m: PositiveFloat = 0.5
     """Radius above which Gaussians are pruned, in metres."""
+    inferred_depth: Fraction = 0.1
+    """Weight of depth inferred from depth priors in the depth loss, relative to other depth."""
     keyframes: KeyframePolicy = KeyframePolicy()
     seeding: SeedingOptions = SeedingOptions()
     rates: LearningRates = LearningRates()
     loss: RgbdLossWeights = RgbdLossWeights()
     consensus: ConsensusOptions = ConsensusOptions()
+    depth_adjustment: DepthAdjustmentOptions = DepthAdjustmentOptions()

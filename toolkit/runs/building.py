@@ -9,6 +9,7 @@ import numpy as np
 from toolkit.baselines.factory import build_tracker
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.errors import DatasetError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
@@ -33,6 +34,7 @@ def build_slam(
     settings: RunSettings | None = None,
     folder: RunFolder | None = None,
     recorder: StageRecorder | None = None,
+    correction: DepthCorrection | None = None,
 ) -> Slam:
     """Build the SLAM system that the settings describe.
 
@@ -43,6 +45,7 @@ def build_slam(
         settings: settings of the run; defaults if absent.
         folder: stores submaps and the loop log; without it, they stay in memory.
         recorder: measures the time of each stage.
+        correction: gives frames the depth of priors, as that of a `MonocularSequence`.
 
     Raises:
         ToolkitError: the settings need something that the dataset or this machine lacks.
@@ -85,7 +88,15 @@ def build_slam(
         poses = GuidedTracker(dataset.ground_truth, settings.backend, recorder)
     else:
         poses = GivenPoses(dataset.ground_truth)
-    return Slam(poses, mapper, recorder, labeller, atlas, denoise=settings.denoise)
+    return Slam(
+        poses,
+        mapper,
+        recorder,
+        labeller,
+        atlas,
+        denoise=settings.denoise,
+        correction=correction,
+    )
 
 
 def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labeller | None:

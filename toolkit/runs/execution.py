@@ -14,6 +14,7 @@ from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, make_room
+from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
@@ -26,6 +27,7 @@ from toolkit.pacing.record import PaceSummary
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
+from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
@@ -115,15 +117,18 @@ def _execute(
 ) -> None:
     recorder = StageRecorder()
     sequence: Dataset = dataset
-    motion = None
+    motion, correction = None, None
+    # Missing weights are reported before the motion is estimated.
+    provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     if settings.depth == "none":
         with recorder.timed(MOTION), _logged_to(folder.log):
             motion = _motion(dataset, settings, progress)
             if not motion.views:
                 write_motion_alone(motion, folder)
                 return
-        sequence = MonocularSequence(dataset, motion)
-    slam = build_slam(sequence, settings, folder, recorder)
+        monocular = MonocularSequence(dataset, motion, provider, settings.depth_prior)
+        sequence, correction = monocular, monocular.correction()
+    slam = build_slam(sequence, settings, folder, recorder, correction)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     system = slam if paced is None else paced
     folder.check_taxonomy(slam.result().taxonomy)
@@ -160,7 +165,11 @@ def _execute(
         pace = None if paced is None else _log_pace(paced.summary())
         with recorder.timed(FINISH):
             result = _finish(slam)
-        write_results(result, dataset, folder, settings, RunRecord(recorder, pace, motion))
+        prior = None
+        if provider is not None:
+            prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
+        record = RunRecord(recorder, pace, motion, prior)
+        write_results(result, dataset, folder, settings, record)
 
 
 def _check(settings: RunSettings) -> None:
@@ -173,6 +182,8 @@ def _check(settings: RunSettings) -> None:
     if settings.depth == "sensor":
         if settings.scale != ScaleOptions():
             raise SettingsError("--scale is for runs without depth; remove it, or add --depth none")
+        if settings.depth_prior.kind != "none":
+            raise SettingsError("--depth-prior.kind replaces a depth sensor; add --depth none")
         return
     for name, used in {
         "--pace": settings.pace,

@@ -38,6 +38,7 @@ from toolkit.pacing.record import PaceSummary
 from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
+from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
@@ -71,11 +72,13 @@ class RunRecord:
         recorder: times of its stages.
         pace: delays of a run in real time, None for other runs.
         motion: motion of the camera that a run without depth starts from, None for other runs.
+        prior: depth priors of the run, None without them.
     """
 
     recorder: StageRecorder
     pace: PaceSummary | None = None
     motion: CameraMotion | None = None
+    prior: DepthPriorUse | None = None
 
 
 def write_results(
@@ -116,6 +119,7 @@ def write_results(
     if motion is not None:
         motion_ms = recorder.total_ms(MOTION) or 0.0
         metrics |= motion.metrics() | {"motion_ms_per_frame": motion_ms / motion.frames}
+    metrics |= {} if record.prior is None else record.prior.metrics()
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder)

@@ -11,6 +11,7 @@ import yaml
 
 from toolkit.closing.options import LoopClosureOptions
 from toolkit.datasets.options import DatasetOptions
+from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.mapping.options import MapperOptions
@@ -22,7 +23,7 @@ from toolkit.submaps.options import SubmapOptions
 from toolkit.tracking.options import PlacementOptions, TrackingOptions
 
 # Sets of settings to start from: one YAML file each in PRESETS, with the source of every value.
-PresetName = Literal["fast", "default", "best", "hier-slam", "gausem"]
+PresetName = Literal["fast", "default", "best", "hier-slam", "hier-slam-mono", "gausem"]
 PRESETS = Path(__file__).with_name("presets")
 
 
@@ -55,6 +56,7 @@ class RunSettings:
     depth: Literal["sensor", "none"] = "sensor"
     """Depth of the images: that of the dataset (sensor), or estimated from the images alone (none).
     Without depth, the unit of length is arbitrary, unless a length is known (scale)."""
+    depth_prior: DepthPriorOptions = DepthPriorOptions()
     poses: Literal["slam", "given"] = "slam"
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
     pace: FramesPerSecond = 0.0

@@ -1,0 +1,71 @@
+"""`semsplat run --depth none --depth-prior.kind maps`: priors that complete or replace depth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving_camera import film, turn, walk
+from test_finished_run_programs import one_line_of_error
+from test_monocular_runs import arguments, write_film
+
+from toolkit.cli.main import main
+
+
+def write_priors(folder: Path, poses: np.ndarray) -> Path:
+    """Depth maps whose scale and shift differ from the true depth."""
+    folder.mkdir()
+    for frame in film(poses):
+        np.save(folder / f"{frame.index:03d}.npy", (frame.depth_m - 0.2) / 0.4)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("film")
+    write_priors(root / "priors", walk(12))
+    return write_film(root / "walk", walk(12))
+
+
+def run(recording: Path, out: Path, *more: str) -> dict:
+    words = ["--depth", "none", "--depth-prior.kind", "maps", "--depth-prior.maps.values", "affine"]
+    words += ["--depth-prior.maps.folder", str(recording.parent / "priors")]
+    assert main(arguments(recording, out, *words, *more)) == 0
+    return json.loads((out / "metrics.json").read_text())
+
+
+def test_priors_complete_the_depth_of_keyframes(recording, tmp_path):
+    named = ["--depth-prior.maps.model", "a model", "--depth-prior.maps.licence", "MIT"]
+    metrics = run(recording, tmp_path / "run", *named)
+    assert 2.0 < metrics["depth_inferred_percent"] < 60.0
+    assert metrics["depth_prior_model"] == "a model"
+    assert metrics["depth_prior_licence"] == "MIT"
+    assert metrics["psnr_db"] > 20.0
+
+
+def test_corrected_priors_replace_the_depth_of_keyframes(recording, tmp_path):
+    words = ["--depth-prior.use", "correct"]
+    metrics = run(recording, tmp_path / "run", *words)
+    assert metrics["depth_inferred_percent"] == 100.0
+    assert metrics["frames_lost"] == 0
+    assert metrics["psnr_db"] > 20.0
+    again = run(recording, tmp_path / "again", *words)
+    assert again["psnr_db"] == metrics["psnr_db"]
+    for name in ("trajectory.txt", "map.ply"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def test_a_prior_needs_a_recording_without_depth(recording, tmp_path, capsys):
+    words = ["--depth-prior.kind", "maps", "--depth-prior.maps.folder", str(tmp_path)]
+    assert main(arguments(recording, tmp_path / "run", *words)) == 2
+    assert "--depth none" in one_line_of_error(capsys)
+
+
+def test_a_missing_folder_is_reported_before_the_motion_is_estimated(tmp_path, capsys):
+    recording = write_film(tmp_path / "turn", turn(4))
+    words = ["--depth", "none", "--depth-prior.kind", "maps"]
+    assert main(arguments(recording, tmp_path / "run", *words)) == 2
+    assert "--depth-prior.maps.folder" in one_line_of_error(capsys)
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,1 @@
+"""Sources of depth priors: files and models."""

@@ -1,0 +1,48 @@
+"""What a finished run reports about the depth priors that it used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from toolkit.depth_priors.correction import DepthCorrection
+from toolkit.depth_priors.provider import PriorModel
+from toolkit.submaps.atlas import Atlas
+
+
+@dataclass(frozen=True)
+class DepthPriorUse:
+    """Depth priors of a run.
+
+    Attributes:
+        model: that predicted them.
+        inferred: fraction of the keyframes' depth that follows from priors, in [0, 1].
+        correction: of priors that were used alone, or None.
+    """
+
+    model: PriorModel
+    inferred: float
+    correction: DepthCorrection | None = None
+
+    def metrics(self) -> dict[str, float | int | str | None]:
+        """Entries of metrics.json."""
+        return {
+            "depth_prior_model": self.model.name,
+            "depth_prior_sha256": self.model.sha256,
+            "depth_prior_licence": self.model.licence,
+            "depth_inferred_percent": 100.0 * self.inferred,
+            "depth_prior_groups": None if self.correction is None else len(self.correction.found),
+        }
+
+
+def inferred_fraction(atlas: Atlas) -> float:
+    """Fraction of the pixels with depth of all keyframes whose depth follows from priors."""
+    inferred = known = 0
+    for number in atlas.readable():
+        for keyframe in atlas.submap(number).keyframes:
+            with_depth = keyframe.depth_m > 0
+            known += int(with_depth.sum())
+            if keyframe.prior_m is not None:
+                inferred += int(with_depth.sum())
+            elif keyframe.inferred is not None:
+                inferred += int((with_depth & keyframe.inferred).sum())
+    return inferred / known if known else 0.0
