@@ -91,8 +91,9 @@ def _warped(
     in_front = points[..., 2] > 1e-6
     u, v = np.moveaxis(camera.project(np.where(in_front[..., None], points, [0, 0, 1])), -1, 0)
     right, bottom = camera.width - 1, camera.height - 1
-    inside = in_front & (u >= 0) & (v >= 0) & (u <= right) & (v <= bottom)
-    return _bilinear(source.image, u.clip(0, right), v.clip(0, bottom)), inside
+    x, y = u.clip(0, right), v.clip(0, bottom)
+    inside = in_front & (np.abs(u - x) < 0.5) & (np.abs(v - y) < 0.5)
+    return _bilinear(source.image, x, y), inside
 
 
 def _bilinear(image: Image, u: Array, v: Array) -> Array:
@@ -212,9 +213,10 @@ def _compared(
     seen = known & (points[..., 2] > _MIN_DEPTH)
     x, y, z = np.moveaxis(np.where(seen[..., None], points, [0.0, 0.0, 1.0]), -1, 0)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    seen &= (u >= 0) & (v >= 0) & (u <= camera.width - 1) & (v <= camera.height - 1)
+    px, py = u.clip(0, camera.width - 1), v.clip(0, camera.height - 1)
+    seen &= (np.abs(u - px) < 0.5) & (np.abs(v - py) < 0.5)
     moved = np.hypot(camera.fx * (t[0] - x / z * t[2]), camera.fy * (t[1] - y / z * t[2])) / z
-    there = _surface_at(other.image, np.where(seen, u, 0.0), np.where(seen, v, 0.0), tolerance)
+    there = _surface_at(other.image, px, py, tolerance)
     measured = seen & (there > 0)
     depth = 1.0 / np.where(measured, there, 1.0)
     along = (depth - t[2]) / np.where(direction[..., 2] == 0, np.inf, direction[..., 2])

@@ -53,10 +53,12 @@ void compare(const ConsensusInput& in, const View& view, const float (&ray)[3], 
     if (!(point[2] > MIN_DEPTH)) return;
     const float inverse = 1 / point[2], x = point[0] * inverse, y = point[1] * inverse;
     const float u = c.fx * x + c.cx, v = c.fy * y + c.cy;
-    if (!(u >= 0 && v >= 0 && u <= (float)(c.width - 1) && v <= (float)(c.height - 1))) return;
+    const float right = (float)(c.width - 1), bottom = (float)(c.height - 1);
+    if (!(u > -0.5f && v > -0.5f && u < right + 0.5f && v < bottom + 0.5f)) return;
     const float du = c.fx * (view.t[0] - x * view.t[2]) * inverse, dv = c.fy * (view.t[1] - y * view.t[2]) * inverse;
     sums.parallax = std::max(sums.parallax, std::sqrt(du * du + dv * dv));
-    const float seen = inverse_depth_at(c, view.inverse_depth, u, v, in.tolerance);
+    const float seen = inverse_depth_at(c, view.inverse_depth, std::min(std::max(u, 0.0f), right),
+                                        std::min(std::max(v, 0.0f), bottom), in.tolerance);
     if (!(seen > 0)) return;
     const float depth = 1 / seen;
     if (depth > (1 + in.in_front) * point[2]) ++sums.conflicting;

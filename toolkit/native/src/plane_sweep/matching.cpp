@@ -136,7 +136,8 @@ void load_reference(const Sweep& s, Tile& t) {
     }
 }
 
-// The source's image on a plane. False if it shows no pixel of the tile.
+// The source's image on a plane; it shows what is at most half a pixel outside. False if it shows no pixel
+// of the tile.
 bool warp(const Sweep& s, const Warp& w, const float* taps, float offset, Tile& t) {
     const int width = s.camera.width, height = s.camera.height;
     const Floats last_x = all((float)(width - 1)), last_y = all((float)(height - 1));
@@ -164,8 +165,8 @@ bool warp(const Sweep& s, const Warp& w, const float* taps, float offset, Tile& 
             const Floats upper = fma(a, tap[1] - tap[0], tap[0]), lower = fma(a, tap[3] - tap[2], tap[2]);
             store(t.warped + row * WIDE + x, fma(b, lower - upper, upper));
             if (row >= RADIUS && row < RADIUS + t.rows) {
-                const Mask low = both(ge(u, all(0.0f)), ge(v, all(0.0f)));
-                const Mask seen = both(in_front, both(low, both(ge(last_x, u), ge(last_y, v))));
+                const Mask across = lt(maximum(u - cu, cu - u), all(0.5f)), down = lt(maximum(v - cv, cv - v), all(0.5f));
+                const Mask seen = both(in_front, both(across, down));
                 any |= bits(seen);
                 store(t.inside + (row - RADIUS) * WIDE + x, keep(seen, all(1.0f)));
             }
