@@ -40,7 +40,7 @@ def test_wrong_poses_are_not_confirmed():
 
 
 def test_errors_are_within_the_stated_accuracy():
-    found = multi_view().estimate(2)
+    found = multi_view().measured(2)
     known = found.depth > 0
     assert np.isinf(found.relative_sigma[~known]).all()
     assert not found.inferred.any()
@@ -59,7 +59,7 @@ def test_the_number_of_threads_does_not_matter():
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            results.append(multi_view().estimate(2))
+            results.append(multi_view().measured(2))
     finally:
         torch.set_num_threads(before)
     np.testing.assert_array_equal(results[0].depth, results[1].depth)
@@ -68,9 +68,9 @@ def test_the_number_of_threads_does_not_matter():
 
 def test_a_machine_without_kernels_uses_the_reference(monkeypatch):
     views = [DepthView(n, T, NEAR, FAR) for n, T in enumerate(POSES[1:4])]
-    usual = MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame + 1]).estimate(1)
+    usual = MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame + 1]).measured(1)
     use_kernels(monkeypatch, None)
-    found = MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame + 1]).estimate(1)
+    found = MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame + 1]).measured(1)
     both = (found.depth > 0) & (usual.depth > 0)
     assert both.mean() > 0.98 * (usual.depth > 0).mean()
     assert np.median(np.abs(found.depth[both] / usual.depth[both] - 1)) < 1e-3

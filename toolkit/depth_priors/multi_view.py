@@ -22,6 +22,7 @@ from toolkit.depth_priors.coarse_to_fine import (
     image_pair,
     sweep_depth,
 )
+from toolkit.depth_priors.completion import complete
 from toolkit.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
 from toolkit.depth_priors.problem import Image, PosedImage
 from toolkit.geometry import se3
@@ -61,7 +62,7 @@ class EstimatedDepth:
 
     Attributes:
         depth: [H, W] float32 z-depth in the unit of the poses, 0 where unknown.
-        inferred: [H, W] bool, where depth was not measured but completed; none at present.
+        inferred: [H, W] bool, where depth is not measured, but completed by a plane.
         relative_sigma: [H, W] float32 relative standard deviation at known poses, inf where the
             depth is unknown.
     """
@@ -94,9 +95,9 @@ class MultiViewDepth:
 
     def depth(self, number: int) -> Image:
         """Depth [H, W] of a keyframe that others confirm, 0 elsewhere, in the unit of the poses."""
-        return self.estimate(number).depth
+        return self.measured(number).depth
 
-    def estimate(self, number: int) -> EstimatedDepth:
+    def measured(self, number: int) -> EstimatedDepth:
         """Depth of a keyframe that others confirm, and its accuracy."""
         own, around = self._sweep(number), self._around(number)
         others = [
@@ -105,9 +106,22 @@ class MultiViewDepth:
         found = find_consensus(self._camera, own.inverse_depth, others, self._agreement)
         needed = min(self._agreement.keyframes, len(others))
         known = (found.inverse_depth > 0) & (found.agreeing >= needed + found.conflicting)
-        depth = np.where(known, 1.0 / np.where(known, found.inverse_depth, 1.0), 0.0)
         sigma = np.where(known, relative_sigma(found, own.margin), np.float32(np.inf))
-        return EstimatedDepth(depth.astype(np.float32), np.zeros(depth.shape, bool), sigma)
+        inverse_depth = np.where(known, found.inverse_depth, np.float32(0.0))
+        return EstimatedDepth(_inverse(inverse_depth), np.zeros(known.shape, bool), sigma)
+
+    def completed(self, number: int) -> EstimatedDepth:
+        """Measured depth of a keyframe, completed on planes without texture."""
+        measured = self.measured(number)
+        found = complete(
+            self._image(number).full, _inverse(measured.depth), np.random.default_rng(number)
+        )
+        inferred = found.inverse_depth > 0
+        return EstimatedDepth(
+            np.where(inferred, _inverse(found.inverse_depth), measured.depth),
+            inferred,
+            np.where(inferred, found.relative_sigma, measured.relative_sigma),
+        )
 
     def _around(self, number: int) -> list[int]:
         first, last = max(0, number - _AROUND), min(len(self._views) - 1, number + _AROUND)
@@ -134,6 +148,12 @@ class MultiViewDepth:
         return _cached(
             self._images, number, lambda n: image_pair(self._intensity(self._views[n].frame))
         )
+
+
+def _inverse(image: Image) -> Image:
+    """Depth from inverse depth or the reverse, 0 where unknown."""
+    known = image > 0
+    return np.where(known, 1.0 / np.where(known, image, np.float32(1.0)), np.float32(0.0))
 
 
 def _cached(
