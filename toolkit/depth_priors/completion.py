@@ -1,9 +1,8 @@
 """Completion of depth on planar surfaces without texture.
 
-Matching finds no depth where an image shows no texture: on painted walls, ceilings and boards. Such a
-hole is completed if the depth around it, as far as the colour stays the same, lies on one plane. A
-hole that ends at a change of colour is completed up to it, so that no surface continues behind
-another one.
+Matching finds no depth where an image shows no texture: on painted walls, ceilings and boards. Such
+a hole is completed if the depth around it, as far as the intensity changes slowly, lies on one
+plane. Holes end where the intensity changes, so that no surface continues behind another one.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ Mask = NDArray[np.bool_]
 
 # Largest change of intensity per pixel on a surface without texture.
 _MAX_GRADIENT = 0.012
-_MIN_HOLE, _MIN_SUPPORT = 30, 60
+_MIN_HOLE, _MIN_SUPPORT = 60, 60
 # Distance up to which depth around a hole belongs to its surface, in pixels.
 _RING = 10
 # Relative residuals of points on a plane, and the share of points that must be on it.
 _TOLERANCE, _MIN_SHARE = 0.02, 0.75
-_TRIALS, _TRIAL_POINTS = 64, 400
+_TRIALS, _TRIAL_POINTS = 40, 200
 # A pixel is completed if its depth follows from the plane: its leverage is 1 in the centre of the
 # points, and above 8 at twice their extent.
 _MAX_LEVERAGE, _MAX_SIGMA = 8.0, 0.03
@@ -82,8 +81,8 @@ def complete(intensity: Image, inverse_depth: Image, rng: np.random.Generator) -
     for hole in range(1, count):
         if boxes[hole, cv2.CC_STAT_AREA] >= _MIN_HOLE:
             part = _part(boxes[hole])
-            views = (image[part] for image in (smooth, inverse_depth, found, sigma))
-            _complete_hole(labels[part] == hole, *views, rng)
+            out = CompletedDepth(found[part], sigma[part])
+            _complete_hole(labels[part] == hole, smooth[part], inverse_depth[part], out, rng)
     return CompletedDepth(found, sigma)
 
 
@@ -105,14 +104,9 @@ def _part(box: NDArray[np.int32]) -> tuple[slice, slice]:
 
 
 def _complete_hole(
-    hole: Mask,
-    smooth: Mask,
-    inverse_depth: Image,
-    found: Image,
-    sigma: Image,
-    rng: np.random.Generator,
+    hole: Mask, smooth: Mask, inverse_depth: Image, out: CompletedDepth, rng: np.random.Generator
 ) -> None:
-    """Complete one hole in parts of the images; `found` and `sigma` are changed."""
+    """Complete one hole in parts of the images; `out` is changed."""
     support = _around(hole, smooth) & (inverse_depth > 0)
     if support.sum() < _MIN_SUPPORT:
         return
@@ -125,8 +119,8 @@ def _complete_hole(
     deviation = np.sqrt(plane.variance * (1.0 + leverage / plane.samples))
     kept = (values > 0) & (deviation < _MAX_SIGMA * values) & (leverage < _MAX_LEVERAGE)
     rows, columns = (index[kept] for index in np.nonzero(hole))
-    found[rows, columns] = values[kept]
-    sigma[rows, columns] = deviation[kept] / values[kept]
+    out.inverse_depth[rows, columns] = values[kept]
+    out.relative_sigma[rows, columns] = deviation[kept] / values[kept]
 
 
 def _around(hole: Mask, smooth: Mask) -> Mask:
@@ -153,14 +147,15 @@ def _fitted(places: Array, values: Array, rng: np.random.Generator) -> _Plane | 
     if near is None:
         return None
     for _ in range(2):
-        coefficients = np.linalg.lstsq(places[near], values[near], rcond=None)[0]
+        points = places[near]
+        moments = points.T @ points / len(points)
+        if np.linalg.cond(moments) > 1e8:  # all points on a line
+            return None
+        coefficients = np.linalg.inv(moments) @ (points.T @ values[near] / len(points))
         near = _on_plane(places @ coefficients, values)
         if near.sum() < max(_MIN_SUPPORT, _MIN_SHARE * len(values)):
             return None
     points = places[near]
-    moments = points.T @ points / len(points)
-    if np.linalg.cond(moments) > 1e8:  # all points on a line
-        return None
     residual = values[near] - points @ coefficients
     variance = residual.var() + (_MIN_DEVIATION * values.mean()) ** 2
     return _Plane(coefficients, moments, float(variance), len(points) / _WINDOW)
