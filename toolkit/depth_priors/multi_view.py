@@ -22,8 +22,8 @@ from toolkit.depth_priors.coarse_to_fine import (
     image_pair,
     sweep_depth,
 )
-from toolkit.depth_priors.completion import complete
 from toolkit.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
+from toolkit.depth_priors.plane_completion import complete
 from toolkit.depth_priors.problem import Image, PosedImage
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera

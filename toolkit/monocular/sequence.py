@@ -18,7 +18,8 @@ from toolkit.monocular.motion import CameraMotion
 
 
 class MonocularSequence:
-    """A dataset whose keyframes have the depth that neighbouring keyframes agree with.
+    """A dataset whose keyframes have the depth that neighbouring keyframes agree with, completed on
+    planes without texture.
 
     Other frames have no depth. Implements `Dataset`; its ground truth is the estimated motion.
 
@@ -45,7 +46,7 @@ class MonocularSequence:
         if number is None or len(self._views) < 2:
             depth = np.zeros_like(frame.depth_m)
         else:
-            depth = self._depth.depth(number)
+            depth = self._depth.completed(number).depth
         return replace(frame, depth_m=depth, camera=self.camera)
 
     def __iter__(self) -> Iterator[Frame]:
