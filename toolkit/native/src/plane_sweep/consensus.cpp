@@ -24,7 +24,7 @@ struct View {
 
 struct Sums {
     float inverse_depth, deviation, squares;  // the latter two relative to the reference image's
-    float parallax;
+    float squared_parallax;
     int agreeing, conflicting;
 };
 
@@ -43,33 +43,33 @@ float inverse_depth_at(const Pinhole& c, const float* image, float u, float v, f
     return p[(b < 0.5f ? 0 : c.width) + (a < 0.5f ? 0 : 1)];
 }
 
+// Points are scaled by q, and depths compared by their reciprocals, to save divisions.
 void compare(const ConsensusInput& in, const View& view, const float (&ray)[3], float q, Sums& sums) {
     const Pinhole& c = in.camera;
     float direction[3], point[3];
     for (int i = 0; i < 3; ++i) {
         direction[i] = view.R[3 * i] * ray[0] + view.R[3 * i + 1] * ray[1] + view.R[3 * i + 2];
-        point[i] = direction[i] / q + view.t[i];
+        point[i] = direction[i] + q * view.t[i];
     }
-    if (!(point[2] > MIN_DEPTH)) return;
-    const float inverse = 1 / point[2], x = point[0] * inverse, y = point[1] * inverse;
+    if (!(point[2] > MIN_DEPTH * q)) return;
+    const float scale = 1 / point[2], x = point[0] * scale, y = point[1] * scale, expected = q * scale;
     const float u = c.fx * x + c.cx, v = c.fy * y + c.cy;
     const float right = (float)(c.width - 1), bottom = (float)(c.height - 1);
     if (!(u > -0.5f && v > -0.5f && u < right + 0.5f && v < bottom + 0.5f)) return;
-    const float du = c.fx * (view.t[0] - x * view.t[2]) * inverse, dv = c.fy * (view.t[1] - y * view.t[2]) * inverse;
-    sums.parallax = std::max(sums.parallax, std::sqrt(du * du + dv * dv));
+    const float du = c.fx * (view.t[0] - x * view.t[2]) * expected, dv = c.fy * (view.t[1] - y * view.t[2]) * expected;
+    sums.squared_parallax = std::max(sums.squared_parallax, du * du + dv * dv);
     const float seen = inverse_depth_at(c, view.inverse_depth, std::min(std::max(u, 0.0f), right),
                                         std::min(std::max(v, 0.0f), bottom), in.tolerance);
     if (!(seen > 0)) return;
-    const float depth = 1 / seen;
-    if (depth > (1 + in.in_front) * point[2]) ++sums.conflicting;
-    // The point of the ray at the depth that the other image sees.
-    const float along = (depth - view.t[2]) / direction[2], deviation = 1 / (along * q) - 1;
-    // The second condition fails only for rays across the direction of the other camera.
-    if (std::fabs(depth - point[2]) < in.tolerance * point[2] && std::fabs(deviation) < 2 * in.tolerance) {
-        sums.deviation += deviation;
-        sums.squares += deviation * deviation;
-        ++sums.agreeing;
-    }
+    if (expected > (1 + in.in_front) * seen) ++sums.conflicting;
+    if (!(std::fabs(expected - seen) < in.tolerance * seen)) return;
+    // The point of the ray at the depth that the other image sees. Its distance along the ray differs by
+    // more only for rays across the direction of the other camera.
+    const float deviation = direction[2] * seen / (q * (1 - view.t[2] * seen)) - 1;
+    if (!(std::fabs(deviation) < 2 * in.tolerance)) return;
+    sums.deviation += deviation;
+    sums.squares += deviation * deviation;
+    ++sums.agreeing;
 }
 
 }  // namespace
@@ -90,7 +90,7 @@ void compare_depths(const ConsensusInput& in, const Consensus& out) {
             const float share = 1 / (float)(1 + sums.agreeing), mean = sums.deviation * share;
             out.inverse_depth[i] = q > 0 ? q * (1 + mean) : 0;
             out.spread[i] = std::sqrt(std::max(sums.squares * share - mean * mean, 0.0f)) / (1 + mean);
-            out.parallax[i] = sums.parallax;
+            out.parallax[i] = std::sqrt(sums.squared_parallax);
             out.agreeing[i] = (float)sums.agreeing;
             out.conflicting[i] = (float)sums.conflicting;
         }
