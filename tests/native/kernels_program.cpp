@@ -15,7 +15,9 @@
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
 #include "optimisation/adam.hpp"
+#include "plane_sweep/consensus.hpp"
 #include "plane_sweep/plane_sweep.hpp"
+#include "plane_sweep/upsampling.hpp"
 #include "rendering/splats.hpp"
 #include "rendering/surface.hpp"
 
@@ -272,7 +274,7 @@ void bundle_adjustment() {
 }
 
 void plane_sweep() {
-    std::vector<float> reference(PIXELS), source(PIXELS), inverse(PIXELS), correlation(PIXELS), margin(PIXELS);
+    std::vector<float> reference(PIXELS), source(PIXELS), plane(PIXELS), correlation(PIXELS), margin(PIXELS);
     // A wall in front of a camera that moves to the right by 0.1: its image moves by 2.4 pixels.
     const auto pattern = [](float x, float y) { return 0.5f + 0.2f * std::sin(0.9f * x) + 0.2f * std::cos(0.7f * y + 0.3f * x); };
     for (int i = 0; i < PIXELS; ++i) {
@@ -281,10 +283,22 @@ void plane_sweep() {
         source[(size_t)i] = pattern(x + 2.4f, y);
     }
     const std::array<double, 12> moved = {1, 0, 0, -0.1, 0, 1, 0, 0, 0, 0, 1, 0};
-    sweep({CAMERA, reference.data(), {{source.data(), moved}}, 17, 0.1, 0.9, 0.04, 0.4},
-          {inverse.data(), correlation.data(), margin.data()});
-    print("swept-inverse-depth", inverse);
+    const std::vector<float> first(PIXELS, 0.1f);
+    sweep({CAMERA, reference.data(), {{source.data(), moved}}, 17, first.data(), 0.05, 0.04, 0.4},
+          {plane.data(), correlation.data(), margin.data()});
+    print("swept-plane", plane);
     print("swept-correlation", correlation);
+    std::vector<float> inverse(PIXELS), doubled((size_t)4 * PIXELS), large((size_t)4 * PIXELS, 0.5f);
+    for (int i = 0; i < PIXELS; ++i) inverse[(size_t)i] = 0.1f + 0.05f * plane[(size_t)i];
+    upsample_depth({WIDTH, HEIGHT, reference.data(), inverse.data()}, 2 * WIDTH, 2 * HEIGHT, large.data(), 0.1f,
+                   doubled.data());
+    print("upsampled-depth", doubled);
+    std::vector<float> wall(PIXELS, 0.5f), fused(PIXELS), spread(PIXELS), parallax(PIXELS), agreeing(PIXELS),
+        conflicting(PIXELS);
+    compare_depths({CAMERA, wall.data(), {{wall.data(), moved}, {inverse.data(), moved}}, 0.2f, 0.5f},
+                   {fused.data(), spread.data(), parallax.data(), agreeing.data(), conflicting.data()});
+    print("fused-depth", fused);
+    print("parallax", parallax);
 }
 
 }  // namespace

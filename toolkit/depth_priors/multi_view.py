@@ -10,24 +10,33 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.plane_sweep import SweepOptions, plane_sweep
+from toolkit.depth_priors.coarse_to_fine import (
+    ImagePair,
+    Source,
+    SweptDepth,
+    image_pair,
+    sweep_depth,
+)
+from toolkit.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
+from toolkit.depth_priors.plane_completion import complete
+from toolkit.depth_priors.problem import Image, PosedImage
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Cached = TypeVar("Cached")
 
 # The range of a sweep is wider than that of the known points.
 _NEARER, _FARTHER = 1.6, 2.5
-# Motion in the image from one plane to the next, for the farthest source.
-_STEP_PX = 1.5
-_MIN_PLANES, _MAX_PLANES = 48, 160
-# Keyframes on each side that a keyframe is compared with.
+# Keyframes on each side that a keyframe is compared with, and those also used for the first, coarse
+# estimate: more of them change neither its density nor its errors.
 _AROUND = 3
+_COARSE = (-3, -1, 1, 3)
 _CACHED = 4 * _AROUND
 
 
@@ -48,16 +57,19 @@ class DepthView:
 
 
 @dataclass(frozen=True)
-class AgreementOptions:
-    """Which depth is kept.
+class EstimatedDepth:
+    """Depth of a keyframe.
 
     Attributes:
-        tolerance: maximum relative difference to the depth of another keyframe.
-        keyframes: number of keyframes that must agree.
+        depth: [H, W] float32 z-depth in the unit of the poses, 0 where unknown.
+        inferred: [H, W] bool, where depth is not measured, but completed by a plane.
+        relative_sigma: [H, W] float32 relative standard deviation at known poses, inf where the
+            depth is unknown.
     """
 
-    tolerance: float = 0.02
-    keyframes: int = 2
+    depth: Image
+    inferred: NDArray[np.bool_]
+    relative_sigma: Image
 
 
 class MultiViewDepth:
@@ -75,73 +87,79 @@ class MultiViewDepth:
         views: Sequence[DepthView],
         intensity: Callable[[int], Image],
         agreement: AgreementOptions | None = None,
-        sweep: SweepOptions | None = None,
     ) -> None:
         self._camera, self._views, self._intensity = camera, views, intensity
-        self._agreement, self._sweep = agreement or AgreementOptions(), sweep or SweepOptions()
-        self._images: OrderedDict[int, Image] = OrderedDict()
-        self._depths: OrderedDict[int, Image] = OrderedDict()
+        self._agreement = agreement or AgreementOptions()
+        self._images: OrderedDict[int, ImagePair] = OrderedDict()
+        self._swept: OrderedDict[int, SweptDepth] = OrderedDict()
 
     def depth(self, number: int) -> Image:
         """Depth [H, W] of a keyframe that others confirm, 0 elsewhere, in the unit of the poses."""
-        own = self._swept(number)
-        confirmed = np.zeros(own.shape, np.int32)
-        points = self._camera.unproject(own)
-        others = self._around(number)
-        for other in others:
-            confirmed += self._confirmed(points, own > 0, number, other)
+        return self.measured(number).depth
+
+    def measured(self, number: int) -> EstimatedDepth:
+        """Depth of a keyframe that others confirm, and its accuracy."""
+        own, around = self._sweep(number), self._around(number)
+        others = [
+            PosedImage(self._sweep(n).inverse_depth, self._T_from_to(number, n)) for n in around
+        ]
+        found = find_consensus(self._camera, own.inverse_depth, others, self._agreement)
         needed = min(self._agreement.keyframes, len(others))
-        return np.where(confirmed >= needed, own, np.float32(0.0))
+        known = (found.inverse_depth > 0) & (found.agreeing >= needed + found.conflicting)
+        sigma = np.where(known, relative_sigma(found, own.margin), np.float32(np.inf))
+        inverse_depth = np.where(known, found.inverse_depth, np.float32(0.0))
+        return EstimatedDepth(_inverse(inverse_depth), np.zeros(known.shape, bool), sigma)
+
+    def completed(self, number: int) -> EstimatedDepth:
+        """Measured depth of a keyframe, completed on planes without texture."""
+        measured = self.measured(number)
+        found = complete(
+            self._image(number).full, _inverse(measured.depth), np.random.default_rng(number)
+        )
+        inferred = found.inverse_depth > 0
+        return EstimatedDepth(
+            np.where(inferred, _inverse(found.inverse_depth), measured.depth),
+            inferred,
+            np.where(inferred, found.relative_sigma, measured.relative_sigma),
+        )
 
     def _around(self, number: int) -> list[int]:
         first, last = max(0, number - _AROUND), min(len(self._views) - 1, number + _AROUND)
         return [n for n in range(first, last + 1) if n != number]
 
-    def _confirmed(
-        self, points: Array, known: NDArray[np.bool_], number: int, other: int
-    ) -> NDArray[np.bool_]:
-        """Which points [H, W, 3] of a keyframe are on a surface of another one."""
-        camera = self._camera
-        T = self._T_from_to(number, other)
-        seen = points @ T[:3, :3].T + T[:3, 3]
-        known = known & (seen[..., 2] > 0)
-        px = camera.project(np.where(known[..., None], seen, [0.0, 0.0, 1.0]))
-        column, row = np.moveaxis(np.round(px).astype(np.int64), -1, 0)
-        known &= (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-        there = self._swept(other)[np.where(known, row, 0), np.where(known, column, 0)]
-        near = np.abs(there - seen[..., 2]) < self._agreement.tolerance * seen[..., 2]
-        return known & (there > 0) & near
-
     def _T_from_to(self, number: int, other: int) -> Array:
         T_world_other = self._views[other].T_world_camera
         return se3.inverse(T_world_other) @ self._views[number].T_world_camera
 
-    def _swept(self, number: int) -> Image:
-        """Depth [H, W] of a keyframe from the images around it, 0 where unknown."""
-        return _cached(self._depths, number, self._sweep_of)
+    def _sweep(self, number: int) -> SweptDepth:
+        """Depth of a keyframe from the images around it."""
+        return _cached(self._swept, number, self._new_sweep)
 
-    def _sweep_of(self, number: int) -> Image:
+    def _new_sweep(self, number: int) -> SweptDepth:
         view = self._views[number]
-        around = self._around(number)
-        sources = [(self._image(n), self._T_from_to(number, n)) for n in around]
-        baseline = max(float(np.linalg.norm(T[:3, 3])) for _, T in sources)
-        far, near = 1.0 / (_FARTHER * view.far), _NEARER / view.near
-        steps = baseline * self._camera.focal * (near - far) / _STEP_PX
-        planes = int(np.clip(np.ceil(steps), _MIN_PLANES, _MAX_PLANES))
-        image = self._image(number)
-        inverse = plane_sweep(
-            self._camera, image, sources, (far, near), planes, self._sweep
-        ).inverse_depth
-        known = inverse > 0
-        depth = np.where(known, 1.0 / np.where(known, inverse, 1.0), 0.0)
-        return depth.astype(np.float32)
+        sources = [
+            Source(self._image(n), self._T_from_to(number, n), n - number in _COARSE)
+            for n in self._around(number)
+        ]
+        limits = 1.0 / (_FARTHER * view.far), _NEARER / view.near
+        return sweep_depth(self._camera, self._image(number), sources, limits)
 
-    def _image(self, number: int) -> Image:
-        return _cached(self._images, number, lambda n: self._intensity(self._views[n].frame))
+    def _image(self, number: int) -> ImagePair:
+        return _cached(
+            self._images, number, lambda n: image_pair(self._intensity(self._views[n].frame))
+        )
 
 
-def _cached(cache: OrderedDict[int, Image], number: int, compute: Callable[[int], Image]) -> Image:
-    """A keyframe's image from a cache of the last computed ones."""
+def _inverse(image: Image) -> Image:
+    """Depth from inverse depth or the reverse, 0 where unknown."""
+    known = image > 0
+    return np.where(known, 1.0 / np.where(known, image, np.float32(1.0)), np.float32(0.0))
+
+
+def _cached(
+    cache: OrderedDict[int, Cached], number: int, compute: Callable[[int], Cached]
+) -> Cached:
+    """Something of a keyframe, from a cache of what was computed last."""
     if number not in cache:
         cache[number] = compute(number)
         while len(cache) > _CACHED:

@@ -26,8 +26,8 @@ from toolkit.monocular.motion import CameraMotion
 class MonocularSequence:
     """A dataset whose keyframes have the depth that neighbouring keyframes agree with.
 
-    Other frames have no depth. Depth priors complete the depth of keyframes. If they are used
-    alone (`correction`), only the first keyframe has depth, which fixes the unit of length.
+    Other frames have no depth. Planes without texture and depth priors, where there are any,
+    complete the depth of keyframes, which is then marked as inferred. If priors are used alone (`correction`), only the first keyframe has depth, which fixes the unit of length.
     Implements `Dataset`; its ground truth is the estimated motion.
 
     Args:
@@ -74,10 +74,11 @@ class MonocularSequence:
         number = self._views.get(index)
         if number is None or len(self._views) < 2 or (number > 0 and self._uses_priors_alone):
             return frame
-        if self._completion is None:
-            return replace(frame, depth_m=self._depth.depth(number))
-        completed = self._completion.depth(number)
-        return replace(frame, depth_m=completed.depth, inferred=completed.inferred)
+        if self._completion is not None:
+            by_prior = self._completion.depth(number)
+            return replace(frame, depth_m=by_prior.depth, inferred=by_prior.inferred)
+        by_planes = self._depth.completed(number)
+        return replace(frame, depth_m=by_planes.depth, inferred=by_planes.inferred)
 
     def __iter__(self) -> Iterator[Frame]:
         return prefetched(self, range(len(self)))

@@ -14,6 +14,7 @@ namespace semsplat {
 namespace {
 
 enum { GAIN = 6, BIAS = 7 };
+
 struct System {
     double H[PARAMETERS][PARAMETERS];
     double g[PARAMETERS];

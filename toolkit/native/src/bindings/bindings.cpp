@@ -18,6 +18,8 @@
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
 #include "optimisation/adam.hpp"
+#include "plane_sweep/upsampling.hpp"
+#include "plane_sweep/consensus.hpp"
 #include "plane_sweep/plane_sweep.hpp"
 #include "rendering/splats.hpp"
 #include "rendering/surface.hpp"
@@ -279,16 +281,40 @@ std::tuple<double, double, double, double, int, bool> adjust_bundle(
             result.iterations,  result.converged};
 }
 
-// sources: intensities and T_source_reference. limits: inverse depths of the first and the last plane,
-// both penalties. out: inverse depth, correlation, margin.
-void plane_sweep(const Intrinsics& intrinsics, const Size& size, Address intensity,
-                 const std::vector<std::tuple<Address, std::array<double, 12>>>& sources, int planes,
-                 const std::array<double, 4>& limits, const std::array<Address, 3>& out) {
-    Sweep s = {pinhole(intrinsics, size), at<const float>(intensity), {}, planes,
-               limits[0], limits[1], limits[2], limits[3]};
+typedef std::vector<std::tuple<Address, std::array<double, 12>>> PosedImages;
+
+// sources: intensities and T_source_reference. planes: inverse depths of the first planes, number of
+// planes. limits: step between planes, both penalties. out: plane, correlation, margin.
+void plane_sweep(const Intrinsics& intrinsics, const Size& size, Address intensity, const PosedImages& sources,
+                 const std::pair<Address, int>& planes, const std::array<double, 3>& limits,
+                 const std::array<Address, 3>& out) {
+    Sweep s = {pinhole(intrinsics, size), at<const float>(intensity), {}, planes.second,
+               at<const float>(planes.first), limits[0], limits[1], limits[2]};
     for (const auto& [image, pose] : sources) s.sources.push_back({at<const float>(image), pose});
     const py::gil_scoped_release release;
     sweep(s, {at<float>(out[0]), at<float>(out[1]), at<float>(out[2])});
+}
+
+// half: size, intensity and inverse depth of the half image. size: of the image. images: intensity, result.
+void double_depth(const std::tuple<Size, Address, Address>& half, const Size& size,
+                  const std::array<Address, 2>& images, double max_step) {
+    const auto& [half_size, intensity, inverse_depth] = half;
+    const HalfDepth from{half_size[0], half_size[1], at<const float>(intensity), at<const float>(inverse_depth)};
+    const py::gil_scoped_release release;
+    upsample_depth(from, size[0], size[1], at<const float>(images[0]), (float)max_step,
+                           at<float>(images[1]));
+}
+
+// others: inverse depths and T_other_reference. limits: tolerance, in_front. out: inverse depth, spread,
+// parallax, agreeing, conflicting.
+void find_consensus(const Intrinsics& intrinsics, const Size& size, Address inverse_depth, const PosedImages& others,
+                    const std::array<double, 2>& limits, const std::array<Address, 5>& out) {
+    ConsensusInput input = {pinhole(intrinsics, size), at<const float>(inverse_depth), {}, (float)limits[0],
+                            (float)limits[1]};
+    for (const auto& [image, pose] : others) input.others.push_back({at<const float>(image), pose});
+    const py::gil_scoped_release release;
+    compare_depths(input, {at<float>(out[0]), at<float>(out[1]), at<float>(out[2]), at<float>(out[3]),
+                                     at<float>(out[4])});
 }
 
 // The instruction sets supported by the CPU and the operating system, ascending. The tested features
@@ -336,6 +362,8 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("align_pose", &align_pose);
     m.def("adjust_bundle", &adjust_bundle);
     m.def("plane_sweep", &plane_sweep);
+    m.def("double_depth", &double_depth);
+    m.def("find_consensus", &find_consensus);
     m.def("adam", &adam);
     m.def("smooth_inverse_depth", &smoothed);
     m.def("mean_ssim", &mean_ssim);
