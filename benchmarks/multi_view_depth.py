@@ -125,7 +125,7 @@ def _true(dataset: RecordedDataset, step: int) -> list[DepthView]:
 
 def _estimated(dataset: RecordedDataset) -> list[DepthView]:
     """Keyframes of the estimated motion, at the scale that fits the true trajectory."""
-    motion, truth = estimate_motion(lambda: dataset, dataset.camera), dataset.ground_truth
+    motion, truth = estimate_motion(dataset, dataset.camera), dataset.ground_truth
     assert truth is not None
     found = np.array([view.T_world_camera[:3, 3] for view in motion.views])
     true = truth.T_world_camera[[view.frame for view in motion.views], :3, 3]

@@ -27,7 +27,8 @@ class MonocularSequence:
     """A dataset whose keyframes have the depth that neighbouring keyframes agree with.
 
     Other frames have no depth. Planes without texture and depth priors, where there are any,
-    complete the depth of keyframes, which is then marked as inferred. If priors are used alone (`correction`), only the first keyframe has depth, which fixes the unit of length.
+    complete the depth of keyframes, which is then marked as inferred. If priors are used alone
+    (`correction`), only the first keyframe has depth, which fixes the unit of length.
     Implements `Dataset`; its ground truth is the estimated motion.
 
     Args:
