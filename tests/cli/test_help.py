@@ -72,7 +72,7 @@ def test_the_help_of_run_fits_on_a_screen(monkeypatch, capsys):
     page = capsys.readouterr().out
     assert len(page.splitlines()) <= 60
     assert 15 <= len(flags_of(page)) <= 25
-    for flag in ("--dataset.path", "--out", "--image-size", "--max-frames", "--hold-out", "--map"):
+    for flag in ("--dataset.path", "--out", "--image-size", "--max-frames", "--depth", "--map"):
         assert flag in flags_of(page)
     assert "--help-all" in page
 

@@ -75,6 +75,18 @@ def test_intrinsics_of_another_size_are_rejected(film):
         opened(film)
 
 
+def test_large_films_are_reduced(tmp_path):
+    path = tmp_path / "large.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), FPS, (1080, 1920))
+    writer.write(np.full((1920, 1080, 3), 90, np.uint8))
+    writer.release()
+    dataset = opened(path)
+    assert dataset.camera.size == (360, 640)
+    assert dataset[0].rgb.shape == (640, 360, 3)
+    assert dataset.camera.fx == pytest.approx(TYPICAL_FOCAL * 640)
+    assert opened(path, image_size=(1080, 1920)).camera.size == (1080, 1920)
+
+
 def test_a_film_needs_the_option_for_missing_depth(film):
     with pytest.raises(DatasetError, match=r"film.mp4 has no depth images; .* --depth none"):
         open_dataset("video", film)

@@ -29,6 +29,11 @@ from toolkit.errors import DatasetError
 
 _log = logging.getLogger(__name__)
 
+# Larger images without depth are reduced to a longer side of _REDUCED_SIDE: a phone's film has
+# nine times as many pixels, and time and Gaussians grow with them.
+_MAX_PIXELS = 400_000
+_REDUCED_SIDE = 640
+
 KINDS: dict[str, Callable[[Path], Recording]] = {
     "synthetic": replica.describe,
     "tum": tum.describe,
@@ -63,7 +68,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     Args:
         kind: one of `KINDS`; synthetic rooms use the layout of Replica.
         path: folder of the dataset.
-        image_size: (width, height) in pixels to scale and crop to, or None for the native size.
+        image_size: (width, height) in pixels to scale and crop to, or None for the native size;
+            large images whose depth is estimated are reduced then.
         max_frames: maximum number of frames from the start, or None for all.
         needs_depth: whether a recording without depth is an error.
         fov_deg: horizontal field of view of a recording without intrinsics; None to estimate it.
@@ -81,6 +87,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
             raise DatasetError(f"{path} has intrinsics; remove the field of view")
         camera = video.camera_with_fov(recording.camera, fov_deg)
         recording = replace(recording, camera=camera, calibrated=True, focal_sigma=None)
+    if image_size is None and not needs_depth:
+        image_size = _reduced(recording)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
     depth = dataset.files(0).depth
@@ -106,6 +114,20 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     for note in dataset.recording.notes:
         _log.info("%s: %s", dataset.name, note)
     return dataset
+
+
+def _reduced(recording: Recording) -> tuple[int, int] | None:
+    """A size at which depth can be estimated in reasonable time; None for images that small."""
+    width, height = recording.camera.size
+    if width * height <= _MAX_PIXELS:
+        return None
+    scale = _REDUCED_SIDE / max(width, height)
+    size = round(scale * width), round(scale * height)
+    _log.info(
+        "%s: images of %dx%d pixels are reduced to %dx%d; --image-size selects another size",
+        recording.name, width, height, *size,
+    )  # fmt: skip
+    return size
 
 
 def describe(kind: str, path: str | os.PathLike[str], topics: BagTopics | None = None) -> Recording:

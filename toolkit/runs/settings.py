@@ -43,7 +43,8 @@ class RunSettings:
 
     dataset: DatasetOptions = DatasetOptions()
     image_size: tuple[PositiveInt, PositiveInt] | None = None
-    """Width and height in pixels to which images are resized. By default, they are not resized."""
+    """Width and height in pixels to which images are resized. By default, only large images without
+    depth are."""
     seed: NonNegativeInt = 0
     """Seed of all random choices."""
     max_frames: PositiveInt | None = None
