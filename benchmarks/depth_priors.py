@@ -6,6 +6,7 @@ python -m benchmarks.depth_priors [--only NAMES]
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -147,7 +148,8 @@ def correct(job: dict, seed: int) -> Metrics:
         assert found is not None
         correction = found
         metrics["ate_rmse_cm"], scale = _ate(motion, dataset)
-    settings = RunSettings(depth="none", poses="given", seed=seed)
+    poses: Literal["given", "slam"] = "given" if job["poses"] == "given" else "slam"
+    settings = RunSettings(depth="none", poses=poses, seed=seed)
     code = replace(settings.semantics.code, kind="none")
     settings = replace(settings, semantics=replace(settings.semantics, code=code))
     slam = build_slam(sequence, settings, correction=correction)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RunProgram(RunSettings):
-    """Track and map an RGB-D sequence, evaluate the result and write a run folder."""
+    """Track and map a sequence, with or without depth, evaluate it and write a run folder."""
 
     out: Path
     """Folder of the run, new or empty unless the run is resumed."""

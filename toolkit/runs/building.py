@@ -84,7 +84,7 @@ def build_slam(
         name = "this sequence" if dataset is None else dataset.name
         raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
     poses: Tracker
-    if settings.depth == "none":
+    if settings.poses == "slam":
         poses = GuidedTracker(dataset.ground_truth, settings.backend, recorder)
     else:
         poses = GivenPoses(dataset.ground_truth)
