@@ -119,3 +119,19 @@ def test_new_features_keep_their_distance(walked):
     distance = np.linalg.norm(features.px[:, None] - features.px[None], axis=2)
     assert distance[distance > 0].min() > 5.0
     assert len(np.unique(features.ids)) == len(features)
+
+
+@pytest.mark.parametrize(("gain", "bias"), [(1.6, 0.0), (0.5, 20.0)])
+def test_tracks_survive_a_change_of_exposure(walked, gain, bias):
+    tracks = FeatureTracks(150)
+    tracks.follow((0.5 * grey(walked[0])).astype(np.uint8))
+    first = tracks.replenish()
+    changed = np.clip(gain * 0.5 * grey(walked[1]) + bias, 0, 255).astype(np.uint8)
+    found = tracks.follow(changed)
+    assert len(found) > 0.6 * len(first)
+    same = FeatureTracks(150)
+    same.follow(grey(walked[0]))
+    same.continue_from(grey(walked[0]), first)
+    reference = same.follow(grey(walked[1]))
+    _, a, b = np.intersect1d(found.ids, reference.ids, return_indices=True)
+    assert np.median(np.linalg.norm(found.px[a] - reference.px[b], axis=1)) < 0.1

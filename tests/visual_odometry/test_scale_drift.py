@@ -7,7 +7,7 @@ import numpy as np
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.visual_odometry.landmarks import View
-from toolkit.visual_odometry.scale_drift import scale_sigma
+from toolkit.visual_odometry.scale_drift import scale_matters, scale_sigma
 from toolkit.visual_odometry.sparse_map import PointTracks, SparseMap
 from toolkit.visual_odometry.tracks import NO_FEATURES
 
@@ -81,3 +81,10 @@ def test_a_turn_in_place_leaves_it_uncertain():
     steady = scale_sigma(sparse_map(sideways(8), wall(300, -1.0, 2.5)))[1:-1].max()
     turning = scale_sigma(sparse_map(np.concatenate([walk, walk[-1] @ turns]), around))
     assert turning[4:].max() > 10.0 * steady
+
+
+def test_gaps_beside_a_camera_at_rest_do_not_matter():
+    rest, walk = np.repeat(sideways(1), 4, axis=0), sideways(6)
+    poses = np.concatenate([rest, walk[1:], np.repeat(walk[-1:], 3, axis=0)])
+    matters = scale_matters(sparse_map(poses, wall(300, -1.0, 2.5)))
+    assert matters.tolist() == [False] * 4 + [True] * 3 + [False] * 4

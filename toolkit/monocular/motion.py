@@ -17,7 +17,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.loop_closure import LoopClosure, close_loops
 from toolkit.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State, VisualOdometry
-from toolkit.visual_odometry.scale_drift import scale_sigma
+from toolkit.visual_odometry.scale_drift import scale_matters, scale_sigma
 from toolkit.visual_odometry.sparse_map import SparseMap
 
 # Percentiles of a keyframe's landmark depths that count as near and far.
@@ -239,8 +239,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
     views, depths = _depth_views(sparse_map)
     centres = trajectory.T_world_camera[:, :3, 3]
     spread = float(np.sqrt(((centres - centres.mean(0)) ** 2).sum(1).mean()))
-    # The first two views define the unit of length; there is nothing before them to compare with.
-    sigma = scale_sigma(sparse_map)[1:]
+    sigma = np.where(scale_matters(sparse_map), scale_sigma(sparse_map), 0.0)
     weakest = int(sigma.argmax())
     motion = CameraMotion(
         trajectory,
@@ -250,7 +249,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
         extent=spread / float(np.median(depths)) if depths else 0.0,
         error_px=float(np.median(adjusted.error_px)),
         scale_sigma=float(sigma[weakest]),
-        scale_frame=sparse_map.views[weakest + 1].frame,
+        scale_frame=sparse_map.views[weakest].frame,
         loops=loops,
         focal_sigma=None if calibrated else adjusted.focal_sigma,
         without_pose=without,

@@ -11,6 +11,8 @@ from toolkit.visual_odometry.two_view import rays
 
 Array = NDArray[np.float64]
 
+# A camera that has moved less on one side of a gap, relative to the median depth, has no scale.
+_MIN_EXTENT = 0.02
 # Information of an undetermined scale, so that its standard deviation is finite.
 _NO_INFORMATION = 1e-6
 _MIN_DEPTH = 1e-6
@@ -64,6 +66,20 @@ def scale_sigma(sparse_map: SparseMap) -> Array:
         information = (total - mixed**2 / np.maximum(depth_information, 1e-12)).sum()
         sigma[gap] = 1.0 / np.sqrt(max(float(information), _NO_INFORMATION))
     return sigma
+
+
+def scale_matters(sparse_map: SparseMap) -> NDArray[np.bool_]:
+    """Gaps [V - 1] between views on both sides of which the camera has moved."""
+    centres = np.array([view.T_world_camera[:3, 3] for view in sparse_map.views]).reshape(-1, 3)
+    known = sparse_map.table.inverse_depth[sparse_map.table.measured]
+    least = _MIN_EXTENT / float(np.median(known)) if len(known) else 0.0
+    gaps = range(len(centres) - 1)
+    return np.array([min(map(_reach, (centres[: n + 1], centres[n + 1 :]))) > least for n in gaps])
+
+
+def _reach(centres: Array) -> float:
+    """Largest distance from the first position."""
+    return float(np.linalg.norm(centres - centres[0], axis=1).max())
 
 
 def _turned(R_world_camera: Array, vectors: Array) -> Array:

@@ -19,6 +19,8 @@ _LEVELS = 2
 # Features whose track back to the previous image misses their origin by more are lost.
 _MAX_RETURN_PX = 0.5
 _BORDER_PX = 4.0
+# Relative changes of brightness or contrast between two images that Lucas-Kanade need not mind.
+_MAX_EXPOSURE_CHANGE = 0.15
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,9 @@ class FeatureTracks:
         flow = self._flow.calc(last, image, None)
         before = self.features.px.astype(np.float32)
         column, row = np.round(before).astype(int).T
-        after, found = _lucas_kanade(last, image, before, before + flow[row, column])
+        guess = before + flow[row, column]
+        last = _with_exposure_of(image, guess, last, before)
+        after, found = _lucas_kanade(last, image, before, guess)
         back, returned = _lucas_kanade(image, last, after, before)
         height, width = image.shape
         inside = (after >= _BORDER_PX) & (after <= np.array([width, height]) - 1 - _BORDER_PX)
@@ -110,6 +114,37 @@ class FeatureTracks:
             np.concatenate([self.features.px, corners.reshape(-1, 2).astype(np.float64)]),
         )
         return self.features
+
+
+def _with_exposure_of(
+    image: NDArray[np.uint8],
+    px: NDArray[np.float32],
+    other: NDArray[np.uint8],
+    other_px: NDArray[np.float32],
+) -> NDArray[np.uint8]:
+    """Another image at the exposure of an image, if their exposures are very different.
+
+    Args:
+        px, other_px: [N, 2] about the same points in both.
+    """
+    own, before = _levels(image, px), _levels(other, other_px)
+    (low, middle, high), (low_before, middle_before, high_before) = (
+        np.percentile(values, [10.0, 50.0, 90.0]) for values in (own, before)
+    )
+    gain = max(high - low, 1.0) / max(high_before - low_before, 1.0)
+    brightness = max(middle, 1.0) / max(middle_before, 1.0)
+    if max(abs(gain - 1.0), abs(brightness - 1.0)) < _MAX_EXPOSURE_CHANGE:
+        return other
+    levels = gain * (np.arange(256) - middle_before) + middle
+    return cv2.LUT(other, np.round(levels).clip(0, 255).astype(np.uint8))
+
+
+def _levels(image: NDArray[np.uint8], px: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Intensities [N] of a smoothed image at pixels."""
+    column, row = np.round(px).astype(int).T
+    height, width = image.shape
+    smooth = cv2.blur(image, (5, 5))
+    return np.asarray(smooth[row.clip(0, height - 1), column.clip(0, width - 1)])
 
 
 def _lucas_kanade(
