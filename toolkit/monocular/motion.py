@@ -32,6 +32,7 @@ _MAX_MISSING = 0.2
 # Relative change of scale that image errors of one pixel cause at one place. Recordings with a
 # correct scale have 0.003 to 0.015; fr1_rpy 0.03, the HoloLens walk 0.1, where the camera turns.
 _MAX_SCALE_SIGMA = 0.02
+_SHOWN_FRAMES = 5
 # Median reprojection error relative to the width of the image.
 _MAX_ERROR = 1.0 / 320.0
 _MAX_FOCAL_SIGMA = 0.05
@@ -72,7 +73,8 @@ class CameraMotion:
         extent: RMS distance of the camera from its mean position relative to the median depth.
         error_px: median reprojection error; nan without keyframes.
         scale_sigma: largest relative change of scale within the sequence that image errors of one
-            pixel can cause. scale_frame: frame after which it may change.
+            pixel can cause.
+        scale_frames: frames after which it may change, the most uncertain first.
         loops: places that the camera visited again.
         metric_scale: how the motion was scaled to metres; None if its unit is arbitrary.
         without_pose: why frames have no pose: number of frames by reason.
@@ -86,7 +88,7 @@ class CameraMotion:
     extent: float = 0.0
     error_px: float = float("nan")
     scale_sigma: float = float("nan")
-    scale_frame: int = 0
+    scale_frames: tuple[int, ...] = ()
     loops: LoopClosure = field(default_factory=LoopClosure)
     focal_sigma: float | None = None
     metric_scale: MetricScale | None = None
@@ -107,7 +109,7 @@ class CameraMotion:
             "monocular_keyframes": len(self.views),
             "monocular_extent": self.extent if known else None,
             "monocular_scale_sigma_percent": 100.0 * self.scale_sigma if known else None,
-            "monocular_scale_frame": self.scale_frame if known else None,
+            "monocular_scale_frames": " ".join(map(str, self.scale_frames)),
             "monocular_metric_scale": None if metric is None else metric.factor,
             "monocular_metric_scale_sigma_percent": None
             if metric is None
@@ -240,7 +242,8 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
     centres = trajectory.T_world_camera[:, :3, 3]
     spread = float(np.sqrt(((centres - centres.mean(0)) ** 2).sum(1).mean()))
     sigma = np.where(scale_matters(sparse_map), scale_sigma(sparse_map), 0.0)
-    weakest = int(sigma.argmax())
+    order = np.argsort(-sigma, kind="stable")
+    uncertain = order[sigma[order] > _MAX_SCALE_SIGMA]
     motion = CameraMotion(
         trajectory,
         sparse_map.camera,
@@ -248,8 +251,8 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
         len(times_s),
         extent=spread / float(np.median(depths)) if depths else 0.0,
         error_px=float(np.median(adjusted.error_px)),
-        scale_sigma=float(sigma[weakest]),
-        scale_frame=sparse_map.views[weakest].frame,
+        scale_sigma=float(sigma.max()),
+        scale_frames=tuple(sparse_map.views[gap].frame for gap in uncertain),
         loops=loops,
         focal_sigma=None if calibrated else adjusted.focal_sigma,
         without_pose=without,
@@ -282,10 +285,11 @@ def _doubts(motion: CameraMotion) -> list[str]:
     if missing > _MAX_MISSING * motion.frames:
         reason = next(iter(motion.without_pose), "tracking failed")
         doubts.append(f"{missing} of {motion.frames} frames have no pose ({reason})")
-    if not motion.scale_sigma < _MAX_SCALE_SIGMA:
+    if motion.scale_frames:
+        shown = sorted(motion.scale_frames[:_SHOWN_FRAMES])
         doubts.append(
-            f"the scale may have changed after frame {motion.scale_frame}, where little connects "
-            "the images before and after: the camera turned without moving, or too fast"
+            f"the scale may have changed after frame {', '.join(map(str, shown))}, where little "
+            "connects the images before and after: the camera turned without moving, or too fast"
         )
     rejected, compared = motion.loops.rejected, motion.loops.rejected + motion.loops.revisits
     if rejected > max(_FEW_REJECTED, _MAX_REJECTED * compared):
