@@ -80,10 +80,10 @@ class LandmarkTable:
         other.inverse_depth, other.measured = self.inverse_depth.copy(), self.measured.copy()
         return other
 
-    def assume(self, ids: NDArray[np.int64], inverse_depth: float) -> None:
-        """Make landmarks of those features that are none yet, at an assumed inverse depth."""
-        new = ids[self.inverse_depth[ids] == 0]
-        self.inverse_depth[new] = inverse_depth
+    def assume(self, ids: NDArray[np.int64], inverse_depth: Array) -> None:
+        """Make landmarks of those features [N] that are none yet, at assumed inverse depths [N]."""
+        new = self.inverse_depth[ids] == 0
+        self.inverse_depth[ids[new]] = inverse_depth[new]
 
     def prior(self, ids: NDArray[np.int64]) -> Array:
         """Expected inverse depths and their information [L, 2] for a bundle adjustment."""

@@ -8,6 +8,7 @@ from enum import Enum
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from toolkit.bundle_adjustment.problem import BundleOptions
 from toolkit.bundle_adjustment.solver import adjust
@@ -75,6 +76,8 @@ _MIN_TRACKED = 15
 # other initial poses are tried.
 _MIN_FITTING = 0.4
 _MOSTLY_FITTING = 0.7
+# Measured landmarks around a new one from which its depth is assumed.
+_NEIGHBOURS = 5
 _MIN_PARALLAX_RAD = np.radians(0.5)
 # Frames that wait for parallax; the first one moves on where its features get lost.
 _MIN_FIRST = 60
@@ -242,10 +245,20 @@ class VisualOdometry:
         self.map.views[-1].features, self._view_image = features, self._image
         self.map.table.add(len(self.map.views) - 1, features)
         # Until there is parallax, new landmarks hold the direction of the camera and, at the depth
-        # of the scene around, roughly its position.
-        measured = self.map.table.measured[features.ids]
-        if measured.any():
-            self._assumed = 1.0 / float(
-                np.median(self.map.landmark_depths(len(self.map.views) - 1))
-            )
-        self.map.table.assume(features.ids, self._assumed)
+        # of the landmarks around them, roughly its position.
+        self.map.table.assume(features.ids, self._expected(features))
+
+    def _expected(self, features: Features) -> Array:
+        """Inverse depths [N] of features in the newest view from those of the measured ones."""
+        ids = features.ids[self.map.table.measured[features.ids]]
+        if len(ids):
+            T = se3.inverse(self.map.views[-1].T_world_camera)
+            depth = se3.transform_points(T, self.map.points(ids))[:, 2]
+            ahead = depth > 0
+            if ahead.any():
+                self._assumed = 1.0 / float(np.median(depth[ahead]))
+            if ahead.sum() >= _NEIGHBOURS:
+                px = features.px[np.isin(features.ids, ids[ahead])]
+                _, near = cKDTree(px).query(features.px, _NEIGHBOURS)
+                return np.asarray(np.median(1.0 / depth[ahead][near], axis=1))
+        return np.full(len(features), self._assumed)
