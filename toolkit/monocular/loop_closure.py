@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 _ROTATION_PX, _TRANSLATION, _LOG_SCALE = 1.5, 0.01, 0.01
 _ERRORS_PX = 4.0
 _MAX_LOG_SCALE = 1.0
+_RESTARTED = 10.0
 # Of a revisit.
 _REVISIT_ROTATION_RAD, _REVISIT_TRANSLATION, _REVISIT_LOG_SCALE = 0.005, 0.02, 0.01
 # A revisit that contradicts odometry by more standard deviations shows a similar place instead,
@@ -100,7 +101,9 @@ def _sequence(sparse_map: SparseMap) -> list[SimilarityEdge]:
     for n, sigma in enumerate(drift):
         T = se3.inverse(views[n].T_world_camera) @ views[n + 1].T_world_camera
         translation = _TRANSLATION * depth * sigma / _LOG_SCALE
-        edges.append(SimilarityEdge(n, n + 1, T, 1.0, rotation_rad, translation, float(sigma)))
+        # Where odometry began again, a revisit has given the relative pose.
+        turned = rotation_rad * (_RESTARTED if sigma == _MAX_LOG_SCALE else 1.0)
+        edges.append(SimilarityEdge(n, n + 1, T, 1.0, turned, translation, float(sigma)))
     return edges
 
 

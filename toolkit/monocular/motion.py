@@ -16,7 +16,8 @@ from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.loop_closure import LoopClosure, close_loops
-from toolkit.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State, VisualOdometry
+from toolkit.monocular.segments import SegmentedOdometry, connected, largest
+from toolkit.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State
 from toolkit.visual_odometry.scale_drift import scale_matters, scale_sigma
 from toolkit.visual_odometry.sparse_map import SparseMap
 
@@ -43,6 +44,9 @@ _MAX_REJECTED, _FEW_REJECTED = 0.25, 5
 # The focal length is estimated again until its relative change is smaller.
 _SAME_FOCAL = 0.005
 _FOCAL_ROUNDS = 5
+
+# Why frames of a segment that shows no place of the others have no pose.
+UNCONNECTED = "no image after the camera was lost shows a place from before"
 
 
 @dataclass(frozen=True)
@@ -194,24 +198,30 @@ def combined_focal(stated_sigma: float, estimated: float, sigma: float) -> tuple
 
 @dataclass(frozen=True)
 class _Followed:
-    """The map of visual odometry, the timestamps of all frames, and why some have no pose."""
+    """The maps of visual odometry, the timestamps of all frames, and why some have no pose."""
 
-    sparse_map: SparseMap
+    maps: list[SparseMap]
     times_s: list[float]
     reasons: Counter[str]
+
+    @property
+    def sparse_map(self) -> SparseMap:
+        """The largest map."""
+        return largest(self.maps)
 
 
 def _followed(
     frames: Iterable[Frame], camera: Camera, options: OdometryOptions | None
 ) -> _Followed:
-    odometry = VisualOdometry(camera, options)
-    found = _Followed(odometry.map, [], Counter())
+    odometry = SegmentedOdometry(camera, options)
+    times_s: list[float] = []
+    reasons: Counter[str] = Counter()
     for frame in frames:
         result = odometry.process(_grey(frame))
-        found.times_s.append(frame.timestamp_s)
+        times_s.append(frame.timestamp_s)
         if result.state is not State.TRACKING and result.reason != FIRST_IMAGES:
-            found.reasons[result.reason] += 1
-    return found
+            reasons[result.reason] += 1
+    return _Followed(odometry.maps, times_s, reasons)
 
 
 def _grey(frame: Frame) -> NDArray[np.uint8]:
@@ -220,10 +230,13 @@ def _grey(frame: Frame) -> NDArray[np.uint8]:
 
 def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraMotion:
     """The motion after correction by revisits, and what speaks against it."""
-    sparse_map, times_s = odometry.sparse_map, odometry.times_s
+    times_s = odometry.times_s
+    sparse_map = connected(odometry.maps, lambda n: _grey(frames[n]))
     known = [n for n in range(len(times_s)) if sparse_map.T_world_camera(n) is not None]
     # Frames before the initialisation have a pose afterwards.
-    without = dict(odometry.reasons.most_common()) if len(known) < len(times_s) else {}
+    reasons = Counter(odometry.reasons)
+    reasons[UNCONNECTED] = sum(len(m) for m in odometry.maps) - len(sparse_map)
+    without = dict((+reasons).most_common()) if len(known) < len(times_s) else {}
     if len(_depth_views(sparse_map)[0]) < 3:
         reason = next(iter(without), "there are too few frames")
         doubts = [f"the motion of the camera could not be determined: {reason}"]

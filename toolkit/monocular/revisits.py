@@ -141,16 +141,20 @@ def find_revisits(camera: Camera, keypoints: ViewKeypoints) -> list[Revisit]:
     votes = similarity_votes(keypoints.views)
     revisits = []
     for second in range(NEAR + 1, len(votes)):
-        earlier = votes[second, : second - NEAR]
-        order = np.argsort(-earlier, kind="stable")[:_CANDIDATES]
-        for first in order[earlier[order] >= _MIN_VOTES]:
-            found = _verified(camera, keypoints, int(first), second)
+        for first in best_candidates(votes[second, : second - NEAR]):
+            found = verified(camera, keypoints, first, second)
             if found is not None:
                 revisits.append(found)
     return revisits
 
 
-def _verified(camera: Camera, keypoints: ViewKeypoints, first: int, second: int) -> Revisit | None:
+def best_candidates(votes: NDArray[np.int64]) -> list[int]:
+    """The views with the most votes [N], best first."""
+    order = np.argsort(-votes, kind="stable")[:_CANDIDATES]
+    return [int(number) for number in order[votes[order] >= _MIN_VOTES]]
+
+
+def verified(camera: Camera, keypoints: ViewKeypoints, first: int, second: int) -> Revisit | None:
     """The similarity of two views if the keypoints of one fit the other."""
     before, after = keypoints.views[first], keypoints.views[second]
     matches = match_keypoints(before, after, _RATIO)

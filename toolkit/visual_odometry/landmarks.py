@@ -73,6 +73,13 @@ class LandmarkTable:
         self.measured = np.concatenate([self.measured, np.ones(len(anchor), bool)])
         return ids
 
+    def extend(self, other: LandmarkTable, first_view: int) -> None:
+        """Add the landmarks of another map, whose first view has the number `first_view` here."""
+        self.anchor = np.concatenate([self.anchor, other.anchor + np.int32(first_view)])
+        self.px = np.concatenate([self.px, other.px])
+        self.inverse_depth = np.concatenate([self.inverse_depth, other.inverse_depth])
+        self.measured = np.concatenate([self.measured, other.measured])
+
     def copy(self) -> LandmarkTable:
         """An independent copy."""
         other = LandmarkTable()

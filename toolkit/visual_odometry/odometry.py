@@ -89,17 +89,20 @@ class VisualOdometry:
     Args:
         camera: intrinsics of all images.
         options: defaults if absent.
+        first_frame: number of the first image.
 
     Attributes:
         map: keyframes, landmarks and the poses of all frames.
     """
 
-    def __init__(self, camera: Camera, options: OdometryOptions | None = None) -> None:
+    def __init__(
+        self, camera: Camera, options: OdometryOptions | None = None, first_frame: int = 0
+    ) -> None:
         self.camera, self.options = camera, options or OdometryOptions()
         self.map = SparseMap(camera)
         self._tracks = FeatureTracks(self.options.features)
         self._waiting: list[tuple[int, Features]] = []
-        self._frame = -1
+        self._frame = first_frame - 1
         self._last: list[Array] = []  # the last two poses
         self._assumed = 1.0 / MEDIAN_DEPTH
         self._image = self._view_image = np.zeros((camera.height, camera.width), np.uint8)

@@ -57,6 +57,10 @@ class SparseMap:
         self.table = LandmarkTable()
         self._poses: dict[int, tuple[int, Array]] = {}  # by frame: view and T_view_camera
 
+    def __len__(self) -> int:
+        """Number of frames with a pose."""
+        return len(self._poses)
+
     def attach(self, frame: int, view: int, T_world_camera: Array) -> None:
         """Store a frame's pose; it moves with a view from now on."""
         T_view_world = se3.inverse(self.views[view].T_world_camera)
@@ -146,6 +150,21 @@ class SparseMap:
                 np.concatenate([before.ids, ids[tracks.point[rows]]]),
                 np.concatenate([before.px, tracks.observed_px[rows]]),
             )
+
+    @classmethod
+    def joined(cls, maps: Sequence[SparseMap], camera: Camera) -> SparseMap:
+        """One map of several parts of a sequence in order, which have the same world frame."""
+        joined = cls(camera)
+        for part in maps:
+            first, ids = len(joined.views), len(joined.table.anchor)
+            joined.views += [
+                replace(view, features=Features(view.features.ids + ids, view.features.px))
+                for view in part.views
+            ]
+            joined.table.extend(part.table, first)
+            for frame, (view, T_view_camera) in part._poses.items():
+                joined._poses[frame] = view + first, T_view_camera
+        return joined
 
     def copy(self) -> SparseMap:
         """An independent copy."""

@@ -1,0 +1,76 @@
+"""Odometry that starts again after the camera was lost, and the connection of its parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from moving_camera import error_m, film, walk
+
+from toolkit.frame import Frame
+from toolkit.monocular.motion import CameraMotion, estimate_motion
+
+PATH = walk(28)
+
+
+def covered(count: int, like: Frame) -> list[Frame]:
+    return [replace(like, rgb=np.full_like(like.rgb, 0.3)) for _ in range(count)]
+
+
+def numbered(frames: list[Frame]) -> list[Frame]:
+    return [replace(frame, index=n, timestamp_s=n / 30) for n, frame in enumerate(frames)]
+
+
+def motion_of(frames: list[Frame]) -> CameraMotion:
+    return estimate_motion(numbered(frames), frames[0].camera)
+
+
+@pytest.fixture(scope="module")
+def walked() -> list[Frame]:
+    return film(PATH)
+
+
+THERE, BACK = list(range(18)), list(range(27, 11, -1))
+
+
+def interrupted(walked: list[Frame]) -> list[Frame]:
+    """A walk there and back, with the lens covered in between."""
+    return [*(walked[n] for n in THERE), *covered(12, walked[0]), *(walked[n] for n in BACK)]
+
+
+@pytest.fixture(scope="module")
+def connected(walked) -> CameraMotion:
+    return motion_of(interrupted(walked))
+
+
+def test_parts_before_and_after_a_covered_lens_are_connected(connected):
+    assert len(connected.trajectory) > 30  # of 34
+    shown = [*THERE, *[0] * 12, *BACK]
+    numbers = np.round(connected.trajectory.timestamps_s * 30).astype(int)
+    assert error_m(connected.trajectory, PATH[[shown[n] for n in numbers]])[0] < 0.03
+    # The covered frames are too many; nothing else is wrong.
+    assert len(connected.doubts) == 1
+    assert "have no pose" in connected.doubts[0]
+
+
+def test_a_part_that_shows_another_place_is_left_out(walked):
+    elsewhere = [replace(frame, rgb=np.roll(1.0 - frame.rgb[::-1], 60, 1)) for frame in walked[:12]]
+    motion = motion_of([*walked[:18], *covered(12, walked[0]), *elsewhere])
+    known = np.round(motion.trajectory.timestamps_s * 30).astype(int)
+    assert set(known) <= set(range(18))
+    assert len(known) >= 16
+    assert not motion.reliable
+    assert "have no pose" in motion.doubts[0]
+
+
+def test_a_short_loss_does_not_start_again(walked):
+    frames = [*walked[:14], *covered(4, walked[0]), *walked[14:20]]
+    motion = motion_of(frames)
+    known = set(np.round(motion.trajectory.timestamps_s * 30).astype(int))
+    assert known == set(range(24)) - {14, 15, 16, 17}
+
+
+def test_the_result_is_reproducible(walked, connected):
+    again = motion_of(interrupted(walked)).trajectory
+    assert again.T_world_camera.tobytes() == connected.trajectory.T_world_camera.tobytes()
