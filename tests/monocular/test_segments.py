@@ -48,7 +48,8 @@ def test_parts_before_and_after_a_covered_lens_are_connected(connected):
     assert len(connected.trajectory) > 30  # of 34
     shown = [*THERE, *[0] * 12, *BACK]
     numbers = np.round(connected.trajectory.timestamps_s * 30).astype(int)
-    assert error_m(connected.trajectory, PATH[[shown[n] for n in numbers]])[0] < 0.03
+    # An uninterrupted walk there and back has 0.02.
+    assert error_m(connected.trajectory, PATH[[shown[n] for n in numbers]])[0] < 0.04
     # The covered frames are too many; nothing else is wrong.
     assert len(connected.doubts) == 1
     assert "have no pose" in connected.doubts[0]

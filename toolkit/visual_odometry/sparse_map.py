@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 # Image points that miss their landmark's projection by more are wrong.
 MAX_ERROR_PX = 3.0
+# Landmarks of a view from which a change of scale can be told.
+_MIN_LANDMARKS = 10
 
 
 @dataclass(frozen=True)
@@ -124,9 +126,31 @@ class SparseMap:
         if len(self.views) < 3:
             return None
         everything = range(len(self.views))
+        before = self.table.inverse_depth.copy()
         # The focal length changes slowly together with all poses.
         options = BundleOptions(iterations=200, min_decrease=1e-7) if focal else BundleOptions()
-        return self.adjust(everything, everything[1:], replace(options, focal=focal), clean)
+        result = self.adjust(everything, everything[1:], replace(options, focal=focal), clean)
+        self._scale_frames(before)
+        return result
+
+    def _scale_frames(self, before: Array) -> None:
+        """Scale frames between views like the depths of the landmarks that their views show.
+
+        Args:
+            before: [L] former inverse depths of all landmarks.
+        """
+        scale = np.ones(len(self.views))
+        for number, view in enumerate(self.views):
+            ids = view.features.ids[self.table.measured[view.features.ids]]
+            if len(ids) >= _MIN_LANDMARKS:
+                scale[number] = np.median(before[ids] / self.table.inverse_depth[ids])
+        self._scale_relative_poses(scale)
+
+    def _scale_relative_poses(self, scale: Array) -> None:
+        for frame, (number, T_view_camera) in self._poses.items():
+            scaled = T_view_camera.copy()
+            scaled[:3, 3] *= scale[number]
+            self._poses[frame] = number, scaled
 
     def transform(self, T_world_view: Sequence[Array], scale: Array) -> None:
         """Give each view [V] another pose, and what belongs to it another scale (a similarity)."""
@@ -134,10 +158,7 @@ class SparseMap:
             view.T_world_camera = T
         known = self.table.inverse_depth > 0
         self.table.inverse_depth[known] /= scale[self.table.anchor[known]]
-        for frame, (number, T_view_camera) in self._poses.items():
-            scaled = T_view_camera.copy()
-            scaled[:3, 3] *= scale[number]
-            self._poses[frame] = number, scaled
+        self._scale_relative_poses(scale)
 
     def add(self, tracks: PointTracks) -> None:
         """Add measured landmarks and the image points that show them."""
