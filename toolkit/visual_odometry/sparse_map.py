@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 
 # Image points that miss their landmark's projection by more are wrong.
 MAX_ERROR_PX = 3.0
-# Landmarks of a view from which a change of scale can be told.
-_MIN_LANDMARKS = 10
 
 
 @dataclass(frozen=True)
@@ -58,22 +56,35 @@ class SparseMap:
         self.views: list[View] = []
         self.table = LandmarkTable()
         self._poses: dict[int, tuple[int, Array]] = {}  # by frame: view and T_view_camera
+        # By view: T_view_next when the next one was created, to which frames between them belong.
+        self._steps: dict[int, Array] = {}
 
     def __len__(self) -> int:
         """Number of frames with a pose."""
         return len(self._poses)
 
     def attach(self, frame: int, view: int, T_world_camera: Array) -> None:
-        """Store a frame's pose; it moves with a view from now on."""
+        """Store a frame's pose; it moves with a view, and with the next one, from now on."""
         T_view_world = se3.inverse(self.views[view].T_world_camera)
         self._poses[frame] = view, T_view_world @ T_world_camera
+        if view > 0 and self.views[view].frame == frame:
+            T_last_world = se3.inverse(self.views[view - 1].T_world_camera)
+            self._steps[view - 1] = T_last_world @ T_world_camera
 
     def T_world_camera(self, frame: int) -> Array | None:
         """Present estimate of a frame's pose; None if it was not estimated."""
         if frame not in self._poses:
             return None
-        view, T_view_camera = self._poses[frame]
-        return self.views[view].T_world_camera @ T_view_camera
+        number, T_view_camera = self._poses[frame]
+        view = self.views[number]
+        if number not in self._steps:
+            return view.T_world_camera @ T_view_camera
+        # What has changed the step to the next view has changed the way there, too.
+        following = self.views[number + 1]
+        T_view_next = se3.inverse(view.T_world_camera) @ following.T_world_camera
+        change = se3.log(se3.inverse(self._steps[number]) @ T_view_next)
+        share = (frame - view.frame) / (following.frame - view.frame)
+        return view.T_world_camera @ T_view_camera @ se3.exp(share * change)
 
     def landmark_depths(self, number: int) -> Array:
         """Depths [N] > 0 of the landmarks that a view shows."""
@@ -126,31 +137,9 @@ class SparseMap:
         if len(self.views) < 3:
             return None
         everything = range(len(self.views))
-        before = self.table.inverse_depth.copy()
         # The focal length changes slowly together with all poses.
         options = BundleOptions(iterations=200, min_decrease=1e-7) if focal else BundleOptions()
-        result = self.adjust(everything, everything[1:], replace(options, focal=focal), clean)
-        self._scale_frames(before)
-        return result
-
-    def _scale_frames(self, before: Array) -> None:
-        """Scale frames between views like the depths of the landmarks that their views show.
-
-        Args:
-            before: [L] former inverse depths of all landmarks.
-        """
-        scale = np.ones(len(self.views))
-        for number, view in enumerate(self.views):
-            ids = view.features.ids[self.table.measured[view.features.ids]]
-            if len(ids) >= _MIN_LANDMARKS:
-                scale[number] = np.median(before[ids] / self.table.inverse_depth[ids])
-        self._scale_relative_poses(scale)
-
-    def _scale_relative_poses(self, scale: Array) -> None:
-        for frame, (number, T_view_camera) in self._poses.items():
-            scaled = T_view_camera.copy()
-            scaled[:3, 3] *= scale[number]
-            self._poses[frame] = number, scaled
+        return self.adjust(everything, everything[1:], replace(options, focal=focal), clean)
 
     def transform(self, T_world_view: Sequence[Array], scale: Array) -> None:
         """Give each view [V] another pose, and what belongs to it another scale (a similarity)."""
@@ -158,7 +147,10 @@ class SparseMap:
             view.T_world_camera = T
         known = self.table.inverse_depth > 0
         self.table.inverse_depth[known] /= scale[self.table.anchor[known]]
-        self._scale_relative_poses(scale)
+        for frame, (number, T_view_camera) in self._poses.items():
+            self._poses[frame] = number, _scaled(T_view_camera, scale[number])
+        for number, T_view_next in self._steps.items():
+            self._steps[number] = _scaled(T_view_next, scale[number])
 
     def add(self, tracks: PointTracks) -> None:
         """Add measured landmarks and the image points that show them."""
@@ -185,6 +177,7 @@ class SparseMap:
             joined.table.extend(part.table, first)
             for frame, (view, T_view_camera) in part._poses.items():
                 joined._poses[frame] = view + first, T_view_camera
+            joined._steps |= {view + first: T for view, T in part._steps.items()}
         return joined
 
     def copy(self) -> SparseMap:
@@ -192,5 +185,12 @@ class SparseMap:
         other = SparseMap(self.camera)
         other.views = [replace(view) for view in self.views]
         other.table = self.table.copy()
-        other._poses = dict(self._poses)
+        other._poses, other._steps = dict(self._poses), dict(self._steps)
         return other
+
+
+def _scaled(T: Array, scale: float) -> Array:
+    """A pose with a longer or shorter translation."""
+    scaled = T.copy()
+    scaled[:3, 3] *= scale
+    return scaled
