@@ -18,6 +18,7 @@ from toolkit.cli.programs import (
     TrainHeadOptions,
 )
 from toolkit.errors import FormatError, RunFolderError, SettingsError
+from toolkit.exports.options import FOLDER_FORMATS
 
 
 def check_arguments(arguments: Any) -> None:
@@ -58,13 +59,32 @@ def _check_render(options: RenderProgram) -> None:
 
 
 def _check_export(options: ExportOptions) -> None:
+    from toolkit.io.gltf import GLTF_SUFFIXES
+    from toolkit.io.labelled_points import LABELLED_SUFFIXES
     from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
     from toolkit.io.splats import SUFFIXES
 
-    if options.mesh and options.points:
-        raise SettingsError("give --mesh or --points, not both")
-    suffixes = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}[options.kind]
+    if options.mesh + options.points + (options.format is not None) > 1:
+        raise SettingsError("give --mesh or --points or --format, not both")
+    if options.kind in FOLDER_FORMATS:
+        _check_new_folder(options.to, "--to")
+        return
+    suffixes = {
+        "splats": SUFFIXES,
+        "mesh": MESH_SUFFIXES,
+        "points": POINT_SUFFIXES,
+        "labelled-points": LABELLED_SUFFIXES,
+        "gltf": GLTF_SUFFIXES,
+        "occupancy-grid": (".yaml",),
+        "scene-graph": (".json",),
+        "floor-plan": (".png",),
+    }[options.kind]
     check_output("--to", options.to, suffixes, f"a file of {options.kind}")
+
+
+def _check_new_folder(path: Path, option: str) -> None:
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise RunFolderError(f"{path} is not an empty folder; choose another {option}")
 
 
 def _check_query(options: QueryProgram) -> None:
@@ -84,9 +104,7 @@ def _check_query(options: QueryProgram) -> None:
 
 
 def _check_register(options: RegisterOptions) -> None:
-    out = options.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise RunFolderError(f"{out} is not an empty folder; choose another --out")
+    _check_new_folder(options.out, "--out")
 
 
 def _check_train_head(options: TrainHeadOptions) -> None:

@@ -22,7 +22,7 @@ JOBS = {
     "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
     "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG"),
-    "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
+    "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),
     "register": ("register", "register the maps of two runs and merge them"),
     "query": ("query", "query number, position and size of the objects of a labelled map"),

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from toolkit.datasets.options import BagTopics, DatasetKind
+from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
 from toolkit.loops.options import VerificationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
 from toolkit.registration.options import RegistrationOptions
@@ -87,30 +88,58 @@ class ExportOptions:
     run: Positional[Path]
     """Run folder."""
     to: Path
-    """File to write: splats (.ply, .splat, .spz), a mesh (.mesh.ply) or points (.pcd)."""
+    """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
+    format: ExportFormat | None = None
+    """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
+    .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz) or
+    occupancy-grid (.yaml)."""
     mesh: bool = False
-    """Write a mesh (.ply), fused from rendered depth and colour at the poses of the run."""
+    """Short for --format mesh."""
     points: bool = False
-    """Write a point cloud (.ply, .pcd): the centres of opaque Gaussians."""
+    """Short for --format points: the centres of opaque Gaussians (.ply, .pcd)."""
     voxel_m: VoxelSize = 0.015
-    """Voxel size of the mesh, in metres. Memory grows with its inverse square."""
+    """Voxel size of meshes, in metres. Memory grows with its inverse square."""
     max_depth_m: PositiveFloat = 6.0
-    """Maximum depth fused into the mesh, in metres."""
+    """Maximum depth fused into meshes, in metres."""
     every: PositiveInt = 3
-    """Interval of the poses fused into the mesh: every n-th one."""
+    """Interval of the poses that are fused into meshes or exported with images: every n-th one."""
+    images: Literal["copy", "render", "reference"] = "copy"
+    """Images of COLMAP and nerfstudio formats: recorded images as the run used them (copy), images
+    of the map (render), or the files of the dataset without a copy (reference)."""
+    max_points: PositiveInt = 100_000
+    """Maximum number of points in COLMAP and nerfstudio formats."""
     keep: tuple[str, ...] = ()
     """Classes and groups of the taxonomy to export: names, or paths such as
     "large items > furnishings"; "void" selects Gaussians without a label. By default, all."""
     drop: tuple[str, ...] = ()
     """Classes and groups of the taxonomy to exclude."""
+    floor: tuple[str, ...] = ()
+    """Classes of the floor, which determines the vertical direction. By default, those of floor,
+    ground, rug and carpet that the taxonomy contains."""
+    grid: GridOptions = GridOptions()
+    objects: ObjectGraphOptions = ObjectGraphOptions()
 
     @property
-    def kind(self) -> Literal["splats", "mesh", "points"]:
-        """Kind of the exported file, from the switches or the file name."""
+    def kind(self) -> ExportFormat:
+        """Format of the export, from the options or the file name."""
         name = self.to.name.lower()
+        if self.format is not None:
+            return self.format
         if self.mesh or name.endswith(".mesh.ply"):
             return "mesh"
-        return "points" if self.points or name.endswith(".pcd") else "splats"
+        if self.points:
+            return "points"
+        return _FORMATS_BY_SUFFIX.get(self.to.suffix.lower(), "splats")
+
+
+_FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
+    ".pcd": "points",
+    ".glb": "gltf",
+    ".gltf": "gltf",
+    ".las": "labelled-points",
+    ".laz": "labelled-points",
+    ".yaml": "occupancy-grid",
+}
 
 
 @dataclass(frozen=True)
