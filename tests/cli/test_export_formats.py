@@ -139,7 +139,7 @@ def test_gltf_has_a_node_per_class_and_stands_upright(labelled_run, tmp_path):
     height_m = np.percentile(table[:, 1], 98) - np.median(floor[:, 1])
     assert height_m == pytest.approx(0.75, abs=0.05)
     # Colours are linear in the file.
-    colours = scene.geometry["table"].visual.vertex_colors[:, :3] / 255.0
+    colours = scene.geometry["table"].visual.vertex_attributes["color"][:, :3] / 65535.0
     splats = read_splats(labelled_run / "map.ply")
     srgb = splats.colours[splats.labels.label == IDS["table"]][0]
     np.testing.assert_allclose(np.median(colours, axis=0), srgb**2.2, atol=0.06)

@@ -11,6 +11,7 @@ from typing import Any
 
 from toolkit.cli.programs import (
     SEMANTIC_IMAGES,
+    EditOptions,
     ExportOptions,
     QueryProgram,
     RegisterOptions,
@@ -103,6 +104,12 @@ def _check_query(options: QueryProgram) -> None:
             check_output(option, path, suffixes)
 
 
+def _check_edit(options: EditOptions) -> None:
+    if not (options.remove or options.keep or options.move or options.recolour):
+        raise SettingsError("nothing to edit; give --remove, --keep, --move or --recolour")
+    _check_new_folder(options.out, "--out")
+
+
 def _check_register(options: RegisterOptions) -> None:
     _check_new_folder(options.out, "--out")
 
@@ -114,6 +121,7 @@ def _check_train_head(options: TrainHeadOptions) -> None:
 
 _CHECKS: dict[type, Callable[[Any], None]] = {
     RenderProgram: _check_render,
+    EditOptions: _check_edit,
     ExportOptions: _check_export,
     QueryProgram: _check_query,
     RegisterOptions: _check_register,

@@ -23,6 +23,7 @@ JOBS = {
     "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG"),
     "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
+    "edit": ("edit", "remove, keep, move or recolour classes of a labelled map"),
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),
     "register": ("register", "register the maps of two runs and merge them"),
     "query": ("query", "query number, position and size of the objects of a labelled map"),

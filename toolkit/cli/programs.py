@@ -22,6 +22,8 @@ ImageSize = tuple[PositiveInt, PositiveInt]
 # A mesh of a room with smaller voxels does not fit in memory.
 VoxelSize = Annotated[float, Range(ge=0.001)]
 
+ColourValue = Annotated[int, Range(ge=0, le=255)]
+
 # Images of `semsplat render` that need a map with semantics.
 SEMANTIC_IMAGES = frozenset(("labels", "levels"))
 
@@ -140,6 +142,30 @@ _FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
     ".laz": "labelled-points",
     ".yaml": "occupancy-grid",
 }
+
+
+@dataclass(frozen=True)
+class EditOptions:
+    """Edit the labelled map of a finished run by class; report the holes that are left behind."""
+
+    run: Positional[Path]
+    """Run folder."""
+    out: Path
+    """Folder to write, new or empty: map.ply, edit.json and renders/."""
+    remove: tuple[str, ...] = ()
+    """Classes and groups to remove, named as for `semsplat query`."""
+    keep: tuple[str, ...] = ()
+    """Classes and groups to keep; all others are removed."""
+    move: tuple[tuple[str, float, float, float], ...] = ()
+    """Classes and groups to move: a name, and metres to the right, down and forward as seen by the
+    first camera of the run."""
+    recolour: tuple[tuple[str, ColourValue, ColourValue, ColourValue], ...] = ()
+    """Classes and groups to recolour: a name, and red, green and blue from 0 to 255. Differences in
+    brightness are kept."""
+    min_confidence: Fraction = 0.0
+    """Minimum confidence of the class of an edited Gaussian."""
+    every: PositiveInt = 10
+    """Interval of the poses of the run that are rendered: every n-th one."""
 
 
 @dataclass(frozen=True)
@@ -338,6 +364,7 @@ PROGRAMS: dict[str, type] = {
     "evaluate": EvaluateOptions,
     "render": RenderProgram,
     "export": ExportOptions,
+    "edit": EditOptions,
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,
     "query": QueryProgram,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.io.visualisation import LegendEntry, RgbImage, with_legend
-from toolkit.semantics.boxes import Ground, floor_area_m2
+from toolkit.semantics.boxes import Ground, floor_area_m2, oriented_box
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import CEILING_NAMES, LabelledMap
 from toolkit.semantics.taxonomy import VOID
@@ -76,8 +76,11 @@ def floor_plan(
         cameras_m: [P, 3] positions of the camera in the frame of the map.
         palette: colours of the classes.
     """
-    points = labelled.means_m @ ground.axes
+    ceilings = [k for k, name in enumerate(labelled.taxonomy.classes, 1) if name in CEILING_NAMES]
     shown = ~labelled.selected(labelled.known(CEILING_NAMES))
+    shown &= ~np.isin(labelled.labels.label, ceilings)
+    axes = oriented_box(labelled.means_m[shown], ground).axes  # along the walls
+    points = labelled.means_m @ axes
     if shown.all():
         shown = points[:, 2] <= np.percentile(points[:, 2], _TOP_PERCENT)
     visible = points[shown]
@@ -89,7 +92,7 @@ def floor_plan(
     sizes = np.minimum(np.rint(_DISC_SIGMAS * radii_m[shown] / pixel_m), _MAX_DISC).astype(int)
     highest = _highest(places, sizes, visible[:, 2], (int(size[1]), int(size[0])))
     class_ids = np.where(highest >= 0, labelled.labels.label[shown][highest], -1)
-    path = (cameras_m @ ground.axes[:, :2] - low) / pixel_m
+    path = (cameras_m @ axes[:, :2] - low) / pixel_m
     path[:, 1] = size[1] - path[:, 1]
     areas = _areas(labelled, shown, ground, palette)
     return FloorPlan(class_ids[::-1].astype(np.int32), pixel_m, areas, path)
