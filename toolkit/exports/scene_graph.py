@@ -13,7 +13,7 @@ from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import Selection
 from toolkit.io.atomic import write_bytes
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES, LabelledMap, ObjectOptions
-from toolkit.semantics.relations import RelationOptions, relations
+from toolkit.semantics.relations import RelationOptions, Role, relations
 from toolkit.semantics.scene import WALL_NAMES, SceneReader
 
 
@@ -55,12 +55,13 @@ def scene_graph(
     viewpoint_m = selection.run.tracked[0].T_map_camera[:3, 3]
     reader = SceneReader(labelled, object_options, viewpoint_m, floor or FLOOR_NAMES, ground)
     objects = labelled.objects(None, ground, object_options)
-    shell_names = _paths(labelled, [*(floor or FLOOR_NAMES), *WALL_NAMES, *CEILING_NAMES])
-    shell = [any(o.node.path[: len(p)] == p for p in shell_names) for o in objects]
+    floors = _paths(labelled, [*(floor or FLOOR_NAMES), *CEILING_NAMES])
+    walls = _paths(labelled, WALL_NAMES)
+    roles = [_role(found.node.path, floors, walls) for found in objects]
     found = relations(
         [labelled.means_m[o.index] for o in objects],
         ground,
-        shell,
+        roles,
         RelationOptions(options.contact_m, options.next_to_m),
     )
     content = {
@@ -83,3 +84,11 @@ def scene_graph(
 
 def _paths(labelled: LabelledMap, names: Sequence[str]) -> list[tuple[str, ...]]:
     return [labelled.taxonomy.find(name).path for name in labelled.known(names)]
+
+
+def _role(
+    path: tuple[str, ...], floors: Sequence[tuple[str, ...]], walls: Sequence[tuple[str, ...]]
+) -> Role:
+    if any(path[: len(other)] == other for other in floors):
+        return "floor"
+    return "wall" if any(path[: len(other)] == other for other in walls) else "object"

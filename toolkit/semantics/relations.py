@@ -19,6 +19,7 @@ from toolkit.semantics.boxes import Ground
 
 Array = NDArray[np.float64]
 RelationKind = Literal["on", "in", "next to"]
+Role = Literal["object", "wall", "floor"]
 
 # Cell of the comparison of footprints; larger than the spacing of Gaussians.
 _CELL_M = 0.05
@@ -93,20 +94,20 @@ class _Body:
 def relations(
     objects: Sequence[Array],
     ground: Ground,
-    shell: Sequence[bool],
+    roles: Sequence[Role],
     options: RelationOptions | None = None,
 ) -> list[Relation]:
     """Return the relations between objects.
 
     An object is in another one that surrounds it, else on the one with points right below its
     bottom. Objects are next to each other if neither supports or contains the other and they are
-    close; such pairs are reported once. Floors, walls and ceilings are neither on nor in anything,
-    nor next to each other.
+    close; such pairs are reported once. Walls and floors are neither on nor in anything. Objects
+    can be next to walls, but not to floors.
 
     Args:
         objects: centres [n, 3] of the Gaussians of each object, in the frame of the map.
         ground: plane of the floor.
-        shell: for each object, whether it is a floor, wall or ceiling.
+        roles: role of each object; ceilings count as floors.
         options: options of the relations.
     """
     options = options or RelationOptions()
@@ -114,17 +115,17 @@ def relations(
     vertical = [
         relation
         for source, body in enumerate(bodies)
-        if not shell[source]
-        for relation in _support(source, body, bodies, shell, options)
+        if roles[source] == "object"
+        for relation in _support(source, body, bodies, roles, options)
     ]
     linked = {frozenset((r.source, r.target)) for r in vertical}
     trees = [KDTree(body.points) for body in bodies]
 
     def near(a: int, b: int) -> bool:
-        # The floor is below everything; only what stands upright is beside something.
-        if frozenset((a, b)) in linked or _is_flat(bodies[a]) or _is_flat(bodies[b]):
+        pair = {roles[a], roles[b]}
+        if frozenset((a, b)) in linked or "floor" in pair or "object" not in pair:
             return False
-        if (shell[a] and shell[b]) or bodies[a].far(bodies[b], options.next_to_m):
+        if bodies[a].far(bodies[b], options.next_to_m):
             return False
         distance_m, _ = trees[b].query(bodies[a].points)
         return bool(distance_m.min() <= options.next_to_m)
@@ -137,12 +138,12 @@ def _support(
     source: int,
     body: _Body,
     bodies: Sequence[_Body],
-    shell: Sequence[bool],
+    roles: Sequence[Role],
     options: RelationOptions,
 ) -> list[Relation]:
     """Return the container of an object, else what it stands on."""
     others = [k for k in range(len(bodies)) if k != source]
-    containers = [k for k in others if not shell[k] and body.within(bodies[k])]
+    containers = [k for k in others if roles[k] == "object" and body.within(bodies[k])]
     if containers:
         # The smallest container; the others contain that one.
         smallest = min(containers, key=lambda k: float(np.prod(np.ptp(bodies[k].points, axis=0))))
@@ -153,11 +154,6 @@ def _support(
         for k in others
         if body.on(bodies[k], options.contact_m) and not bodies[k].on(body, options.contact_m)
     ]
-
-
-def _is_flat(body: _Body) -> bool:
-    size = np.ptp(body.points, axis=0)
-    return bool(size[2] < 0.1 * min(size[0], size[1]))
 
 
 def _cells(points: Array) -> set[tuple[int, int]]:
