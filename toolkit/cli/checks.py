@@ -12,6 +12,7 @@ from typing import Any
 from toolkit.cli.programs import (
     SEMANTIC_IMAGES,
     EditOptions,
+    EvaluateOptions,
     ExportOptions,
     QueryProgram,
     RegisterOptions,
@@ -104,6 +105,11 @@ def _check_query(options: QueryProgram) -> None:
             check_output(option, path, suffixes)
 
 
+def _check_evaluate(options: EvaluateOptions) -> None:
+    if options.mesh is not None and not options.mesh.is_file():
+        raise SettingsError(f"--mesh {options.mesh} does not exist; check the path")
+
+
 def _check_edit(options: EditOptions) -> None:
     if not (options.remove or options.keep or options.move or options.recolour):
         raise SettingsError("nothing to edit; give --remove, --keep, --move or --recolour")
@@ -122,6 +128,7 @@ def _check_train_head(options: TrainHeadOptions) -> None:
 _CHECKS: dict[type, Callable[[Any], None]] = {
     RenderProgram: _check_render,
     EditOptions: _check_edit,
+    EvaluateOptions: _check_evaluate,
     ExportOptions: _check_export,
     QueryProgram: _check_query,
     RegisterOptions: _check_register,

@@ -53,6 +53,9 @@ class EvaluateOptions:
     subset: bool = False
     """Compute the papers' subset mIoU, for which each view is decoded among the classes of its
     ground-truth labels only."""
+    mesh: Path | None = None
+    """Ground-truth mesh (.ply, .obj) in the frame of the ground-truth poses, to which a mesh fused
+    from renderings is compared. By default, mesh.ply of a synthetic room."""
 
 
 @dataclass(frozen=True)
