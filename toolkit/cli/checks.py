@@ -53,6 +53,7 @@ def check_output(option: str, path: Path, suffixes: Sequence[str], what: str = "
 def _check_render(options: RenderProgram) -> None:
     if options.trajectory is not None and options.view:
         raise SettingsError("give --trajectory or --view, not both")
+    _check_video(options)
     semantic = [image for image in options.what if image in SEMANTIC_IMAGES]
     if semantic and not options.map.is_dir():
         raise SettingsError(
@@ -103,6 +104,18 @@ def _check_query(options: QueryProgram) -> None:
     ):
         if path is not None:
             check_output(option, path, suffixes)
+
+
+def _check_video(options: RenderProgram) -> None:
+    from toolkit.io.video_writing import VIDEO_SUFFIXES
+
+    if options.video is None:
+        return
+    check_output("--video", options.video, VIDEO_SUFFIXES)
+    if options.out is not None:
+        raise SettingsError("give --out for images or --video for a video, not both")
+    if options.what[0] == "strip":
+        raise SettingsError("--video does not show strips; choose another --what")
 
 
 def _check_evaluate(options: EvaluateOptions) -> None:

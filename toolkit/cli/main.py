@@ -21,7 +21,7 @@ from toolkit.cli.errors import one_line_errors
 JOBS = {
     "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
     "evaluate": ("evaluate", "evaluate a finished run again"),
-    "render": ("render", "render views of a map to PNG"),
+    "render": ("render", "render views of a map to PNG, or a video"),
     "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
     "edit": ("edit", "remove, keep, move or recolour classes of a labelled map"),
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),

@@ -60,7 +60,8 @@ class EvaluateOptions:
 
 @dataclass(frozen=True)
 class RenderProgram:
-    """Render views of a map to PNG: along the run's path, a trajectory, or from given positions."""
+    """Render views of a map to PNG, along the run's path, a trajectory, or from given positions; or
+    a video along a smooth path through them."""
 
     map: Positional[Path]
     """Run folder, or a splat file (.ply, .splat, .spz)."""
@@ -84,6 +85,13 @@ class RenderProgram:
     """Camera intrinsics fx fy cx cy, in pixels. By default, those of the run."""
     image_size: ImageSize | None = None
     """Width and height of the images, in pixels. By default, those of the run."""
+    video: Path | None = None
+    """Video to write instead of images (.mp4, .gif): the first image of --what on a smooth path
+    through the views or the trajectory given, by default through the keyframes of the run."""
+    video_s: PositiveFloat = 10.0
+    """Duration of the video in seconds."""
+    video_fps: PositiveInt = 30
+    """Images per second of the video."""
 
 
 @dataclass(frozen=True)
