@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from toolkit.cli.map_programs import EditOptions, ExportOptions
 from toolkit.cli.programs import (
     SEMANTIC_IMAGES,
-    EditOptions,
+    CompareOptions,
     EvaluateOptions,
-    ExportOptions,
     QueryProgram,
     RegisterOptions,
     RenderProgram,
@@ -123,6 +123,12 @@ def _check_evaluate(options: EvaluateOptions) -> None:
         raise SettingsError(f"--mesh {options.mesh} does not exist; check the path")
 
 
+def _check_compare(options: CompareOptions) -> None:
+    if len(options.runs) < 2:
+        raise SettingsError("give at least two run folders to compare")
+    check_output("--out", options.out, (".html",))
+
+
 def _check_edit(options: EditOptions) -> None:
     if not (options.remove or options.keep or options.move or options.recolour):
         raise SettingsError("nothing to edit; give --remove, --keep, --move or --recolour")
@@ -140,6 +146,7 @@ def _check_train_head(options: TrainHeadOptions) -> None:
 
 _CHECKS: dict[type, Callable[[Any], None]] = {
     RenderProgram: _check_render,
+    CompareOptions: _check_compare,
     EditOptions: _check_edit,
     EvaluateOptions: _check_evaluate,
     ExportOptions: _check_export,

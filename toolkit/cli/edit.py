@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.cli.programs import EditOptions
+from toolkit.cli.map_programs import EditOptions
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.images import write_png
 from toolkit.io.splats import write_splat_ply

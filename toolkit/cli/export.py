@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from toolkit.cli.programs import ExportOptions
+from toolkit.cli.map_programs import ExportOptions
 from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.plan import export_floor_plan
 from toolkit.exports.scene_graph import export_scene_graph

@@ -133,8 +133,12 @@ def _areas(
     return sorted(areas, key=lambda area: -area.area_m2)
 
 
-def draw_floor_plan(plan: FloorPlan, palette: Palette) -> RgbImage:
-    """Return the picture of a floor plan: classes, camera path, scale and a legend with areas."""
+def draw_floor_plan(plan: FloorPlan, palette: Palette, legend: bool = True) -> RgbImage:
+    """Return the picture of a floor plan: classes, camera path and scale.
+
+    Args:
+        legend: append the classes with their areas.
+    """
     colours = np.concatenate([palette.classes, np.array([_BACKGROUND], np.uint8)])
     colours[VOID] = (150, 156, 164)
     image = colours[plan.class_ids]  # -1 is the background, the last row
@@ -145,8 +149,10 @@ def draw_floor_plan(plan: FloorPlan, palette: Palette) -> RgbImage:
         cv2.polylines(image, [points], False, (255, 255, 255), 3, cv2.LINE_AA)
         cv2.polylines(image, [points], False, _INK, 1, cv2.LINE_AA)
     _draw_scale(image, factor / plan.pixel_m)
-    legend = [LegendEntry(f"{a.name} {a.area_m2:.2f} m2", a.colour) for a in plan.areas]
-    return with_legend(image, legend)
+    if not legend:
+        return image
+    entries = [LegendEntry(f"{a.name} {a.area_m2:.2f} m2", a.colour) for a in plan.areas]
+    return with_legend(image, entries)
 
 
 def _draw_scale(image: RgbImage, pixels_per_m: float) -> None:
