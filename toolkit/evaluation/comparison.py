@@ -21,6 +21,7 @@ from toolkit.geometry.trajectory import Trajectory
 
 _MAX_IMAGE_WIDTH = 480
 _JPEG_QUALITY = 88
+_MIN_SHARED_VIEWS = 2
 _ABSENT = "n/a"
 # Colours of lines are distinguishable for this many runs; they repeat afterwards.
 _LINE_COLOURS = 6
@@ -168,13 +169,28 @@ def _path_chart(runs: Sequence[ComparedRun]) -> str:
     return line_chart(series, axes)
 
 
-def _view_rows(runs: Sequence[ComparedRun]) -> list[tuple[str, list[str | None]]]:
-    """Return rows of views: title, and the image of each run as a data URL, or None."""
+def _view_rows(runs: Sequence[ComparedRun]) -> list[list[tuple[str, str | None]]]:
+    """Return rows of views: for each run, the name of a view and its image as a data URL, or None.
+
+    A row shows the same frame of all runs. Runs of different length have few frames in common;
+    the views of a row are then those at the same place in each run.
+    """
     names = sorted({name for run in runs for name in run.views})
-    shared = [name for name in names if sum(name in run.views for run in runs) > 1]
+    rows = [[name] * len(runs) for name in names if sum(name in r.views for r in runs) > 1]
+    if len(rows) < _MIN_SHARED_VIEWS:
+        places = range(max((len(run.views) for run in runs), default=0))
+        rows = [[_at(sorted(run.views), place) for run in runs] for place in places]
     return [
-        (name.partition(".")[0], [_image(run.views.get(name)) for run in runs]) for name in shared
+        [
+            (name.partition(".")[0], _image(run.views.get(name)))
+            for run, name in zip(runs, row, strict=True)
+        ]
+        for row in rows
     ]
+
+
+def _at(names: Sequence[str], place: int) -> str:
+    return names[place] if place < len(names) else ""
 
 
 def _image(rgb: NDArray[np.uint8] | None) -> str | None:
