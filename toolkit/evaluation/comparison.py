@@ -29,10 +29,13 @@ _LINE_COLOURS = 6
 # Whether small or large values of a metric are better, by patterns of its name; the first match
 # counts. Metrics without a match, such as the number of frames, have no best value.
 _BETTER = (
-    (r"_convention$|^views|^frames$|^keyframes$|coverage|observed|^mesh_normal", None),
-    (r"ate_|rpe_|drift|error|_lost|_late|dropped|lpips|_l1_|thickness|floaters", "low"),
+    (
+        r"_convention$|^views|^frames$|^keyframes|coverage|observed|ate_pairs|time_diff|rpe_delta",
+        None,
+    ),
+    (r"ate_|rpe_|drift|error|_lost|_late|dropped|lpips|_l1_|thickness|floaters|ece_", "low"),
     (r"accuracy_cm|completion_cm|_ms(_|$)|_s$|delay|memory|_mb$", "low"),
-    (r"psnr|ssim|miou|pixel_accuracy|f_score|ratio_percent|precision|recall|f1|fps", "high"),
+    (r"psnr|ssim|iou_|accuracy|f_score|ratio_percent|precision|recall|_f1_|consistency", "high"),
 )
 _HIGHLIGHTS = (
     "ate_rmse_cm",

@@ -121,11 +121,10 @@ def _write_images(
 ) -> list[str]:
     """Write or reference the images and return their names."""
     run = selection.run
-    if policy == "reference":
-        dataset = run.open_dataset()
+    dataset = None if policy == "render" else run.open_dataset()
+    if dataset is not None and policy == "reference":
         _created(folder)
         return [_reference(dataset, run.camera, frame.index, root) for frame in frames]
-    dataset = run.open_dataset() if policy == "copy" else None
     out = _created(folder / _IMAGES)
     names = [f"frame_{frame.index:06d}.png" for frame in frames]
     for frame, name in zip(frames, names, strict=True):

@@ -37,9 +37,11 @@ class OccupancyGrid:
     T_grid_map: NDArray[np.float64]
 
     def __str__(self) -> str:
-        rows, columns = self.cells.shape
-        free, occupied = (float((self.cells == s).sum()) * self.cell_m**2 for s in (FREE, OCCUPIED))
-        return f"{columns} x {rows} cells, {free:.1f} m2 free, {occupied:.1f} m2 occupied"
+        rows, columns = self.cells.shape[0], self.cells.shape[1]
+        cell_m2 = self.cell_m**2
+        free_m2 = cell_m2 * int((self.cells == FREE).sum())
+        occupied_m2 = cell_m2 * int((self.cells == OCCUPIED).sum())
+        return f"{columns} x {rows} cells, {free_m2:.1f} m2 free, {occupied_m2:.1f} m2 occupied"
 
 
 def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
@@ -52,7 +54,7 @@ def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
     image[grid.cells == FREE] = FREE_GREY
     image[grid.cells == OCCUPIED] = OCCUPIED_GREY
     picture = path.with_suffix(".pgm")
-    rows, columns = image.shape
+    rows, columns = image.shape[0], image.shape[1]
     # The first row of the image is the one with the largest y.
     write_bytes(picture, f"P5\n{columns} {rows}\n255\n".encode() + image[::-1].tobytes())
     content = {
