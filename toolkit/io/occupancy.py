@@ -54,7 +54,7 @@ def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
     image[grid.cells == FREE] = FREE_GREY
     image[grid.cells == OCCUPIED] = OCCUPIED_GREY
     picture = path.with_suffix(".pgm")
-    rows, columns = image.shape[0], image.shape[1]
+    rows, columns = (int(side) for side in grid.cells.shape)
     # The first row of the image is the one with the largest y.
     write_bytes(picture, f"P5\n{columns} {rows}\n255\n".encode() + image[::-1].tobytes())
     content = {
