@@ -30,8 +30,8 @@ _MIN_SUPPORT = 0.3
 _BOTTOM_PERCENT = 2.0
 # Minimum share of the Gaussians of an object inside the box of its container.
 _MIN_INSIDE = 0.8
-# A container surrounds an object on at least this many of eight sides.
-_SECTORS, _MIN_SECTORS = 8, 6
+# A container surrounds an object in at least this many of 16 horizontal directions.
+_SECTORS, _MIN_SECTORS = 16, 12
 
 
 @dataclass(frozen=True)
