@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.images import read_rgb
-from toolkit.io.splats import read_splats
+from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 
@@ -203,6 +204,14 @@ def test_the_occupancy_grid_is_that_of_the_room(labelled_run, tmp_path):
     without = export(labelled_run, tmp_path / "empty.yaml", "--drop", "furnishings")
     image = cv2.imread(str(without.with_suffix(".pgm")), cv2.IMREAD_UNCHANGED)
     assert image[cell(2.1, 1.4)] == 254
+
+
+def test_the_floor_is_found_without_labels(labelled_run, tmp_path):
+    bare = shutil.copytree(labelled_run, tmp_path / "bare")
+    write_splat_ply(bare / "map.ply", read_splats(bare / "map.ply"))
+    files = [export(r, tmp_path / f"{r.parent.name}.yaml") for r in (labelled_run, bare)]
+    a, b = (np.array(yaml.safe_load(file.read_text())["T_grid_map"]) for file in files)
+    np.testing.assert_allclose(a[2], b[2], atol=0.01)
 
 
 def test_the_scene_graph_is_read_by_networkx(labelled_run, tmp_path):
