@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, poses
+from labelled_run import make_labelled_run
 from room_runs import RoomRuns, make_room_runs
 
 from toolkit.datasets.options import DatasetOptions
@@ -56,3 +57,9 @@ def run(tmp_path, gaussians, recording) -> Path:
 @pytest.fixture(scope="session")
 def room_runs(tmp_path_factory) -> RoomRuns:
     return make_room_runs(tmp_path_factory.mktemp("room_runs"))
+
+
+@pytest.fixture(scope="session")
+def labelled_run(tmp_path_factory) -> Path:
+    """A run in the labelled room. Read only: copy it to change it."""
+    return make_labelled_run(tmp_path_factory.mktemp("labelled"))

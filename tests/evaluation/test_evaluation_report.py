@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,17 @@ import pytest
 
 from toolkit.evaluation.charts import Axes, Series, line_chart, ticks
 from toolkit.evaluation.metrics import trajectory_metrics
-from toolkit.evaluation.report import ReportContent, ReportView, render_report, write_report
+from toolkit.evaluation.report import (
+    ReportContent,
+    ReportFloorPlan,
+    ReportView,
+    render_report,
+    write_report,
+)
 from toolkit.evaluation.timing import StageTime
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.semantics.floor_plan import ClassArea
 
 
 def arc(poses: int = 30) -> Trajectory:
@@ -42,6 +50,9 @@ def full_content() -> ReportContent:
         settings="tracking:\n  iterations: 7\n",
         warnings=("2 of 32 frames have no pose",),
         machine="a machine",
+        floor_plan=ReportFloorPlan(
+            np.zeros((8, 8, 3), np.uint8), (ClassArea("ta<b>le", 1.234, (1, 2, 3)),)
+        ),
     )
 
 
@@ -52,7 +63,7 @@ def test_the_page_is_one_file_that_works_offline(tmp_path: Path) -> None:
     assert "http" not in page
     assert "<script" not in page
     sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
-    assert len(sources) == 4
+    assert len(sources) == 5
     assert all(source.startswith("data:image/png;base64,") for source in sources)
 
 
@@ -124,3 +135,10 @@ def test_a_camera_that_stood_still_is_drawn() -> None:
     still = np.zeros((5, 2))
     assert "<polyline" in line_chart([Series(still, "s", "estimate")], Axes("x", "y", equal=True))
     assert "<polyline" in line_chart([Series(still, "s", "estimate")], Axes("x", "y"))
+
+
+def test_the_floor_plan_lists_areas_and_is_left_out_without_one() -> None:
+    page = render_report(full_content())
+    assert "Floor plan" in page
+    assert "ta&lt;b&gt;le" in page and "1.23 m²" in page and "rgb(1,2,3)" in page
+    assert "Floor plan" not in render_report(replace(full_content(), floor_plan=None))

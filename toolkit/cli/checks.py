@@ -9,15 +9,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from toolkit.cli.map_programs import EditOptions, ExportOptions
 from toolkit.cli.programs import (
     SEMANTIC_IMAGES,
-    ExportOptions,
+    CompareOptions,
+    EvaluateOptions,
     QueryProgram,
     RegisterOptions,
     RenderProgram,
     TrainHeadOptions,
 )
 from toolkit.errors import FormatError, RunFolderError, SettingsError
+from toolkit.exports.options import FOLDER_FORMATS
 
 
 def check_arguments(arguments: Any) -> None:
@@ -50,6 +53,7 @@ def check_output(option: str, path: Path, suffixes: Sequence[str], what: str = "
 def _check_render(options: RenderProgram) -> None:
     if options.trajectory is not None and options.view:
         raise SettingsError("give --trajectory or --view, not both")
+    _check_video(options)
     semantic = [image for image in options.what if image in SEMANTIC_IMAGES]
     if semantic and not options.map.is_dir():
         raise SettingsError(
@@ -58,13 +62,32 @@ def _check_render(options: RenderProgram) -> None:
 
 
 def _check_export(options: ExportOptions) -> None:
+    from toolkit.io.gltf import GLTF_SUFFIXES
+    from toolkit.io.labelled_points import LABELLED_SUFFIXES
     from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
     from toolkit.io.splats import SUFFIXES
 
-    if options.mesh and options.points:
-        raise SettingsError("give --mesh or --points, not both")
-    suffixes = {"splats": SUFFIXES, "mesh": MESH_SUFFIXES, "points": POINT_SUFFIXES}[options.kind]
+    if options.mesh + options.points + (options.format is not None) > 1:
+        raise SettingsError("give --mesh or --points or --format, not both")
+    if options.kind in FOLDER_FORMATS:
+        _check_new_folder(options.to, "--to")
+        return
+    suffixes = {
+        "splats": SUFFIXES,
+        "mesh": MESH_SUFFIXES,
+        "points": POINT_SUFFIXES,
+        "labelled-points": LABELLED_SUFFIXES,
+        "gltf": GLTF_SUFFIXES,
+        "occupancy-grid": (".yaml",),
+        "scene-graph": (".json",),
+        "floor-plan": (".png",),
+    }[options.kind]
     check_output("--to", options.to, suffixes, f"a file of {options.kind}")
+
+
+def _check_new_folder(path: Path, option: str) -> None:
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise RunFolderError(f"{path} is not an empty folder; choose another {option}")
 
 
 def _check_query(options: QueryProgram) -> None:
@@ -83,10 +106,37 @@ def _check_query(options: QueryProgram) -> None:
             check_output(option, path, suffixes)
 
 
+def _check_video(options: RenderProgram) -> None:
+    from toolkit.io.video_writing import VIDEO_SUFFIXES
+
+    if options.video is None:
+        return
+    check_output("--video", options.video, VIDEO_SUFFIXES)
+    if options.out is not None:
+        raise SettingsError("give --out for images or --video for a video, not both")
+    if options.what[0] == "strip":
+        raise SettingsError("--video does not show strips; choose another --what")
+
+
+def _check_evaluate(options: EvaluateOptions) -> None:
+    if options.mesh is not None and not options.mesh.is_file():
+        raise SettingsError(f"--mesh {options.mesh} does not exist; check the path")
+
+
+def _check_compare(options: CompareOptions) -> None:
+    if len(options.runs) < 2:
+        raise SettingsError("give at least two run folders to compare")
+    check_output("--out", options.out, (".html",))
+
+
+def _check_edit(options: EditOptions) -> None:
+    if not (options.remove or options.keep or options.move or options.recolour):
+        raise SettingsError("nothing to edit; give --remove, --keep, --move or --recolour")
+    _check_new_folder(options.out, "--out")
+
+
 def _check_register(options: RegisterOptions) -> None:
-    out = options.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise RunFolderError(f"{out} is not an empty folder; choose another --out")
+    _check_new_folder(options.out, "--out")
 
 
 def _check_train_head(options: TrainHeadOptions) -> None:
@@ -96,6 +146,9 @@ def _check_train_head(options: TrainHeadOptions) -> None:
 
 _CHECKS: dict[type, Callable[[Any], None]] = {
     RenderProgram: _check_render,
+    CompareOptions: _check_compare,
+    EditOptions: _check_edit,
+    EvaluateOptions: _check_evaluate,
     ExportOptions: _check_export,
     QueryProgram: _check_query,
     RegisterOptions: _check_register,

@@ -39,6 +39,7 @@ _OPTIONAL = {
     "openai": ("openai", "building a taxonomy with a language model"),
     "rosbags": ("rosbags", "bags of ROS and RealSense"),
     "lzfse": ("lzfse", "depth of Record3D"),
+    "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
 }
 
 # Shared library that Open3D loads: Debian package.

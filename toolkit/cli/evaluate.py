@@ -28,6 +28,15 @@ _PRINTED = (
     "frames_lost",
     "gaussians",
 )
+_PRINTED_MESH = (
+    "mesh_accuracy_cm",
+    "mesh_completion_cm",
+    "mesh_completion_ratio_percent",
+    "mesh_f_score_1cm_percent",
+    "mesh_f_score_2cm_percent",
+    "mesh_f_score_5cm_percent",
+    "mesh_normal_consistency",
+)
 _PRINTED_SUBSET = ("miou_percent", "miou_subset_percent", "miou_subset_unseen_percent")
 
 
@@ -43,11 +52,12 @@ def main(options: EvaluateOptions) -> int:
     """
     run = load_run(options.run)
     evaluation = _evaluation_settings(run, options)
-    new_metrics = evaluate(run, options.dataset.path, options.max_views, evaluation)
+    new_metrics = evaluate(run, options.dataset.path, options.max_views, evaluation, options.mesh)
     metrics = _earlier_metrics(run) | new_metrics
     write_metrics(run.folder.metrics, metrics)
-    for key in _PRINTED + _PRINTED_SUBSET * evaluation.subset:
-        print(f"{key:<28}{_format(metrics.get(key))}")
+    with_mesh = "mesh_accuracy_cm" in new_metrics
+    for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
+        print(f"{key:<30}{_format(metrics.get(key))}")
     print(f"wrote {run.folder.metrics}")
     return 0
 

@@ -1,29 +1,19 @@
-"""`semsplat export`: write a map as splats, mesh or point cloud."""
+"""`semsplat export`: write a map for other programs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
-import numpy as np
-import torch
-
-from toolkit.cli.programs import ExportOptions
-from toolkit.errors import ToolkitError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.cli.map_programs import ExportOptions
+from toolkit.exports.floors import export_occupancy_grid
+from toolkit.exports.plan import export_floor_plan
+from toolkit.exports.scene_graph import export_scene_graph
+from toolkit.exports.selection import Selection, select
+from toolkit.exports.surfaces import export_gltf, export_labelled_points
+from toolkit.exports.views import ViewOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
-from toolkit.io.splats import SplatLabels, export_splats, read_splats
-from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.runs.labelled import load_labelled_run
+from toolkit.io.splats import export_splats
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
-
-
-@dataclass(frozen=True)
-class _Selection:
-    """The selected Gaussians of a run and their labels."""
-
-    run: FinishedRun
-    gaussians: GaussianCloud
-    labels: SplatLabels | None
 
 
 def main(options: ExportOptions) -> int:
@@ -33,41 +23,83 @@ def main(options: ExportOptions) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run, no Gaussian is selected, or the file cannot be
-            written.
+        ToolkitError: there is no finished run, no Gaussian is selected, the map lacks what the
+            format needs, or the file cannot be written.
     """
-    selection = _select(options)
-    if options.kind == "splats":
-        columns = None if selection.labels is None else selection.labels.columns()
-        export_splats(options.to, selection.gaussians, columns)
-        content = f"{len(selection.gaussians)} Gaussians"
-    elif options.kind == "points":
-        content = f"{write_opaque_points(options.to, selection.gaussians)} points"
-    else:
-        fuse = part_mesh if options.keep or options.drop else surface_mesh
-        mesh_options = MeshOptions(options.voxel_m, options.max_depth_m, options.every)
-        mesh = fuse(selection.run, selection.gaussians, mesh_options)
-        write_mesh(options.to, mesh)
-        content = str(mesh)
+    selection = select(options.run, options.keep, options.drop)
+    content = _WRITERS[options.kind](options, selection)
     print(f"wrote {content} to {options.to}")
     return 0
 
 
-def _select(options: ExportOptions) -> _Selection:
-    """Select the Gaussians of a run by --keep and --drop.
+def _splats(options: ExportOptions, selection: Selection) -> str:
+    columns = None if selection.labels is None else selection.labels.columns()
+    export_splats(options.to, selection.gaussians, columns)
+    return f"{len(selection.gaussians)} Gaussians"
 
-    Raises:
-        ToolkitError: no Gaussian is selected, or classes are given but the map has no labels.
-    """
-    if not options.keep and not options.drop:
-        run = load_run(options.run)
-        return _Selection(run, run.gaussians, read_splats(run.folder.map).labels)
-    labelled = load_labelled_run(options.run)
-    mask = np.ones(len(labelled.map), bool)
-    if options.keep:
-        mask = labelled.select(options.keep)
-    mask &= ~labelled.map.selected(options.drop)
-    if not mask.any():
-        raise ToolkitError(f"--keep and --drop exclude all Gaussians of {options.run}")
-    gaussians = labelled.run.gaussians.select(torch.from_numpy(mask))
-    return _Selection(labelled.run, gaussians, labelled.map.labels.select(mask))
+
+def _points(options: ExportOptions, selection: Selection) -> str:
+    return f"{write_opaque_points(options.to, selection.gaussians)} points"
+
+
+def _labelled_points(options: ExportOptions, selection: Selection) -> str:
+    labelled = "" if selection.labels is None else " with classes"
+    return f"{export_labelled_points(options.to, selection)} points{labelled}"
+
+
+def _mesh(options: ExportOptions, selection: Selection) -> str:
+    fuse = part_mesh if selection.partial else surface_mesh
+    mesh = fuse(selection.run, selection.gaussians, _mesh_options(options))
+    write_mesh(options.to, mesh)
+    return str(mesh)
+
+
+def _gltf(options: ExportOptions, selection: Selection) -> str:
+    return str(export_gltf(options.to, selection, _mesh_options(options), options.floor))
+
+
+def _colmap(options: ExportOptions, selection: Selection) -> str:
+    binary = options.kind == "colmap-binary"
+    count = export_colmap(options.to, selection, _view_options(options), binary)
+    return f"a COLMAP model of {count} images"
+
+
+def _nerfstudio(options: ExportOptions, selection: Selection) -> str:
+    count = export_nerfstudio(options.to, selection, _view_options(options))
+    return f"transforms.json of {count} images"
+
+
+def _occupancy_grid(options: ExportOptions, selection: Selection) -> str:
+    return str(export_occupancy_grid(options.to, selection, options.grid, options.floor))
+
+
+def _scene_graph(options: ExportOptions, selection: Selection) -> str:
+    return str(export_scene_graph(options.to, selection, options.objects, options.floor))
+
+
+def _floor_plan(options: ExportOptions, selection: Selection) -> str:
+    plan = export_floor_plan(options.to, selection, options.floor)
+    return f"a floor plan with {len(plan.areas)} classes"
+
+
+def _mesh_options(options: ExportOptions) -> MeshOptions:
+    return MeshOptions(options.voxel_m, options.max_depth_m, options.every)
+
+
+def _view_options(options: ExportOptions) -> ViewOptions:
+    return ViewOptions(options.images, options.every, options.max_points)
+
+
+_WRITERS: dict[str, Callable[[ExportOptions, Selection], str]] = {
+    "splats": _splats,
+    "mesh": _mesh,
+    "points": _points,
+    "labelled-points": _labelled_points,
+    "gltf": _gltf,
+    "colmap-text": _colmap,
+    "colmap-binary": _colmap,
+    "nerfstudio": _nerfstudio,
+    "occupancy-grid": _occupancy_grid,
+    "scene-graph": _scene_graph,
+    "floor-plan": _floor_plan,
+}

@@ -21,8 +21,10 @@ from toolkit.cli.errors import one_line_errors
 JOBS = {
     "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
     "evaluate": ("evaluate", "evaluate a finished run again"),
-    "render": ("render", "render views of a map to PNG"),
-    "export": ("export", "write a map as .ply, .splat, .spz, mesh or point cloud"),
+    "render": ("render", "render views of a map to PNG, or a video"),
+    "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
+    "edit": ("edit", "remove, keep, move or recolour classes of a labelled map"),
+    "compare": ("compare", "compare runs on one HTML page"),
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),
     "register": ("register", "register the maps of two runs and merge them"),
     "query": ("query", "query number, position and size of the objects of a labelled map"),

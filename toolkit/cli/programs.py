@@ -12,14 +12,15 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
+from toolkit.cli.map_programs import EditOptions, ExportOptions, VoxelSize
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
 from toolkit.registration.options import RegistrationOptions
 
 ImageSize = tuple[PositiveInt, PositiveInt]
-# A mesh of a room with smaller voxels does not fit in memory.
-VoxelSize = Annotated[float, Range(ge=0.001)]
+
+ColourValue = Annotated[int, Range(ge=0, le=255)]
 
 # Images of `semsplat render` that need a map with semantics.
 SEMANTIC_IMAGES = frozenset(("labels", "levels"))
@@ -50,11 +51,15 @@ class EvaluateOptions:
     subset: bool = False
     """Compute the papers' subset mIoU, for which each view is decoded among the classes of its
     ground-truth labels only."""
+    mesh: Path | None = None
+    """Ground-truth mesh (.ply, .obj) in the frame of the ground-truth poses, to which a mesh fused
+    from renderings is compared. By default, mesh.ply of a synthetic room."""
 
 
 @dataclass(frozen=True)
 class RenderProgram:
-    """Render views of a map to PNG: along the run's path, a trajectory, or from given positions."""
+    """Render views of a map to PNG, along the run's path, a trajectory, or from given positions; or
+    a video along a smooth path through them."""
 
     map: Positional[Path]
     """Run folder, or a splat file (.ply, .splat, .spz)."""
@@ -78,39 +83,23 @@ class RenderProgram:
     """Camera intrinsics fx fy cx cy, in pixels. By default, those of the run."""
     image_size: ImageSize | None = None
     """Width and height of the images, in pixels. By default, those of the run."""
+    video: Path | None = None
+    """Video to write instead of images (.mp4, .gif): the first image of --what on a smooth path
+    through the views or the trajectory given, by default through the keyframes of the run."""
+    video_s: PositiveFloat = 10.0
+    """Duration of the video in seconds."""
+    video_fps: PositiveInt = 30
+    """Images per second of the video."""
 
 
 @dataclass(frozen=True)
-class ExportOptions:
-    """Export the map of a finished run for other programs."""
+class CompareOptions:
+    """Compare finished runs on one HTML page: settings that differ, metrics, paths and views."""
 
-    run: Positional[Path]
-    """Run folder."""
-    to: Path
-    """File to write: splats (.ply, .splat, .spz), a mesh (.mesh.ply) or points (.pcd)."""
-    mesh: bool = False
-    """Write a mesh (.ply), fused from rendered depth and colour at the poses of the run."""
-    points: bool = False
-    """Write a point cloud (.ply, .pcd): the centres of opaque Gaussians."""
-    voxel_m: VoxelSize = 0.015
-    """Voxel size of the mesh, in metres. Memory grows with its inverse square."""
-    max_depth_m: PositiveFloat = 6.0
-    """Maximum depth fused into the mesh, in metres."""
-    every: PositiveInt = 3
-    """Interval of the poses fused into the mesh: every n-th one."""
-    keep: tuple[str, ...] = ()
-    """Classes and groups of the taxonomy to export: names, or paths such as
-    "large items > furnishings"; "void" selects Gaussians without a label. By default, all."""
-    drop: tuple[str, ...] = ()
-    """Classes and groups of the taxonomy to exclude."""
-
-    @property
-    def kind(self) -> Literal["splats", "mesh", "points"]:
-        """Kind of the exported file, from the switches or the file name."""
-        name = self.to.name.lower()
-        if self.mesh or name.endswith(".mesh.ply"):
-            return "mesh"
-        return "points" if self.points or name.endswith(".pcd") else "splats"
+    runs: Positional[tuple[Path, ...]]
+    """Run folders, at least two."""
+    out: Path = Path("compare.html")
+    """Page to write (.html), which needs no network."""
 
 
 @dataclass(frozen=True)
@@ -308,7 +297,9 @@ class BuildTaxonomyOptions:
 PROGRAMS: dict[str, type] = {
     "evaluate": EvaluateOptions,
     "render": RenderProgram,
+    "compare": CompareOptions,
     "export": ExportOptions,
+    "edit": EditOptions,
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,
     "query": QueryProgram,

@@ -1,11 +1,11 @@
-"""`semsplat render`: render views of a map to PNG."""
+"""`semsplat render`: render views of a map to PNG, or a video."""
 
 from __future__ import annotations
 
 import logging
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +20,12 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.pose_splines import pose_spline, thinned
 from toolkit.io.atomic import cannot_write
 from toolkit.io.images import write_png
 from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
+from toolkit.io.video_writing import write_video
 from toolkit.io.visualisation import (
     DepthSpan,
     RgbImage,
@@ -47,6 +49,8 @@ _MIN_SILHOUETTE = 0.5
 _LEGEND_ROWS = 8
 # Number of views rendered in advance to determine the range of the depth colours.
 _SPAN_VIEWS = 8
+# Minimum step between keyframes that a video passes through: 20 cm, or about 16 degrees.
+_MIN_KNOT_STEP = 0.2
 # For splat files without a given camera: about 60 degrees wide, as most RGB-D cameras.
 _DEFAULT_CAMERA = Camera(fx=550.0, fy=550.0, cx=319.5, cy=239.5, width=640, height=480)
 
@@ -102,6 +106,8 @@ def main(options: RenderProgram) -> int:
     map_ = _load(options)
     palette = _palette(map_)
     camera = _camera(options, map_.run)
+    if options.video is not None:
+        return _write_video(options, map_, camera, palette)
     inputs = _InputImages.open(options, map_.run, camera)
     views = _views(options, map_, camera)[:: options.every]
     out = _create_output_folder(options)
@@ -122,6 +128,49 @@ def main(options: RenderProgram) -> int:
             write_png(out / f"{name}_{view.number:06d}.png", image)
     print(f"rendered {len(views)} view(s) to {out}")
     return 0
+
+
+def _write_video(
+    options: RenderProgram, map_: _Map, camera: Camera, palette: Palette | None
+) -> int:
+    """Render a video on a smooth path."""
+    assert options.video is not None
+    count = max(2, round(options.video_s * options.video_fps))
+    path = pose_spline(_knots(options, map_, camera), count)
+    views = [_View(number, T_map_camera) for number, T_map_camera in enumerate(path)]
+    step = max(1, count // _SPAN_VIEWS)
+    span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
+    kind = options.what[0]
+
+    def images() -> Iterator[RgbImage]:
+        for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
+            rendered = _render(map_, camera, view)
+            if palette is None or rendered.nodes is None:
+                yield _image_of(kind, rendered, span, None)
+            elif kind == "labels":
+                yield palette.class_image(rendered.nodes[-1])
+            else:
+                rgb = np.clip(rendered.rgb, 0.0, 1.0)
+                yield palette.level_strip(rgb, list(rendered.nodes))
+
+    write_video(options.video, images(), options.video_fps)
+    print(f"rendered {count} view(s) to {options.video}")
+    return 0
+
+
+def _knots(options: RenderProgram, map_: _Map, camera: Camera) -> NDArray[np.float64]:
+    """Return the poses [N, 4, 4] that the path of a video passes through."""
+    run = map_.run
+    if options.trajectory is not None or options.view:
+        views = _views(options, map_, camera)[:: options.every]
+        return np.array([view.T_map_camera for view in views])
+    if run is None or not run.tracked:
+        raise SettingsError(
+            f"{options.map} has no keyframes for the path of the video; give --view or --trajectory"
+        )
+    keyframes = set(run.keyframes)
+    poses = [f.T_map_camera for f in run.tracked if f.index in keyframes]
+    return thinned(np.array(poses or [run.tracked[0].T_map_camera]), _MIN_KNOT_STEP)
 
 
 def _load(options: RenderProgram) -> _Map:

@@ -27,6 +27,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
 from toolkit.io.visualisation import DepthSpan, colour_image, depth_image
+from toolkit.semantics.floor_plan import ClassArea
 
 # Limits the size of a report with six views to about 10 MB.
 _MAX_IMAGE_WIDTH = 640
@@ -81,6 +82,19 @@ class DelaySeries:
 
 
 @dataclass(frozen=True)
+class ReportFloorPlan:
+    """The map seen from above.
+
+    Attributes:
+        image: [H, W, 3] uint8, classes, camera path and scale.
+        areas: classes with their areas, largest first.
+    """
+
+    image: NDArray[np.uint8]
+    areas: Sequence[ClassArea]
+
+
+@dataclass(frozen=True)
 class ReportContent:
     """Content of the report.
 
@@ -98,6 +112,7 @@ class ReportContent:
         warnings: warnings of one line each.
         machine: description of the software and machine.
         delays: delays of a run in real time; None for other runs.
+        floor_plan: the map from above; None without labels or without a floor.
     """
 
     title: str
@@ -113,6 +128,7 @@ class ReportContent:
     warnings: Sequence[str] = field(default_factory=tuple)
     machine: str = ""
     delays: DelaySeries | None = None
+    floor_plan: ReportFloorPlan | None = None
 
 
 def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
@@ -146,6 +162,7 @@ def render_report(content: ReportContent) -> str:
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
         memory=_memory(content.metrics),
+        plan=None if content.floor_plan is None else _data_url(content.floor_plan.image),
         all_metrics=[(key, _text(value)) for key, value in sorted(content.metrics.items())],
     )
 

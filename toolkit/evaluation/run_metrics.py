@@ -133,7 +133,7 @@ def measure_run(
     scores = [
         SemanticScores(options.semantics, suffix) for suffix in ("", "_unseen", "_unseen_refined")
     ]
-    alignment = _alignment(estimate, truth, options.alignment)
+    alignment = map_alignment(estimate, truth, options.alignment)
     scale = 1.0 if alignment is None else alignment.scale
     mapped_quality = [
         _quality(scene, view, options, scores[0], scale)
@@ -224,7 +224,7 @@ def _evenly_spaced(count: int, max_count: int) -> list[int]:
     return sorted({round(i) for i in np.linspace(0, count - 1, min(count, max_count))})
 
 
-def _alignment(
+def map_alignment(
     estimate: Trajectory, truth: Trajectory | None, kind: AlignmentKind
 ) -> Alignment | None:
     """Return the transformation from the map to the world, None if it is unknown."""

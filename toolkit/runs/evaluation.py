@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,16 +10,28 @@ from pathlib import Path
 
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.lpips import Lpips
+from toolkit.evaluation.meshes import Views, mesh_quality
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import EvaluationOptions
-from toolkit.evaluation.run_metrics import MeasureOptions, TrackedFrame, measure_run, open_unseen
+from toolkit.evaluation.run_metrics import (
+    MeasureOptions,
+    TrackedFrame,
+    map_alignment,
+    measure_run,
+    open_unseen,
+)
 from toolkit.evaluation.semantic_views import SemanticEvaluation
 from toolkit.evaluation.trajectory import AlignmentKind
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
+from toolkit.runs.meshing import MeshOptions, surface_mesh
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
+
+# The mesh that is compared with the true one: voxels in metres, maximum depth in metres, and the
+# maximum number of fused views.
+_MESH_VOXEL_M, _MESH_DEPTH_M, _MESH_VIEWS = 0.01, 6.0, 100
 
 
 def evaluate(
@@ -26,6 +39,7 @@ def evaluate(
     dataset_path: str | os.PathLike[str] | None = None,
     max_views: int = MeasureOptions.max_views,
     evaluation: EvaluationOptions | None = None,
+    mesh: Path | None = None,
 ) -> Metrics:
     """Evaluate a finished run.
 
@@ -35,6 +49,8 @@ def evaluate(
         max_views: maximum number of evaluated views in each group (mapped, held out, unseen),
             >= 1.
         evaluation: optional metrics to compute; by default those of the run.
+        mesh: file of the ground-truth mesh in the frame of the ground-truth poses; by default that
+            of a synthetic room. Without one, there are no metrics of the mesh.
 
     Returns:
         Metrics by name, with the unit in the name; None for metrics that are not available. Times
@@ -52,12 +68,40 @@ def evaluate(
     semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = InMemoryScene(run.gaussians)
     metrics = evaluate_scene(scene, run.tracked, dataset, settings, semantics, max_views)
-    return metrics | {
-        "frames": len(run.tracked) + len(run.lost),
-        "frames_lost": len(run.lost),
-        "keyframes": len(run.keyframes),
-        "gaussians": len(run.gaussians),
-    }
+    return (
+        metrics
+        | _mesh_metrics(run, dataset, settings, mesh)
+        | {
+            "frames": len(run.tracked) + len(run.lost),
+            "frames_lost": len(run.lost),
+            "keyframes": len(run.keyframes),
+            "gaussians": len(run.gaussians),
+        }
+    )
+
+
+def _mesh_metrics(
+    run: FinishedRun, dataset: Dataset, settings: RunSettings, mesh: Path | None
+) -> Metrics:
+    """Fuse a mesh from renders and compare it with the true one, if there is one."""
+    truth = mesh or true_mesh(settings)
+    kind = alignment_kind(settings)
+    alignment = map_alignment(run.trajectory, dataset.ground_truth, kind)
+    if truth is None or alignment is None:
+        return {}
+    every = max(1, math.ceil(len(run.tracked) / _MESH_VIEWS))
+    options = MeshOptions(_MESH_VOXEL_M, _MESH_DEPTH_M / alignment.scale, every)
+    surface = surface_mesh(run, run.gaussians, options)
+    poses = [frame.T_map_camera for frame in run.tracked[::every]]
+    views = Views(run.camera, poses, options.max_depth_m)
+    return mesh_quality(surface, truth, alignment, views).metrics(options.voxel_m)
+
+
+def true_mesh(settings: RunSettings) -> Path | None:
+    """Return the ground-truth mesh of a synthetic room, None for other datasets."""
+    path = settings.dataset.path
+    mesh = path / "mesh.ply" if path and settings.dataset.kind == "synthetic" else None
+    return mesh if mesh is not None and mesh.is_file() else None
 
 
 def semantic_evaluation(
@@ -97,12 +141,9 @@ def evaluate_scene(
     """
     path = settings.dataset.path
     unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
-    mesh = path / "mesh.ply" if path and settings.dataset.kind == "synthetic" else None
-    if mesh is not None and not mesh.is_file():
-        mesh = None
     lpips = load_lpips(settings)
     options = MeasureOptions(
-        settings.backend, alignment_kind(settings), max_views, semantics, mesh, lpips
+        settings.backend, alignment_kind(settings), max_views, semantics, true_mesh(settings), lpips
     )
     return measure_run(scene, tracked, dataset, unseen, options)
 

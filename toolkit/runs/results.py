@@ -40,6 +40,7 @@ from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surfac
 from toolkit.result import SlamResult
 from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
+from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.decoding import Decoding
@@ -126,6 +127,10 @@ def write_results(
     report = _report(result, dataset, settings, metrics, views, recorder)
     if pace is not None:
         report = replace(report, delays=_delay_series(pace))
+    if result.taxonomy is not None and len(scene):
+        cameras_m = result.trajectory.positions_m
+        plan = report_floor_plan(folder.map, result.taxonomy, cameras_m)
+        report = replace(report, floor_plan=plan)
     write_report(folder.report, report)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
 

@@ -20,7 +20,7 @@ from toolkit.semantics.query import (
 )
 from toolkit.semantics.taxonomy import VOID
 
-_WALL_NAMES = ("wall",)
+WALL_NAMES = ("wall",)
 _DECIMALS = 4  # of lengths in metres: 0.1 mm
 
 
@@ -33,12 +33,14 @@ class SceneReader:
         options: options of the extraction of objects.
         viewpoint_m: [3], point from which distances are measured.
         floor: classes and groups of the floor; names that are not in the tree are ignored.
+        known_ground: the plane of the floor if it is known; by default it is fitted.
     """
 
     map: LabelledMap
     options: ObjectOptions
     viewpoint_m: NDArray[np.float64]
     floor: Sequence[str] = FLOOR_NAMES
+    known_ground: Ground | None = None
 
     @functools.cached_property
     def ground(self) -> Ground | None:
@@ -46,7 +48,7 @@ class SceneReader:
 
         Without one, boxes have any orientation and floor areas are null.
         """
-        return self.map.ground(self.floor)
+        return self.known_ground or self.map.ground(self.floor)
 
     def answer(self, name: str) -> dict[str, Any]:
         """Describe a class or group: Gaussians, confidence, floor area and objects.
@@ -62,7 +64,7 @@ class SceneReader:
             "gaussians": int(members.sum()),
             "confidence": self._confidence(members),
             "floor_area_m2": self._area([found.index for found in objects]),
-            "objects": [self._object(found) for found in objects],
+            "objects": [self.describe(found) for found in objects],
         }
 
     def tree(self) -> dict[str, Any]:
@@ -87,7 +89,7 @@ class SceneReader:
             "viewpoint_m": self.viewpoint_m.round(_DECIMALS).tolist(),
             "room": self._room(),
             **self.tree(),
-            "objects": [{"id": i, **self._object(found)} for i, found in enumerate(objects)],
+            "objects": [{"id": i, **self.describe(found)} for i, found in enumerate(objects)],
         }
 
     def _nodes(self) -> list[dict[str, Any]]:
@@ -114,7 +116,8 @@ class SceneReader:
             below[node.path[:-1]].append(values)
         return below[()]
 
-    def _object(self, found: SceneObject) -> dict[str, Any]:
+    def describe(self, found: SceneObject) -> dict[str, Any]:
+        """Return class, box, distance and areas of an object."""
         offsets_m = self.map.means_m[found.index] - self.viewpoint_m
         return {
             "name": found.node.name,
@@ -129,7 +132,7 @@ class SceneReader:
 
     def _room(self) -> dict[str, Any] | None:
         """Return the box around floor, walls and ceiling, and the observed floor area."""
-        shell = self._without_noise([*self.floor, *_WALL_NAMES, *CEILING_NAMES])
+        shell = self._without_noise([*self.floor, *WALL_NAMES, *CEILING_NAMES])
         if len(shell) == 0:
             return None
         box = oriented_box(self.map.means_m[shell], self.ground)

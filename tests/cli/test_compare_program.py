@@ -1,0 +1,103 @@
+"""compare: one page that shows what differs between runs."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from test_finished_run_programs import one_line_of_error
+
+from toolkit.cli.compare import unique_names
+from toolkit.cli.main import main
+from toolkit.evaluation.comparison import direction
+
+
+@pytest.fixture
+def other_run(tiny_run, tmp_path) -> Path:
+    """The tiny run with another seed and other metrics."""
+    other = shutil.copytree(tiny_run, tmp_path / "other <run>")
+    config = other / "config.yaml"
+    config.write_text(re.sub(r"(?m)^seed: 0$", "seed: 7", config.read_text()))
+    metrics = json.loads((other / "metrics.json").read_text())
+    metrics |= {"psnr_db": 99.25, "ate_rmse_cm": 77.5, "miou_percent": None}
+    metrics["ssim_convention"] = "another window"
+    (other / "metrics.json").write_text(json.dumps(metrics))
+    return other
+
+
+def page_of(tmp_path, *runs: Path) -> str:
+    out = tmp_path / "compare.html"
+    assert main(["compare", *map(str, runs), "--out", str(out)]) == 0
+    return out.read_text()
+
+
+def row(page: str, key: str) -> list[tuple[str, str]]:
+    """Class and text of the cells in the first row of a key."""
+    (line,) = re.findall(rf"<tr><td>{re.escape(key)}</td>(.*?)</tr>", page)[:1]
+    return re.findall(r'<td class="(\w*)">(.*?)</td>', line)
+
+
+def test_the_page_marks_what_differs(tiny_run, other_run, tmp_path):
+    page = page_of(tmp_path, tiny_run, other_run)
+    assert row(page, "seed") == [("differs", "0"), ("differs", "7")]
+    assert [css for css, _ in row(page, "psnr_db")] == ["worst", "best"]
+    assert [css for css, _ in row(page, "ate_rmse_cm")] == ["best", "worst"]
+    assert row(page, "miou_percent")[1] == ("differs", "n/a")
+    assert [css for css, _ in row(page, "frames_lost")] == ["", ""]
+    assert row(page, "ssim_convention")[1] == ("differs", "another window")
+    assert "<td>max_frames</td>" not in page
+
+
+def test_the_page_works_offline_and_escapes_names(tiny_run, other_run, tmp_path):
+    page = page_of(tmp_path, tiny_run, other_run)
+    assert "http" not in page and "<script" not in page
+    sources = re.findall(r'src="([^"]{0,24})', page)
+    # Every rendered view of both runs.
+    assert len(sources) == 2 * len(list((tiny_run / "renders").glob("frame??????.png")))
+    assert all(source.startswith("data:image/jpeg;base64,") for source in sources)
+    assert "other &lt;run&gt;" in page and "<run>" not in page
+    links = set(re.findall(r'href="([^"]+)"', page))
+    assert len(links) == 2
+    assert all((tmp_path / unquote(link)).is_file() for link in links)
+    assert page.count("<polyline") == 2
+
+
+def test_names_are_as_long_as_they_must_be():
+    assert unique_names([Path("/r/a"), Path("/r/b")]) == ["a", "b"]
+    assert unique_names([Path("/x/run"), Path("/y/run")]) == ["x/run", "y/run"]
+    assert unique_names([Path("/x/run"), Path("/x/run")]) == ["//x/run (1)", "//x/run (2)"]
+
+
+@pytest.mark.parametrize(
+    ("key", "better"),
+    [
+        ("ate_rmse_cm", "low"),
+        ("psnr_unseen_db", "high"),
+        ("mesh_f_score_1cm_percent", "high"),
+        ("mesh_completion_cm", "low"),
+        ("tracking_ms_per_frame", "low"),
+        ("ms_ssim", "high"),
+        ("accuracy_level_1_percent", "high"),
+        ("ece_percent", "low"),
+        ("ate_pairs", None),
+        ("frames", None),
+        ("psnr_convention", None),
+    ],
+)
+def test_the_better_direction_follows_from_the_name(key, better):
+    assert direction(key) == better
+
+
+def test_bad_comparisons_are_reported_in_one_line(tiny_run, other_run, tmp_path, capsys):
+    out = ["--out", tmp_path / "a.html"]
+    assert "at least two" in one_line_of_error(capsys, "compare", tiny_run, *out)
+    line = one_line_of_error(capsys, "compare", tiny_run, other_run, "--out", tmp_path / "a.pdf")
+    assert ".html" in line
+    line = one_line_of_error(capsys, "compare", tiny_run, tmp_path / "nothing", *out)
+    assert "contains no run" in line
+    (other_run / "metrics.json").unlink()
+    assert "--resume" in one_line_of_error(capsys, "compare", tiny_run, other_run, *out)

@@ -1,0 +1,83 @@
+"""Relations between simple bodies whose arrangement is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from labelled_room import T_MAP_ROOM, sheet, table
+
+from toolkit.geometry import se3
+from toolkit.semantics.boxes import Ground
+from toolkit.semantics.relations import RelationOptions, relations
+
+GROUND = Ground(T_MAP_ROOM[:3, 2], float(T_MAP_ROOM[:3, 3] @ T_MAP_ROOM[:3, 2]))
+TABLE_TOP_M = 0.75
+
+
+def box(x: float, y: float, z: float, size: float, lid: bool = True) -> np.ndarray:
+    """Surface of a cube, its lower corner at a place; z is up."""
+    a, b, c = (size, 0, 0), (0, size, 0), (0, 0, size)
+    sides = [
+        sheet((x, y, z), a, c, 0.02),
+        sheet((x, y + size, z), a, c, 0.02),
+        sheet((x, y, z), b, c, 0.02),
+        sheet((x + size, y, z), b, c, 0.02),
+        sheet((x, y, z), a, b, 0.02),
+    ]
+    return np.concatenate([*sides, sheet((x, y, z + size), a, b, 0.02)] if lid else sides)
+
+
+def found(options: RelationOptions | None = None, **bodies: np.ndarray) -> set[tuple]:
+    """Relations by name; bodies called floor or wall have that role."""
+    names = list(bodies)
+    roles = [name if name in ("floor", "wall") else "object" for name in names]
+    points = [se3.transform_points(T_MAP_ROOM, body) for body in bodies.values()]
+    return {
+        (names[r.source], r.kind, names[r.target])
+        for r in relations(points, GROUND, roles, options)
+    }
+
+
+FLOOR = sheet((0, 0, 0), (4, 0, 0), (0, 3, 0))
+
+
+def test_things_stand_on_what_is_below_them():
+    cup = box(2.0, 1.3, TABLE_TOP_M + 0.01, 0.1)
+    assert found(floor=FLOOR, table=table(1.5, 1.0), cup=cup) == {
+        ("table", "on", "floor"),
+        ("cup", "on", "table"),
+    }
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.05])
+def test_the_gap_of_a_contact_is_an_option(gap_m):
+    cup = box(2.0, 1.3, TABLE_TOP_M + gap_m, 0.1)
+    strict = RelationOptions(contact_m=0.03, next_to_m=0.01)
+    related = ("cup", "on", "table") in found(strict, table=table(1.5, 1.0), cup=cup)
+    assert related == (gap_m < 0.03)
+
+
+def test_things_are_in_what_surrounds_them():
+    bin_, ball = box(1.0, 1.0, 0.0, 0.4, lid=False), box(1.15, 1.15, 0.03, 0.1)
+    assert found(floor=FLOOR, bin=bin_, ball=ball) == {
+        ("bin", "on", "floor"),
+        ("ball", "in", "bin"),
+    }
+
+
+def test_a_table_does_not_contain_what_is_below_it():
+    below = box(2.0, 1.3, 0.0, 0.2)
+    assert ("crate", "in", "table") not in found(floor=FLOOR, table=table(1.5, 1.0), crate=below)
+
+
+def test_neighbours_are_next_to_each_other_once_and_also_to_walls():
+    wall = sheet((0, 0, 0), (4, 0, 0), (0, 0, 2.5))
+    near, far = box(1.0, 0.1, 0.0, 0.4), box(3.0, 1.5, 0.0, 0.4)
+    beside = box(1.5, 0.1, 0.0, 0.4)
+    related = found(floor=FLOOR, wall=wall, a=near, b=beside, c=far)
+    assert {r for r in related if r[1] == "next to"} == {
+        ("wall", "next to", "a"),
+        ("wall", "next to", "b"),
+        ("a", "next to", "b"),
+    }
+    assert not any(source in ("floor", "wall") and kind == "on" for source, kind, _ in related)

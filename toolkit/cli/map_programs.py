@@ -1,0 +1,101 @@
+"""Arguments of the jobs that write maps for other programs or change them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional
+
+from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
+from toolkit.options import Fraction, PositiveFloat, PositiveInt, Range
+
+# A mesh of a room with smaller voxels does not fit in memory.
+VoxelSize = Annotated[float, Range(ge=0.001)]
+ColourValue = Annotated[int, Range(ge=0, le=255)]
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Export the map of a finished run for other programs."""
+
+    run: Positional[Path]
+    """Run folder."""
+    to: Path
+    """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
+    format: ExportFormat | None = None
+    """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
+    .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz) or
+    occupancy-grid (.yaml)."""
+    mesh: bool = False
+    """Short for --format mesh."""
+    points: bool = False
+    """Short for --format points: the centres of opaque Gaussians (.ply, .pcd)."""
+    voxel_m: VoxelSize = 0.015
+    """Voxel size of meshes, in metres. Memory grows with its inverse square."""
+    max_depth_m: PositiveFloat = 6.0
+    """Maximum depth fused into meshes, in metres."""
+    every: PositiveInt = 3
+    """Interval of the poses that are fused into meshes or exported with images: every n-th one."""
+    images: Literal["copy", "render", "reference"] = "copy"
+    """Images of COLMAP and nerfstudio formats: recorded images as the run used them (copy), images
+    of the map (render), or the files of the dataset without a copy (reference)."""
+    max_points: PositiveInt = 100_000
+    """Maximum number of points in COLMAP and nerfstudio formats."""
+    keep: tuple[str, ...] = ()
+    """Classes and groups of the taxonomy to export: names, or paths such as
+    "large items > furnishings"; "void" selects Gaussians without a label. By default, all."""
+    drop: tuple[str, ...] = ()
+    """Classes and groups of the taxonomy to exclude."""
+    floor: tuple[str, ...] = ()
+    """Classes of the floor, which determines the vertical direction. By default, those of floor,
+    ground, rug and carpet that the taxonomy contains."""
+    grid: GridOptions = GridOptions()
+    objects: ObjectGraphOptions = ObjectGraphOptions()
+
+    @property
+    def kind(self) -> ExportFormat:
+        """Format of the export, from the options or the file name."""
+        name = self.to.name.lower()
+        if self.format is not None:
+            return self.format
+        if self.mesh or name.endswith(".mesh.ply"):
+            return "mesh"
+        if self.points:
+            return "points"
+        return _FORMATS_BY_SUFFIX.get(self.to.suffix.lower(), "splats")
+
+
+_FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
+    ".pcd": "points",
+    ".glb": "gltf",
+    ".gltf": "gltf",
+    ".las": "labelled-points",
+    ".laz": "labelled-points",
+    ".yaml": "occupancy-grid",
+}
+
+
+@dataclass(frozen=True)
+class EditOptions:
+    """Edit the labelled map of a finished run by class; report the holes that are left behind."""
+
+    run: Positional[Path]
+    """Run folder."""
+    out: Path
+    """Folder to write, new or empty: map.ply, edit.json and renders/."""
+    remove: tuple[str, ...] = ()
+    """Classes and groups to remove, named as for `semsplat query`."""
+    keep: tuple[str, ...] = ()
+    """Classes and groups to keep; all others are removed."""
+    move: tuple[tuple[str, float, float, float], ...] = ()
+    """Classes and groups to move: a name, and metres to the right, down and forward as seen by the
+    first camera of the run."""
+    recolour: tuple[tuple[str, ColourValue, ColourValue, ColourValue], ...] = ()
+    """Classes and groups to recolour: a name, and red, green and blue from 0 to 255. Differences in
+    brightness are kept."""
+    min_confidence: Fraction = 0.0
+    """Minimum confidence of the class of an edited Gaussian."""
+    every: PositiveInt = 10
+    """Interval of the poses of the run that are rendered: every n-th one."""

@@ -1,0 +1,51 @@
+"""Options of exports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from toolkit.options import PositiveFloat, PositiveInt
+
+ExportFormat = Literal[
+    "splats",
+    "mesh",
+    "points",
+    "labelled-points",
+    "gltf",
+    "colmap-text",
+    "colmap-binary",
+    "nerfstudio",
+    "occupancy-grid",
+    "scene-graph",
+    "floor-plan",
+]
+FOLDER_FORMATS = ("colmap-text", "colmap-binary", "nerfstudio")
+
+
+@dataclass(frozen=True)
+class GridOptions:
+    """Occupancy grids and floor plans."""
+
+    cell_m: PositiveFloat = 0.05
+    """Edge of a cell of an occupancy grid, in metres. A pixel of a floor plan is 0.02 m."""
+    min_height_m: PositiveFloat = 0.1
+    """Minimum height above the floor of obstacles, in metres."""
+    max_height_m: PositiveFloat = 1.8
+    """Maximum height above the floor of obstacles, in metres: the height of the robot."""
+    min_gaussians: PositiveInt = 3
+    """Minimum number of Gaussians of an obstacle in a cell."""
+
+
+@dataclass(frozen=True)
+class ObjectGraphOptions:
+    """Objects and relations of scene graphs."""
+
+    link_m: PositiveFloat = 0.06
+    """Maximum distance between neighbouring Gaussians of one object, in metres."""
+    min_gaussians: PositiveInt = 50
+    """Minimum number of Gaussians of an object."""
+    contact_m: PositiveFloat = 0.08
+    """Maximum vertical gap between an object and the one that supports it, in metres."""
+    next_to_m: PositiveFloat = 0.3
+    """Maximum distance between objects that are next to each other, in metres."""

@@ -1,0 +1,71 @@
+"""Two-dimensional occupancy grids as ROS's map_server reads them: an image and a YAML file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from toolkit.io.atomic import write_bytes
+
+# Grey values that map_saver writes for the three states of a cell. map_server turns a value v into
+# the probability (255 - v) / 255 and compares it with the thresholds below.
+OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205
+_OCCUPIED_THRESHOLD, _FREE_THRESHOLD = 0.65, 0.196
+
+UNKNOWN, FREE, OCCUPIED = -1, 0, 100
+
+
+@dataclass(frozen=True)
+class OccupancyGrid:
+    """A grid of the floor; x and y are horizontal, z is up, and the floor is at z = 0.
+
+    Attributes:
+        cells: [H, W] int8, rows along y and columns along x: -1 unknown, 0 free, 100 occupied, as
+            in ROS's messages.
+        cell_m: edge of a cell in metres.
+        origin_m: x and y of the outer corner of cell (0, 0), in metres.
+        T_grid_map: [4, 4] pose of the map in the frame of the grid.
+    """
+
+    cells: NDArray[np.int8]
+    cell_m: float
+    origin_m: tuple[float, float]
+    T_grid_map: NDArray[np.float64]
+
+    def __str__(self) -> str:
+        rows, columns = self.cells.shape[0], self.cells.shape[1]
+        cell_m2 = self.cell_m**2
+        free_m2 = cell_m2 * int((self.cells == FREE).sum())
+        occupied_m2 = cell_m2 * int((self.cells == OCCUPIED).sum())
+        return f"{columns} x {rows} cells, {free_m2:.1f} m2 free, {occupied_m2:.1f} m2 occupied"
+
+
+def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
+    """Write NAME.yaml and the image NAME.pgm beside it.
+
+    Raises:
+        RunFolderError: a file cannot be written.
+    """
+    image = np.full(grid.cells.shape, UNKNOWN_GREY, np.uint8)
+    image[grid.cells == FREE] = FREE_GREY
+    image[grid.cells == OCCUPIED] = OCCUPIED_GREY
+    picture = path.with_suffix(".pgm")
+    rows, columns = (int(side) for side in grid.cells.shape)
+    # The first row of the image is the one with the largest y.
+    write_bytes(picture, f"P5\n{columns} {rows}\n255\n".encode() + image[::-1].tobytes())
+    content = {
+        "image": picture.name,
+        "mode": "trinary",
+        "resolution": float(grid.cell_m),
+        "origin": [*map(float, grid.origin_m), 0.0],
+        "negate": 0,
+        "occupied_thresh": _OCCUPIED_THRESHOLD,
+        "free_thresh": _FREE_THRESHOLD,
+        # Ignored by map_server; relates the grid to the poses of the run.
+        "T_grid_map": grid.T_grid_map.tolist(),
+    }
+    write_bytes(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None).encode())

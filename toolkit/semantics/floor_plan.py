@@ -1,0 +1,164 @@
+"""Orthographic floor plans of labelled maps: classes seen from above, with their areas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.io.visualisation import LegendEntry, RgbImage, with_legend
+from toolkit.semantics.boxes import Ground, floor_area_m2, oriented_box
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.query import CEILING_NAMES, LabelledMap
+from toolkit.semantics.taxonomy import VOID
+
+Array = NDArray[np.float64]
+
+PIXEL_M = 0.02
+# Discs of this many standard deviations cover a surface without gaps between Gaussians.
+_DISC_SIGMAS = 1.5
+_MAX_DISC = 6
+_MARGIN = 12
+# Small maps are enlarged to this width, and the map is thinned out beyond this size.
+_MIN_WIDTH, _MAX_SIDE = 480, 3000
+_MIN_AREA_M2 = 0.02
+_BACKGROUND, _INK = (245, 246, 248), (40, 48, 58)
+# Gaussians higher than this percentile of the heights are the ceiling where it has no label.
+_TOP_PERCENT = 97.0
+
+
+@dataclass(frozen=True)
+class ClassArea:
+    """A class in a floor plan.
+
+    Attributes:
+        name: name of the class.
+        area_m2: area of its vertical projection in square metres.
+        colour: RGB, 0 to 255.
+    """
+
+    name: str
+    area_m2: float
+    colour: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """A map seen from above.
+
+    Attributes:
+        class_ids: [H, W] int32 class of the highest Gaussian at each pixel, 0 for void, -1 where
+            the map is empty. The first row has the largest y.
+        pixel_m: edge of a pixel in metres.
+        areas: classes with their areas, largest first.
+        path: [P, 2] pixels (column, row) of the camera positions.
+    """
+
+    class_ids: NDArray[np.int32]
+    pixel_m: float
+    areas: Sequence[ClassArea]
+    path: NDArray[np.float64]
+
+
+def floor_plan(
+    labelled: LabelledMap, radii_m: Array, ground: Ground, cameras_m: Array, palette: Palette
+) -> FloorPlan:
+    """Project a map onto its floor; ceilings are left out.
+
+    Args:
+        labelled: N Gaussians with labels.
+        radii_m: [N] their standard deviations.
+        ground: the plane of the floor.
+        cameras_m: [P, 3] positions of the camera in the frame of the map.
+        palette: colours of the classes.
+    """
+    ceilings = [k for k, name in enumerate(labelled.taxonomy.classes, 1) if name in CEILING_NAMES]
+    shown = ~labelled.selected(labelled.known(CEILING_NAMES))
+    shown &= ~np.isin(labelled.labels.label, ceilings)
+    axes = oriented_box(labelled.means_m[shown], ground).axes  # along the walls
+    points = labelled.means_m @ axes
+    if shown.all():
+        shown = points[:, 2] <= np.percentile(points[:, 2], _TOP_PERCENT)
+    visible = points[shown]
+    side_m = float(np.ptp(visible[:, :2], axis=0).max())
+    pixel_m = PIXEL_M * max(1, math.ceil(side_m / PIXEL_M / _MAX_SIDE))
+    low = visible[:, :2].min(axis=0) - _MARGIN * pixel_m
+    size = np.ceil((visible[:, :2].max(axis=0) - low) / pixel_m).astype(int) + _MARGIN
+    places = (visible[:, :2] - low) / pixel_m
+    sizes = np.minimum(np.rint(_DISC_SIGMAS * radii_m[shown] / pixel_m), _MAX_DISC).astype(int)
+    highest = _highest(places, sizes, visible[:, 2], (int(size[1]), int(size[0])))
+    class_ids = np.where(highest >= 0, labelled.labels.label[shown][highest], -1)
+    path = (cameras_m @ axes[:, :2] - low) / pixel_m
+    path[:, 1] = size[1] - path[:, 1]
+    areas = _areas(labelled, shown, ground, palette)
+    return FloorPlan(class_ids[::-1].astype(np.int32), pixel_m, areas, path)
+
+
+def _highest(
+    places: Array, sizes: NDArray[np.intp], height_m: Array, shape: tuple[int, int]
+) -> NDArray[np.intp]:
+    """Return the index of the highest disc that covers each cell [H, W], -1 for none."""
+    best = np.full(shape, -1, np.intp)
+    top = np.full(shape, -np.inf)
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size)
+        index = index[np.argsort(height_m[index], kind="stable")]
+        columns, rows = np.floor(places[index]).astype(int).T
+        span = range(-int(size), int(size) + 1)
+        for i, j in ((i, j) for i in span for j in span if i * i + j * j <= size * size):
+            row = np.clip(rows + i, 0, shape[0] - 1)
+            column = np.clip(columns + j, 0, shape[1] - 1)
+            layer = np.full(shape, -1, np.intp)
+            layer[row, column] = index  # ascending heights: the highest is written last
+            higher = (layer >= 0) & (height_m[layer] > top)
+            best[higher] = layer[higher]
+            top[higher] = height_m[layer[higher]]
+    return best
+
+
+def _areas(
+    labelled: LabelledMap, shown: NDArray[np.bool_], ground: Ground, palette: Palette
+) -> list[ClassArea]:
+    label = np.where(shown, labelled.labels.label, VOID)
+    areas = []
+    for class_id in np.unique(label[label != VOID]).tolist():
+        area_m2 = floor_area_m2(labelled.means_m[label == class_id], ground)
+        r, g, b = palette.classes[class_id].tolist()
+        if area_m2 >= _MIN_AREA_M2:
+            areas.append(ClassArea(labelled.taxonomy.classes[class_id - 1], area_m2, (r, g, b)))
+    return sorted(areas, key=lambda area: -area.area_m2)
+
+
+def draw_floor_plan(plan: FloorPlan, palette: Palette, legend: bool = True) -> RgbImage:
+    """Return the picture of a floor plan: classes, camera path and scale.
+
+    Args:
+        legend: append the classes with their areas.
+    """
+    colours = np.concatenate([palette.classes, np.array([_BACKGROUND], np.uint8)])
+    colours[VOID] = (150, 156, 164)
+    image = colours[plan.class_ids]  # -1 is the background, the last row
+    factor = max(1, math.ceil(_MIN_WIDTH / image.shape[1]))
+    image = np.ascontiguousarray(image.repeat(factor, axis=0).repeat(factor, axis=1))
+    if len(plan.path) > 1:
+        points = np.rint(factor * plan.path).astype(np.int32)
+        cv2.polylines(image, [points], False, (255, 255, 255), 3, cv2.LINE_AA)
+        cv2.polylines(image, [points], False, _INK, 1, cv2.LINE_AA)
+    _draw_scale(image, factor / plan.pixel_m)
+    if not legend:
+        return image
+    entries = [LegendEntry(f"{a.name} {a.area_m2:.2f} m2", a.colour) for a in plan.areas]
+    return with_legend(image, entries)
+
+
+def _draw_scale(image: RgbImage, pixels_per_m: float) -> None:
+    """Draw a bar of one metre in the lower left corner."""
+    length, bottom = round(pixels_per_m), image.shape[0] - 8
+    cv2.line(image, (8, bottom), (8 + length, bottom), _INK, 2)
+    cv2.putText(
+        image, "1 m", (12, bottom - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA
+    )

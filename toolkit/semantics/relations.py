@@ -1,0 +1,166 @@
+"""Spatial relations between the objects of a labelled map: on, in, next to.
+
+The relations are geometric: they are derived from the Gaussians of the objects above the plane of
+the floor, and need no knowledge about classes.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.neighbors import KDTree
+
+from toolkit.semantics.boxes import Ground
+
+Array = NDArray[np.float64]
+RelationKind = Literal["on", "in", "next to"]
+Role = Literal["object", "wall", "floor"]
+
+# Cell of the comparison of footprints; larger than the spacing of Gaussians.
+_CELL_M = 0.05
+# Minimum share of the footprint of an object below which a supporting object lies.
+_MIN_SUPPORT = 0.3
+# The lowest part of an object is this percentile of the heights of its Gaussians, because single
+# Gaussians with wrong labels may lie below.
+_BOTTOM_PERCENT = 2.0
+# Minimum share of the Gaussians of an object inside the box of its container.
+_MIN_INSIDE = 0.8
+# A container surrounds an object in at least this many of 16 horizontal directions.
+_SECTORS, _MIN_SECTORS = 16, 12
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A relation between two objects, by their numbers: `source` is on, in or next to `target`."""
+
+    source: int
+    target: int
+    kind: RelationKind
+
+
+@dataclass(frozen=True)
+class RelationOptions:
+    """Options of relations.
+
+    Attributes:
+        contact_m: maximum vertical gap to a supporting object, in metres.
+        next_to_m: maximum distance between objects that are next to each other, in metres.
+    """
+
+    contact_m: float = 0.08
+    next_to_m: float = 0.3
+
+
+class _Body:
+    """The points [N, 3] of an object along the axes of the floor; the third is the height."""
+
+    def __init__(self, points: Array) -> None:
+        self.points = points
+        self.bottom = float(np.percentile(points[:, 2], _BOTTOM_PERCENT))
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        self.cells = _cells(points)
+
+    def on(self, other: _Body, contact_m: float) -> bool:
+        """Return whether enough of the footprint has points of `other` right below the bottom."""
+        height = other.points[:, 2]
+        touching = (height >= self.bottom - contact_m) & (height <= self.bottom + contact_m / 2)
+        # What the object hides was not observed, so its surroundings support it as well.
+        support = _grown(_cells(other.points[touching]))
+        return len(self.cells & support) >= _MIN_SUPPORT * len(self.cells)
+
+    def within(self, other: _Body) -> bool:
+        """Return whether `other` surrounds this object."""
+        inside = ((self.points >= other.low) & (self.points <= other.high)).all(axis=1)
+        if inside.mean() < _MIN_INSIDE:
+            return False
+        heights = other.points[:, 2]
+        beside = other.points[(heights >= self.bottom) & (heights <= self.high[2])]
+        offset = beside[:, :2] - self.points[:, :2].mean(axis=0)
+        angles = np.arctan2(offset[:, 1], offset[:, 0])
+        sectors = np.floor((angles + np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+        return len(np.unique(sectors)) >= _MIN_SECTORS
+
+    def far(self, other: _Body, distance_m: float) -> bool:
+        """Return whether the boxes are farther from each other than a distance."""
+        gap = np.maximum(self.low - other.high, other.low - self.high)
+        return bool((gap > distance_m).any())
+
+
+def relations(
+    objects: Sequence[Array],
+    ground: Ground,
+    roles: Sequence[Role],
+    options: RelationOptions | None = None,
+) -> list[Relation]:
+    """Return the relations between objects.
+
+    An object is in another one that surrounds it, else on the one with points right below its
+    bottom. Objects are next to each other if neither supports or contains the other and they are
+    close; such pairs are reported once. Walls and floors are neither on nor in anything. Objects
+    can be next to walls, but not to floors.
+
+    Args:
+        objects: centres [n, 3] of the Gaussians of each object, in the frame of the map.
+        ground: plane of the floor.
+        roles: role of each object; ceilings count as floors.
+        options: options of the relations.
+    """
+    options = options or RelationOptions()
+    bodies = [_Body(points_m @ ground.axes) for points_m in objects]
+    vertical = [
+        relation
+        for source, body in enumerate(bodies)
+        if roles[source] == "object"
+        for relation in _support(source, body, bodies, roles, options)
+    ]
+    linked = {frozenset((r.source, r.target)) for r in vertical}
+    trees = [KDTree(body.points) for body in bodies]
+
+    def near(a: int, b: int) -> bool:
+        pair = {roles[a], roles[b]}
+        if frozenset((a, b)) in linked or "floor" in pair or "object" not in pair:
+            return False
+        if bodies[a].far(bodies[b], options.next_to_m):
+            return False
+        distance_m, _ = trees[b].query(bodies[a].points)
+        return bool(distance_m.min() <= options.next_to_m)
+
+    pairs = itertools.combinations(range(len(bodies)), 2)
+    return vertical + [Relation(a, b, "next to") for a, b in pairs if near(a, b)]
+
+
+def _support(
+    source: int,
+    body: _Body,
+    bodies: Sequence[_Body],
+    roles: Sequence[Role],
+    options: RelationOptions,
+) -> list[Relation]:
+    """Return the container of an object, else what it stands on."""
+    others = [k for k in range(len(bodies)) if k != source]
+    containers = [k for k in others if roles[k] == "object" and body.within(bodies[k])]
+    if containers:
+        # The smallest container; the others contain that one.
+        smallest = min(containers, key=lambda k: float(np.prod(np.ptp(bodies[k].points, axis=0))))
+        return [Relation(source, smallest, "in")]
+    # An object that reaches below another one does not stand on it.
+    return [
+        Relation(source, k, "on")
+        for k in others
+        if body.on(bodies[k], options.contact_m) and not bodies[k].on(body, options.contact_m)
+    ]
+
+
+def _cells(points: Array) -> set[tuple[int, int]]:
+    cells = np.unique(np.floor(points[:, :2] / _CELL_M).astype(int), axis=0)
+    return set(map(tuple, cells.tolist()))
+
+
+def _grown(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
+    steps = (-1, 0, 1)
+    return {(x + i, y + j) for x, y in cells for i in steps for j in steps}
