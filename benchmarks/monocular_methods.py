@@ -133,22 +133,37 @@ def orbslam3(frames: EveryNth, camera: Camera, folder: Path, vocabulary: Path) -
 
 def _orb_settings(camera: Camera) -> str:
     """The settings file: the values of its examples, but for the camera."""
-    values = {
-        **{"Camera1.fx": camera.fx, "Camera1.fy": camera.fy},
-        **{"Camera1.cx": camera.cx, "Camera1.cy": camera.cy},
-        **{f"Camera1.{name}": 0.0 for name in ("k1", "k2", "p1", "p2")},
-        **{"Camera.width": camera.width, "Camera.height": camera.height},
-        **{"Camera.fps": 30, "Camera.RGB": 1},
-        **{"ORBextractor.nFeatures": _ORB_FEATURES, "ORBextractor.scaleFactor": 1.2},
-        **{"ORBextractor.nLevels": 8, "ORBextractor.iniThFAST": 20, "ORBextractor.minThFAST": 7},
-        **{"Viewer.KeyFrameSize": 0.05, "Viewer.KeyFrameLineWidth": 1.0},
-        **{"Viewer.GraphLineWidth": 0.9, "Viewer.PointSize": 2.0},
-        **{"Viewer.CameraSize": 0.08, "Viewer.CameraLineWidth": 3.0},
-        **{"Viewer.ViewpointX": 0.0, "Viewer.ViewpointY": -0.7},
-        **{"Viewer.ViewpointZ": -1.8, "Viewer.ViewpointF": 500.0},
-    }
-    lines = ["%YAML:1.0", 'File.version: "1.0"', 'Camera.type: "PinHole"']
-    return "\n".join([*lines, *(f"{name}: {value}" for name, value in values.items())]) + "\n"
+    return f"""%YAML:1.0
+File.version: "1.0"
+Camera.type: "PinHole"
+Camera1.fx: {camera.fx}
+Camera1.fy: {camera.fy}
+Camera1.cx: {camera.cx}
+Camera1.cy: {camera.cy}
+Camera1.k1: 0.0
+Camera1.k2: 0.0
+Camera1.p1: 0.0
+Camera1.p2: 0.0
+Camera.width: {camera.width}
+Camera.height: {camera.height}
+Camera.fps: 30
+Camera.RGB: 1
+ORBextractor.nFeatures: {_ORB_FEATURES}
+ORBextractor.scaleFactor: 1.2
+ORBextractor.nLevels: 8
+ORBextractor.iniThFAST: 20
+ORBextractor.minThFAST: 7
+Viewer.KeyFrameSize: 0.05
+Viewer.KeyFrameLineWidth: 1.0
+Viewer.GraphLineWidth: 0.9
+Viewer.PointSize: 2.0
+Viewer.CameraSize: 0.08
+Viewer.CameraLineWidth: 3.0
+Viewer.ViewpointX: 0.0
+Viewer.ViewpointY: -0.7
+Viewer.ViewpointZ: -1.8
+Viewer.ViewpointF: 500.0
+"""
 
 
 def colmap(frames: EveryNth, camera: Camera, folder: Path) -> Trajectory:

@@ -22,6 +22,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
+    "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
+    "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
 }
 
