@@ -20,10 +20,9 @@ import open3d  # noqa: F401
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.recordings import RECORDINGS, room
+from benchmarks.recordings import opened
 from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.frame import Frame
 from toolkit.geometry import se3
@@ -37,7 +36,7 @@ Grey = NDArray[np.uint8]
 # ORB-SLAM3 maps in a thread of its own while the next images are tracked. It is given images at
 # this interval, which is several times what it needs for one on the slowest machine.
 _INTERVAL_S = 0.15
-_TRACKED = "OK"
+_TRACKED, _RECENTLY_LOST = "OK", "RECENTLY_LOST"
 _ORB_FEATURES = 1000
 _SIFT_FEATURES = 2000
 
@@ -58,6 +57,19 @@ class Options:
     """Words of ORB-SLAM3."""
 
 
+@dataclass(frozen=True)
+class Motion:
+    """What a method found.
+
+    Attributes:
+        trajectory: poses.
+        located: number of frames with a pose, also those whose pose the method does not return.
+    """
+
+    trajectory: Trajectory
+    located: int
+
+
 class EveryNth:
     """Every N-th frame of a dataset."""
 
@@ -74,14 +86,6 @@ class EveryNth:
         return (self._dataset[index] for index in self._indices)
 
 
-def opened(sequence: str) -> RecordedDataset:
-    """The dataset of a key of RECORDINGS or of ROOMS."""
-    recording = RECORDINGS.get(sequence)
-    if recording is None:
-        return open_dataset("synthetic", room(sequence))
-    return open_dataset(recording.kind, recording.path, recording.image_size, needs_depth=False)
-
-
 def grey(frame: Frame) -> Grey:
     """The grey image [H, W] that all methods are given."""
     return np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
@@ -96,39 +100,48 @@ def main() -> None:
     before_s = time.process_time()
     if options.method == "semsplat":
         trajectory = estimate_motion(frames, dataset.camera).trajectory
+        motion = Motion(trajectory, len(trajectory))
     elif options.method == "colmap":
-        trajectory = colmap(frames, dataset.camera, options.out.parent)
+        motion = colmap(frames, dataset.camera, options.out.parent)
     else:
         assert options.vocabulary is not None
-        trajectory = orbslam3(frames, dataset.camera, options.out.parent, options.vocabulary)
+        motion = orbslam3(frames, dataset.camera, options.out.parent, options.vocabulary)
     np.savez(
         options.out,
-        timestamps_s=trajectory.timestamps_s,
-        T_world_camera=trajectory.T_world_camera,
+        timestamps_s=motion.trajectory.timestamps_s,
+        T_world_camera=motion.trajectory.T_world_camera,
+        located=motion.located,
         cpu_s=time.process_time() - before_s,
         peak_memory_mb=peak_memory_mb(),
     )
 
 
-def orbslam3(frames: EveryNth, camera: Camera, folder: Path, vocabulary: Path) -> Trajectory:
-    """Poses of ORB-SLAM3, of the frames that it tracked."""
-    import orbslam3  # type: ignore[import-not-found]
+def orbslam3(frames: EveryNth, camera: Camera, folder: Path, vocabulary: Path) -> Motion:
+    """Frames that ORB-SLAM3 tracked without a new map in between, the longest series of them.
+
+    The package returns the final poses of only those frames whose keyframe is still in the map.
+    """
+    import orbslam3
 
     settings = folder / "orbslam3.yaml"
     settings.write_text(_orb_settings(camera), encoding="ascii")
     system = orbslam3.System(str(vocabulary), str(settings), orbslam3.Sensor.MONOCULAR)
     system.set_use_viewer(False)
     system.initialize()
-    tracked = set()
+    maps: list[set[float]] = [set()]
     for frame in frames:
         begin = time.perf_counter()
         system.process_image_mono(grey(frame), frame.timestamp_s)
-        if str(system.get_tracking_state()) == _TRACKED:
-            tracked.add(frame.timestamp_s)
+        state = str(system.get_tracking_state())
+        if state == _TRACKED:
+            maps[-1].add(frame.timestamp_s)
+        elif state != _RECENTLY_LOST:
+            maps.append(set())
         time.sleep(max(0.0, _INTERVAL_S - (time.perf_counter() - begin)))
-    found = [(t, T) for t, T in system.get_trajectory_points() if t in tracked]
+    largest = max(maps, key=len)
+    found = [(t, T) for t, T in system.get_trajectory_points() if t in largest]
     system.shutdown()
-    return _trajectory(found)
+    return Motion(_trajectory(found), len(largest))
 
 
 def _orb_settings(camera: Camera) -> str:
@@ -166,9 +179,9 @@ Viewer.ViewpointF: 500.0
 """
 
 
-def colmap(frames: EveryNth, camera: Camera, folder: Path) -> Trajectory:
+def colmap(frames: EveryNth, camera: Camera, folder: Path) -> Motion:
     """Poses of the largest model of COLMAP's incremental mapping."""
-    import pycolmap  # type: ignore[import-not-found]
+    import pycolmap
 
     images, database = folder / "images", folder / "database.db"
     images.mkdir()
@@ -209,7 +222,7 @@ def colmap(frames: EveryNth, camera: Camera, folder: Path) -> Trajectory:
     for image in [] if largest is None else largest.images.values():
         T_camera_world = np.vstack([image.cam_from_world().matrix(), [0.0, 0.0, 0.0, 1.0]])
         found.append((times_s[image.name], T_camera_world))
-    return _trajectory(found)
+    return Motion(_trajectory(found), len(found))
 
 
 def _trajectory(poses: Sequence[tuple[float, NDArray[np.floating]]]) -> Trajectory:

@@ -43,7 +43,7 @@ class _Tree:
 
 def write_vocabulary(path: Path, images: Iterable[NDArray[np.uint8]]) -> None:
     """Train a vocabulary on grey images [H, W]."""
-    orb = cv2.ORB_create(_FEATURES)  # type: ignore[attr-defined]
+    orb = cv2.ORB_create(_FEATURES)
     found = [orb.detectAndCompute(image, None)[1] for image in images]
     found = [descriptors for descriptors in found if descriptors is not None]
     image = np.repeat(np.arange(len(found)), [len(descriptors) for descriptors in found])
