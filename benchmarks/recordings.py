@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.report import WORK
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.registry import open_dataset
 
 # Options of `semsplat make-room` for each synthetic sequence; a number behind the name is its seed.
 _RING = ("--layout", "ring", "--frames", "900")
@@ -22,6 +24,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
+    "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
+    "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
 }
 
@@ -62,6 +66,8 @@ RECORDINGS = {
     "hololens": Recording("folder", "hololens_walk"),
     "euroc": Recording("folder", "euroc_v101"),
 }
+# The file of true poses has the rotations from the world to the camera.
+INVERTED_ROTATIONS = ("euroc",)
 
 
 def sequence_arguments(name: str, seed: int = 0) -> list[str]:
@@ -77,6 +83,19 @@ def sequence_arguments(name: str, seed: int = 0) -> list[str]:
         resize = [] if size is None else ["--image-size", *map(str, size)]
         return [*_dataset_arguments(recording.kind, recording.path), *resize]
     return _dataset_arguments("synthetic", room(name, seed))
+
+
+def opened(name: str, seed: int = 0) -> RecordedDataset:
+    """The images of a recording or of a synthetic sequence, for methods that need no depth.
+
+    Args:
+        name: a key of RECORDINGS or of ROOMS.
+        seed: of the room.
+    """
+    recording = RECORDINGS.get(name)
+    if recording is None:
+        return open_dataset("synthetic", room(name, seed))
+    return open_dataset(recording.kind, recording.path, recording.image_size, needs_depth=False)
 
 
 def room(name: str, seed: int = 0) -> Path:

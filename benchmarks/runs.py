@@ -35,11 +35,22 @@ def run_metrics(arguments: Sequence[str], seed: int) -> Metrics:
     Raises:
         SystemExit: the run failed.
     """
+    with finished_run(arguments, seed) as (metrics, _):
+        return metrics
+
+
+@contextmanager
+def finished_run(arguments: Sequence[str], seed: int) -> Iterator[tuple[Metrics, RunFolder]]:
+    """metrics.json and the folder of `semsplat run`, which exists within this context.
+
+    Raises:
+        SystemExit: the run failed.
+    """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         semsplat("run", *arguments, "--seed", str(seed), "--out", str(out))
         metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
-        return metrics
+        yield metrics, RunFolder.open(out)
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,28 @@ def table_of(
     return Table((first_column, *columns), tuple(cells), title)
 
 
+def worst_table(
+    worst: Mapping[str, Callable[[Sequence[Any]], Any]],
+    rows: Rows,
+    first_column: str = "",
+    title: str = "",
+) -> Table:
+    """A table of the worst runs: `worst` chooses among the values of each column, as min or max."""
+    chosen = {
+        name: [{column: worst_of(runs, column, choose) for column, choose in worst.items()}]
+        for name, runs in rows.items()
+    }
+    return table_of(tuple(worst), chosen, first_column, title)
+
+
+def worst_of(
+    runs: Sequence[Metrics], column: str, choose: Callable[[Sequence[Any]], Any]
+) -> Any | None:
+    """What `choose` selects from a column; None if a value is missing."""
+    values = [run.get(column) for run in runs]
+    return None if not values or any(value is None for value in values) else choose(values)
+
+
 def median_cell(values: Sequence[Any]) -> str:
     """The median of numbers as text, n/a if one is missing; text that all agree on as it is."""
     if not values or any(value is None for value in values):

@@ -155,3 +155,27 @@ def test_twin_rooms_are_identical_except_for_their_position():
     assert [part.class_name for part in here] == [part.class_name for part in there]
     shift = np.array([third.centre_m[0] - first.centre_m[0], 0.0, 0.0])
     np.testing.assert_allclose(_points(here) + shift, _points(there), atol=1e-9)
+
+
+def test_an_orbit_shows_objects_in_the_middle_from_all_sides():
+    layout = LAYOUTS["orbit"]()
+    T = hand_held_path(layout.way_points, 200, 1.0, np.random.default_rng(0))
+    angles = np.unwrap(np.arctan2(T[:, 1, 3], T[:, 0, 3]))
+    assert np.ptp(angles) > 2.0 * np.pi
+    to_middle = np.array([0.0, 0.0, 0.55]) - T[:, :3, 3]
+    cosine = (to_middle * T[:, :3, 2]).sum(1) / np.linalg.norm(to_middle, axis=1)
+    assert np.degrees(np.arccos(cosine)).max() < 15.0
+    parts = [part for part in build_parts(layout, 0) if np.abs(_middle(part)).max() < 0.5]
+    names = {part.class_name for part in parts}
+    assert {"table", "vase", "book", "bowl", "sculpture", "cup"} <= names
+
+
+def _middle(part):
+    return bounds([part]).mean(axis=0)[:2]
+
+
+def test_a_still_camera_moves_less_than_a_hundredth_of_the_distance():
+    T = hand_held_path(LAYOUTS["still"]().way_points, 100, 1.0, np.random.default_rng(0))
+    assert np.sqrt(T[:, :3, 3].var(axis=0).sum()) < 0.015
+    turned = se3.rotation_angle_rad(T[0, :3, :3].T @ T[:, :3, :3])
+    assert 0.02 < turned.max() < 0.15

@@ -190,9 +190,10 @@ class MakeRoomOptions:
 
     out: Path
     """Folder to write: new, empty, or an earlier synthetic room."""
-    layout: Literal["room", "rooms", "hall", "ring", "twins"] = "room"
+    layout: Literal["room", "rooms", "hall", "ring", "twins", "orbit", "still"] = "room"
     """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring),
-    or three of which two are equal (twins)."""
+    three of which two are equal (twins), around a table with objects (orbit), or one room from a
+    single place (still)."""
     seed: NonNegativeInt = 0
     """Seed of furniture, textures, camera motion and sensor noise."""
     frames: PositiveInt | None = None

@@ -84,6 +84,18 @@ def _boxes_group(shop: Workshop) -> list[Part]:
     return parts
 
 
+def _table_of_objects(shop: Workshop) -> list[Part]:
+    """Objects on a round table whose centre is the origin."""
+    parts = moved(big.round_table(shop), placement(0.0, 0.45))
+    parts += moved(small.vase(shop), placement(0.0, 0.05, 0.45))
+    parts += moved(small.books(shop), placement(0.2, -0.1, 0.45, 0.06))
+    parts += moved(small.bowl(shop), placement(-0.22, 0.05, 0.45))
+    parts += moved(small.sculpture(shop), placement(0.05, 0.25, 0.45))
+    parts += moved(small.cup(shop), placement(-0.08, -0.22, 0.45))
+    parts += moved(small.plant(shop, 0.35), placement(0.0, -0.3, 0.45))
+    return parts
+
+
 def _standing(piece: Group, reach_m: float) -> Group:
     """Return a group of one piece, shifted so that its back is at y = 0."""
     return lambda shop: moved(piece(shop), placement(0.0, -reach_m))
@@ -104,7 +116,11 @@ STYLES: dict[str, tuple[Group, ...]] = {
     "office": (_desk_group, big.shelf, _cabinet_group, _boxes_group, _PLANT, _BIN),
     "dining": (_dining_group, _cabinet_group, big.shelf, big.stool, _BALL, _PLANT),
     "corridor": (_boxes_group, big.stool),
+    "display": (_sofa_group, _cabinet_group, big.wardrobe, big.shelf, big.floor_lamp, _BIN),
 }  # fmt: skip
+
+# What stands in the middle of a room, where no other style has anything.
+_MIDDLE: dict[str, Group] = {"display": _table_of_objects}
 
 
 def furnish(plan: RoomPlan, shop: Workshop) -> list[Part]:
@@ -122,6 +138,8 @@ def furnish(plan: RoomPlan, shop: Workshop) -> list[Part]:
         if len(best) == len(pieces):
             break
     parts = [part for piece in best for part in piece]
+    if plan.style in _MIDDLE:
+        parts += moved(_MIDDLE[plan.style](shop), placement(*plan.centre_m))
     return parts + _wall_hangings(plan, shop, _blocks(parts) + _kept_clear(plan))
 
 

@@ -21,6 +21,8 @@ _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
 _CORRIDOR_DEPTH_M = 1.9
 _NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
+_ORBIT_RADIUS_M, _ORBIT_HEIGHT_M, _TABLE_TOP_M = 1.05, 1.15, 0.55
+_ORBIT_POINTS, _ORBIT_STEP_RAD = 20, math.radians(20)
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,36 @@ def twin_rooms() -> Layout:
     The camera returns to the first of the two, so there is a true and a false loop candidate.
     """
     return _corridor_layout(("office", "living", "office"), (1, 2, 1), (0, 1, 2, 0))
+
+
+def orbit_of_objects() -> Layout:
+    """Objects on a table in the middle of a room, around which the camera moves a little more than
+    once while it looks at them, as in the film of an object."""
+    openings = (Opening("north", 4.2, "window"), Opening("south", 4.4, "door"))
+    plan = RoomPlan((0.0, 0.0), (5.4, 5.4), openings, "display")
+    points = []
+    for number in range(_ORBIT_POINTS):
+        angle = _ORBIT_STEP_RAD * number
+        radius = _ORBIT_RADIUS_M + 0.08 * math.sin(3.0 * number)
+        height = _ORBIT_HEIGHT_M + 0.12 * math.sin(1.1 * number)
+        target = 0.05 * math.sin(number), 0.05 * math.cos(2.0 * number), _TABLE_TOP_M
+        points.append(
+            WayPoint((radius * math.cos(angle), radius * math.sin(angle), height), target)
+        )
+    return Layout((plan,), (0,), tuple(points))
+
+
+def still_camera() -> Layout:
+    """The default room from one place: the hand shakes by a centimetre and a few degrees."""
+    room = single_room()
+    points = []
+    for number in range(12):
+        shift = 0.003 * math.sin(2.0 * number), 0.003 * math.sin(3.1 * number + 1.0)
+        aim = 0.1 * math.sin(1.7 * number), 0.1 * math.sin(0.9 * number + 0.5)
+        points.append(
+            WayPoint((0.7 + shift[0], 0.2 + shift[1], _EYE_M), (-1.3, aim[0], 0.85 + aim[1]))
+        )
+    return replace(room, way_points=tuple(points))
 
 
 def _corridor_layout(
@@ -233,4 +265,6 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "ring": ring_of_rooms,
     "twins": twin_rooms,
     "hall": hall_of_rooms,
+    "orbit": orbit_of_objects,
+    "still": still_camera,
 }

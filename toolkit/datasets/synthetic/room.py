@@ -37,7 +37,8 @@ class RoomSettings:
 
     Attributes:
         layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
-            close a loop) or "twins" (two of three rooms are identical).
+            close a loop), "twins" (two of three rooms are identical), "orbit" (around objects on
+            a table) or "still" (from one place).
         seed: random seed of furniture, textures, camera sway and noise, >= 0.
         frames: number of frames, distributed over the path; None for walking pace (300 for the
             default room, about 2000 for the others).
