@@ -5,12 +5,14 @@ The map is not used: two renderings of one map agree regardless of its drift.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.covariance import clustered_information
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.health import failure_reason
 from toolkit.alignment.joint import Estimate, Pair, align
@@ -75,13 +77,18 @@ def measure_offset(
     if found is None:
         return None
     T_first_second, matches = found
-    return _refined(first, second, T_first_second, matches, options)
+    return refine_offset(first, second, T_first_second, matches, options)
 
 
-def _refined(
+def refine_offset(
     first: Keyframe, second: Keyframe, start: Array, matches: int, options: MatchingOptions
 ) -> Offset | None:
-    """The offset after dense alignment, or None if that is not reliable."""
+    """The offset after dense alignment, or None if that is not reliable.
+
+    Args:
+        start: T_first_second [4, 4] from feature matches.
+        matches: number of inliers of these.
+    """
     levels = options.dense.levels
     model = [
         model_level(level)
@@ -102,7 +109,7 @@ def _refined(
         matches,
         visible,
         estimate.scales,
-        estimate.information / options.redundancy,
+        clustered_information([pair], estimate, options.dense),
         estimate.iterations,
     )
 
@@ -133,9 +140,19 @@ def _pixel_size(first: Camera, second: Camera) -> float:
     return max(1.0, first.focal / second.focal)
 
 
-def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:
-    """Mutual matches of two images with depth in both; None without any."""
-    a, b = (_keypoints(keyframe, options.features) for keyframe in (first, second))
+def match_features(
+    first: Keyframe,
+    second: Keyframe,
+    options: MatchingOptions,
+    keypoints: Callable[[Keyframe, int], Keypoints] | None = None,
+) -> Matched | None:
+    """Mutual matches of two images with depth in both; None without any.
+
+    Args:
+        keypoints: detects at most so many keypoints in a keyframe; by default without a cache.
+    """
+    keypoints = keypoints or keyframe_keypoints
+    a, b = (keypoints(keyframe, options.features) for keyframe in (first, second))
     matches = match_keypoints(a, b, options.ratio)
     if len(matches) == 0:
         return None
@@ -163,7 +180,8 @@ def _by_features(
     return matched.motion(options, generator)
 
 
-def _keypoints(keyframe: Keyframe, count: int) -> Keypoints:
+def keyframe_keypoints(keyframe: Keyframe, count: int) -> Keypoints:
+    """Keypoints of a keyframe's image, at most `count`."""
     grey = cv2.cvtColor(keyframe.rgb.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2GRAY)
     return detect_keypoints(grey, count)
 

@@ -71,7 +71,3 @@ class MatchingOptions:
     # Matches are accurate to one or two pixels, so that few levels suffice.
     dense: JointOptions = JointOptions(levels=3)
     limits: HealthLimits = HealthLimits()
-    # Residuals are not independent: with independent residuals, the squared pose errors were 2 to
-    # 13 times the expected ones in synthetic rooms.
-    redundancy: Annotated[float, Range(ge=1)] = 5.0
-    """Number of residuals that count as one in the information matrix."""

@@ -12,9 +12,25 @@ from toolkit.loops.options import (
     RelocalisationOptions,
     VerificationOptions,
 )
-from toolkit.options import Fraction, NonNegativeInt, Range
+from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, Range
 from toolkit.pose_graph.options import PoseGraphOptions
 from toolkit.registration.options import RegistrationOptions
+
+
+@dataclass(frozen=True)
+class PairOptions:
+    """Requirements that the images of two keyframes must meet to become a loop."""
+
+    # Of pairs of RedKitchen, HoloLens and the synthetic rooms, correct ones differ by 0.1 to 1.2 cm.
+    max_disagreement_m: PositiveFloat = 0.02
+    """Maximum difference of the two directions of alignment, in metres."""
+    max_disagreement_rad: PositiveFloat = 0.01
+    """Maximum difference of the two directions of alignment, in radians."""
+    min_visible: Fraction = 0.4
+    """Minimum fraction of a keyframe's image that the other one explains, in the better of the two
+    directions."""
+    max_sigma_m: PositiveFloat = 0.02
+    """Maximum standard deviation of the relative position, in metres."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +42,8 @@ class ClosingOptions:
     between: bool = True
     """Close loops between submaps by registration."""
     min_visible: Fraction = 0.4
-    """Minimum fraction of the second image of a keyframe pair that the first one explains."""
+    """Minimum overlap of two submaps' views for registering them at the end of a run."""
+    pairs: PairOptions = PairOptions()
     min_shared: Fraction = 0.3
     """Minimum fraction of a candidate keyframe's view that the other keyframe sees after the
     registration of their submaps."""

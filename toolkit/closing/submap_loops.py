@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import Record, registration_values, verdict
+from toolkit.closing.records import Record, motion_values, registration_values, verdict
 from toolkit.closing.visibility import Visibility
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
@@ -152,7 +152,6 @@ class SubmapLoops:
             points = se3.transform_points(edge.T_first_second, query.points_in_map())
             shared = float(match.reaches(points).mean()) if len(points) else 0.0
             T_first_query = edge.T_first_second @ query.T_map_camera
-            apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
             enough = shared >= self._options.min_shared
             reason = "" if enough else f"only {100 * shared:.0f} % of the view is shared"
             values = {
@@ -161,7 +160,7 @@ class SubmapLoops:
                 "query": pair.query,
                 "match": pair.match,
                 "shared": shared,
-                "apart_m": apart_m,
+                **motion_values(se3.inverse(match.T_map_camera) @ T_first_query),
             }
             self._record("verified", values | verdict(reason))
             confirmed += enough

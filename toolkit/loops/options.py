@@ -29,11 +29,13 @@ class CandidateOptions:
     kept: PositiveInt = 3
     """Maximum number of candidates passed to verification, at most one per submap before a second
     of any (GauSem-SLAM: 1)."""
-    threshold: Literal["fixed", "adaptive"] = "fixed"
-    """Maximum descriptor distance of a candidate: the encoder's (fixed), or derived from the
-    distances within the query's submap (adaptive)."""
+    threshold: Literal["rank", "fixed", "adaptive"] = "rank"
+    """Maximum descriptor distance of a candidate: none, so that the nearest keyframes are verified
+    whatever their distance (rank), the encoder's (fixed), or derived from the distances within the
+    query's submap (adaptive)."""
     distance: Annotated[float, Range(gt=0, le=2)] | None = None
-    """Maximum Euclidean distance of two descriptors. By default, the encoder's."""
+    """Maximum Euclidean distance of two descriptors. By default, the encoder's for the fixed and
+    the adaptive threshold, and none for selection by rank."""
     adaptive_quantile: Fraction = 0.5
     """Quantile of the descriptor distances within the query's submap that becomes the adaptive
     threshold."""

@@ -48,7 +48,7 @@ class FirstOrderFineOptions:
     """Weight of the semantic term relative to the colour term."""
     feature: NonNegativeFloat = 0.5
     """Weight of the feature term relative to the colour term. Its encoder is that of
-    --loops.features."""
+    --loops.features, or the built-in one if that has no gradients (vlad)."""
     iterations: PositiveInt = 150
     """Maximum number of Adam iterations."""
     translation_rate: PositiveFloat = 0.005
