@@ -81,13 +81,19 @@ def measure_offset(
 
 
 def refine_offset(
-    first: Keyframe, second: Keyframe, start: Array, matches: int, options: MatchingOptions
+    first: Keyframe,
+    second: Keyframe,
+    start: Array,
+    matches: int,
+    options: MatchingOptions,
+    max_correction: float = _MAX_CORRECTION,
 ) -> Offset | None:
     """The offset after dense alignment, or None if that is not reliable.
 
     Args:
         start: T_first_second [4, 4] from feature matches.
         matches: number of inliers of these.
+        max_correction: see `correction_too_large`.
     """
     levels = options.dense.levels
     model = [
@@ -102,7 +108,8 @@ def refine_offset(
     failed = failure_reason(
         options.limits, estimate.scales, visible, estimate.information, measured
     )
-    if failed or correction_too_large(start, estimate.T_target_source, first.camera, second):
+    end = estimate.T_target_source
+    if failed or correction_too_large(start, end, first.camera, second, max_correction):
         return None
     return Offset(
         estimate.T_target_source,
@@ -114,13 +121,20 @@ def refine_offset(
     )
 
 
-def correction_too_large(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
+def correction_too_large(
+    start: Array,
+    end: Array,
+    camera: Camera,
+    second: Keyframe,
+    max_correction: float = _MAX_CORRECTION,
+) -> bool:
     """Whether dense alignment moved a keyframe by more than the error of an initial pose.
 
     Args:
         start, end: T_first_second [4, 4] before and after dense alignment.
         camera: camera of the first keyframe.
         second: the second keyframe.
+        max_correction: median shift of its points, as a fraction of the image's width.
     """
     points = second.points.astype(np.float64)
     if len(points) == 0:
@@ -131,7 +145,7 @@ def correction_too_large(start: Array, end: Array, camera: Camera, second: Keyfr
         return True
     shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
     pixels = _MAX_CORRECTION_PIXELS * _pixel_size(camera, second.camera)
-    max_shift = max(_MAX_CORRECTION * camera.width, pixels)
+    max_shift = max(max_correction * camera.width, pixels)
     return bool(np.median(shift) > max_shift)
 
 

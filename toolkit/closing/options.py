@@ -26,7 +26,13 @@ class PairOptions:
     """Maximum difference of the two directions of alignment, in metres."""
     max_disagreement_rad: PositiveFloat = 0.01
     """Maximum difference of the two directions of alignment, in radians."""
-    min_visible: Fraction = 0.4
+    min_matches: Annotated[int, Range(ge=3)] = 8
+    """Minimum number of feature matches that agree with one motion."""
+    # Where a sensor's depth is not registered to its colour image, as in 7-Scenes, the depth at a
+    # feature may be that of another surface: correct motions were corrected by 5 % of the width.
+    max_correction: Fraction = 0.08
+    """Maximum median shift of the points by dense alignment, as a fraction of the image's width."""
+    min_visible: Fraction = 0.35
     """Minimum fraction of a keyframe's image that the other one explains, in the better of the two
     directions."""
     max_sigma_m: PositiveFloat = 0.02
@@ -44,6 +50,12 @@ class ClosingOptions:
     min_visible: Fraction = 0.4
     """Minimum overlap of two submaps' views for registering them at the end of a run."""
     pairs: PairOptions = PairOptions()
+    max_image_difference_m: PositiveFloat = 0.05
+    """Maximum distance of a registration's result from the pose of a verified pair of keyframes,
+    in metres."""
+    max_image_difference_rad: PositiveFloat = 0.035
+    """Maximum angle between a registration's result and the pose of a verified pair of keyframes,
+    in radians."""
     min_shared: Fraction = 0.3
     """Minimum fraction of a candidate keyframe's view that the other keyframe sees after the
     registration of their submaps."""

@@ -60,7 +60,8 @@ class PairMatcher:
     """
 
     def __init__(self, matching: MatchingOptions, options: PairOptions) -> None:
-        self._matching, self._options = matching, options
+        self._matching = replace(matching, min_matches=options.min_matches)
+        self._options = options
         self._found: dict[int, Keypoints] = {}
 
     def rough(self, first: Keyframe, second: Keyframe) -> RoughMotion | None:
@@ -81,20 +82,22 @@ class PairMatcher:
 
     def verified(self, first: Keyframe, second: Keyframe, rough: RoughMotion) -> VerifiedPair:
         """Align two keyframes densely in both directions."""
-        forward = refine_offset(
-            first, second, rough.T_first_second, rough.matches, self._matching
-        )
+        forward = self._refined(first, second, rough.T_first_second, rough)
         if forward is None:
             return VerifiedPair(rough.matches, None, "dense alignment of the images failed")
-        backward = refine_offset(
-            second, first, se3.inverse(rough.T_first_second), rough.matches, self._matching
-        )
+        backward = self._refined(second, first, se3.inverse(rough.T_first_second), rough)
         if backward is None:
             reason = "dense alignment of the images failed in the other direction"
             return VerifiedPair(rough.matches, forward, reason)
         return VerifiedPair(
             rough.matches, _mean(forward, backward), self._rejection(forward, backward)
         )
+
+    def _refined(
+        self, first: Keyframe, second: Keyframe, start: Array, rough: RoughMotion
+    ) -> Offset | None:
+        limit = self._options.max_correction
+        return refine_offset(first, second, start, rough.matches, self._matching, limit)
 
     def _rejection(self, forward: Offset, backward: Offset) -> str:
         """Why an offset is not reliable; empty if it is."""

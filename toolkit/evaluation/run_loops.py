@@ -66,7 +66,7 @@ def _accepted(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         r
         for r in records
-        if r["kind"] in ("within", "verified") and r["accepted"] and _edge(r) not in removed
+        if r["kind"] in ("within", "verified", "images") and r["accepted"] and _edge(r) not in removed
     ]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.covariance import clustered_information
 from toolkit.alignment.data import ModelLevel
 from toolkit.alignment.joint import MIN_PIXELS, Estimate, Pair, align
 from toolkit.alignment.levels import model_level, pyramid
@@ -98,9 +99,10 @@ class FineRegistration:
         if not sources:
             return failed(self.method, "no view of the one shows what the other saw", start)
         estimate, targets = self._estimate(target, source, sources, start)
+        pairs = self._pairs(sources, targets, far=False)
         check = self._check(sources, targets, estimate.T_target_source)
         renders = self.renderer.renders - before
-        return self._result(estimate, check, renders)
+        return self._result(estimate, check, renders, pairs)
 
     def _source_view(self, source: Submap, index: int) -> SourceView:
         keyframe = source.keyframes[index]
@@ -174,7 +176,7 @@ class FineRegistration:
         return total
 
     def _result(
-        self, estimate: Estimate, check: AlignmentCheck, renders: int
+        self, estimate: Estimate, check: AlignmentCheck, renders: int, pairs: list[Pair]
     ) -> RegistrationResult:
         reason = ""
         if check.overlap < self.options.min_overlap:
@@ -188,7 +190,7 @@ class FineRegistration:
             residual=estimate.scales,
             overlap=check.overlap,
             class_agreement=check.class_agreement,
-            information=estimate.information / self.options.redundancy,
+            information=clustered_information(pairs, estimate, self.options.dense),
             iterations=estimate.iterations,
             renders=renders,
             method=self.method,

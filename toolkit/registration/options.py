@@ -84,11 +84,6 @@ class FineOptions:
     """Minimum overlap of a converged registration."""
     semantic_gate: bool = True
     """Exclude pixels whose classes differ."""
-    # Residuals are not independent: pixels and views show the same Gaussians, and the errors are
-    # those of two maps. With independent residuals, the squared pose errors were 200 to 1100 times
-    # the expected ones in synthetic rooms, with and without sensor noise.
-    redundancy: Annotated[float, Range(ge=1)] = 500.0
-    """Number of residuals that count as one in the information matrix."""
     dense: JointOptions = JointOptions()
     first_order: FirstOrderFineOptions = FirstOrderFineOptions()
 
