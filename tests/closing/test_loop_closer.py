@@ -40,7 +40,12 @@ from toolkit.submaps.options import AllocationOptions, BoundaryOptions
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(
-    search_every=1, min_gap_frames=4, min_gap_m=0.0, distance=0.5, max_landmark_distance=2.0
+    search_every=1,
+    min_gap_frames=4,
+    min_gap_m=0.0,
+    threshold="fixed",
+    distance=0.5,
+    max_landmark_distance=2.0,
 )
 
 

@@ -10,7 +10,7 @@ import torch
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
-from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.vlad import VladEncoder
 from toolkit.geometry.frustum import far_depth_m, observed_points
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
 from toolkit.loops.options import CandidateOptions
@@ -33,7 +33,7 @@ def test_return_path_is_recognised(kitchen):
     truth = dataset.ground_truth
     poses = np.array([truth.at(frame.timestamp_s) for frame in frames])
     steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, prepend=poses[:1, :3, 3]), axis=1)
-    encoder = BuiltinEncoder()
+    encoder = VladEncoder()
     options = CandidateOptions(search_every=1, min_gap_frames=4)
     finder = CandidateFinder(encoder.dimensions, encoder.threshold, options)
     accepted = []

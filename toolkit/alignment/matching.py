@@ -86,14 +86,12 @@ def refine_offset(
     start: Array,
     matches: int,
     options: MatchingOptions,
-    max_correction: float = _MAX_CORRECTION,
 ) -> Offset | None:
     """The offset after dense alignment, or None if that is not reliable.
 
     Args:
         start: T_first_second [4, 4] from feature matches.
         matches: number of inliers of these.
-        max_correction: see `correction_too_large`.
     """
     levels = options.dense.levels
     model = [
@@ -109,7 +107,7 @@ def refine_offset(
         options.limits, estimate.scales, visible, estimate.information, measured
     )
     end = estimate.T_target_source
-    if failed or correction_too_large(start, end, first.camera, second, max_correction):
+    if failed or correction_too_large(start, end, first.camera, second, options.max_correction):
         return None
     return Offset(
         estimate.T_target_source,

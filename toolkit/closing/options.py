@@ -28,10 +28,6 @@ class PairOptions:
     """Maximum difference of the two directions of alignment, in radians."""
     min_matches: Annotated[int, Range(ge=3)] = 8
     """Minimum number of feature matches that agree with one motion."""
-    # Where a sensor's depth is not registered to its colour image, as in 7-Scenes, the depth at a
-    # feature may be that of another surface: correct motions were corrected by 5 % of the width.
-    max_correction: Fraction = 0.08
-    """Maximum median shift of the points by dense alignment, as a fraction of the image's width."""
     min_visible: Fraction = 0.35
     """Minimum fraction of a keyframe's image that the other one explains, in the better of the two
     directions."""

@@ -96,8 +96,7 @@ class PairMatcher:
     def _refined(
         self, first: Keyframe, second: Keyframe, start: Array, rough: RoughMotion
     ) -> Offset | None:
-        limit = self._options.max_correction
-        return refine_offset(first, second, start, rough.matches, self._matching, limit)
+        return refine_offset(first, second, start, rough.matches, self._matching)
 
     def _rejection(self, forward: Offset, backward: Offset) -> str:
         """Why an offset is not reliable; empty if it is."""
