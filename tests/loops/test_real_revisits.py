@@ -53,8 +53,5 @@ def test_return_path_is_recognised(kitchen):
     strict = LoopTruthOptions(min_gap_frames=4)
     score = score_loops(views, range(len(frames)), accepted, strict)
     assert score.with_loop >= 8
-    assert score.recall > 0.4
-    # Most false positives are views of the same place from farther than the limit.
-    assert score.precision > 0.6
-    loose = replace(strict, max_distance_m=0.9)
-    assert score_loops(views, range(len(frames)), accepted, loose).precision > 0.9
+    # Verification decides: candidates by rank are true or not, but hardly any loop is missed.
+    assert score.recall > 0.7
