@@ -92,7 +92,7 @@ def main() -> None:
     if options.part != "descriptors":
         counts = {name: edge_counts(name) for name in options.runs}
         counts["pooled"] = tuple(np.sum(list(counts.values()), axis=0))
-        columns = (
+        edge_columns = (
             *("sequence", "with a true loop", "found", "found %"),
             *("edges", "correct", "beyond 5 cm or 2 deg"),
         )
@@ -100,7 +100,7 @@ def main() -> None:
             (name, str(true), str(found), f"{100 * found / max(true, 1):.0f}", *map(str, rest))
             for name, (true, found, *rest) in counts.items()
         )
-        tables.append(Table(columns, table_rows, "Edges"))
+        tables.append(Table(edge_columns, table_rows, "Edges"))
     results = Results("place_recognition", "Place recognition", TEXT, header, tuple(tables))
     if options.part == "both":
         publish(results, options.out)
@@ -125,9 +125,7 @@ def descriptor_rows(name: str) -> Iterator[tuple[str, ...]]:
     views = true_views(dataset)
     frames = np.arange(0, len(views), _EVERY)
     gap = LoopTruthOptions() if name != "fr1_rpy" else LoopTruthOptions(min_gap_m=0.0)
-    anywhere = LoopTruthOptions(
-        max_distance_m=np.inf, min_overlap=0.0, min_gap_m=gap.min_gap_m
-    )
+    anywhere = LoopTruthOptions(max_distance_m=np.inf, min_overlap=0.0, min_gap_m=gap.min_gap_m)
     pairs = np.ix_(frames, frames)
     truth, beyond = true_intervals(views, gap)[pairs], true_intervals(views, anywhere)[pairs]
     for label, similarity in similarities(dataset, frames):
@@ -147,7 +145,7 @@ def similarities(dataset: Dataset, frames: NDArray[np.integer]) -> Iterator[tupl
     }
     for label, encoder in encoders.items():
         rows = described(dataset, encoder)
-        yield label, rows @ rows.T
+        yield label, (rows @ rows.T).astype(np.float64)
     greys = [
         cv2.cvtColor((255.0 * dataset[int(i)].rgb).round().astype(np.uint8), cv2.COLOR_RGB2GRAY)
         for i in frames

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +64,8 @@ def _blocks(level: FrameLevel) -> Iterator[FrameLevel]:
     camera = level.camera
     rows = np.linspace(0, camera.height, min(_ROWS, camera.height) + 1).astype(int)
     columns = np.linspace(0, camera.width, min(_COLUMNS, camera.width) + 1).astype(int)
-    for top, bottom in zip(rows, rows[1:], strict=False):
-        for left, right in zip(columns, columns[1:], strict=False):
+    for top, bottom in pairwise(rows):
+        for left, right in pairwise(columns):
             yield FrameLevel(
                 camera.cropped(int(left), int(top), int(right - left), int(bottom - top)),
                 level.intensity[top:bottom, left:right].contiguous(),

@@ -124,8 +124,7 @@ class ImageLoops:
             for number, frame in zip(submaps, frames, strict=True)
         )
         drift_a, drift_b = (
-            self._drift(atlas, number, frame)
-            for number, frame in zip(submaps, frames, strict=True)
+            self._drift(atlas, number, frame) for number, frame in zip(submaps, frames, strict=True)
         )
         Z = offset.T_first_second
         # Perturbations at A are moved to the query's camera; those at B have the opposite sign.

@@ -21,7 +21,7 @@ from toolkit.registration.options import RegistrationOptions
 class PairOptions:
     """Requirements that the images of two keyframes must meet to become a loop."""
 
-    # Of pairs of RedKitchen, HoloLens and the synthetic rooms, correct ones differ by 0.1 to 1.2 cm.
+    # The directions of correct pairs of real and synthetic sequences differ by 0.1 to 1.2 cm.
     max_disagreement_m: PositiveFloat = 0.02
     """Maximum difference of the two directions of alignment, in metres."""
     max_disagreement_rad: PositiveFloat = 0.01
@@ -65,7 +65,7 @@ class ClosingOptions:
     drift_confidence: Annotated[float, Range(gt=0, lt=1)] = 0.99
     """Confidence with which loops must contradict the keyframes of a submap before these are
     moved."""
-    mapping_iterations: NonNegativeInt = 0
+    mapping_iterations: NonNegativeInt = 10
     """Number of mapping iterations, at fixed poses, per keyframe that a correction inside a submap
     has moved (GauSem-SLAM: 10)."""
 
