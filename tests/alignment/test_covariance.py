@@ -26,11 +26,18 @@ def level() -> FrameLevel:
 
 
 def information(level: FrameLevel, noise_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Clustered and Gauss-Newton information of a view aligned to itself with noise."""
+    """Clustered and Gauss-Newton information of a view aligned to itself with noise.
+
+    Args:
+        noise_m: [H, W] added to the depth, and four times as much to the intensity.
+    """
     depth_m = level.depth_m + torch.from_numpy(noise_m.astype(np.float32))
-    noisy = replace(level, depth_m=depth_m)
+    intensity = level.intensity + torch.from_numpy(4.0 * noise_m.astype(np.float32))
+    noisy = replace(level, depth_m=depth_m, intensity=intensity)
     pair = Pair([model_level(level)], [noisy], np.eye(4), np.eye(4))
-    estimate = align([pair], Estimate(np.eye(4)), OPTIONS)
+    estimate = Estimate(np.eye(4))
+    for _ in range(5):  # until the scales of the residuals are those of the noise
+        estimate = align([pair], estimate, OPTIONS)
     return clustered_information([pair], estimate, OPTIONS), estimate.information
 
 
