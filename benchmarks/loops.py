@@ -35,6 +35,7 @@ from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.colour_histogram import ColourHistogramEncoder
 from toolkit.features.dinov2 import Dinov2Encoder
 from toolkit.features.encoder import Encoder
+from toolkit.features.vlad import VladEncoder
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
 from toolkit.loops.options import CandidateOptions
 from toolkit.options import validated
@@ -54,7 +55,17 @@ _BELIEVE_ALL: Values = {
         "max_depth_residual_m": 1e9,
         "min_information": 0.0,
     },
-    "closing": {"min_visible": 0.0, "min_shared": 0.0},
+    "closing": {
+        "min_visible": 0.0,
+        "min_shared": 0.0,
+        "max_image_difference_m": 1e9,
+        "pairs": {
+            "min_visible": 0.0,
+            "max_disagreement_m": 1e9,
+            "max_disagreement_rad": 1e9,
+            "max_sigma_m": 1e9,
+        },
+    },
     "pose_graph": {
         "consistency": {"odometry_confidence": 1.0, "pair_confidence": 1.0},
         "retraction": {"confidence": 1.0},
@@ -278,15 +289,22 @@ class DescribedSequence:
 
     def area_under_curve(self, descriptors: NDArray[np.float32]) -> float:
         """How often a pair that is a true loop is nearer than one that is none."""
-        distances = np.linalg.norm(descriptors[:, None] - descriptors[None], axis=2)[self.beyond]
-        true = self.truth[self.beyond]
-        near, far = int(true.sum()), int((~true).sum())
-        ranks = rankdata(distances)[true].sum() - near * (near + 1) / 2
-        return float(1.0 - ranks / (near * far))
+        distances = np.linalg.norm(descriptors[:, None] - descriptors[None], axis=2)
+        return area_under_curve(distances[self.beyond], self.truth[self.beyond])
+
+
+def area_under_curve(distances: Array, true: NDArray[np.bool_]) -> float:
+    """How often one of the pairs [N] that are true is nearer than one that is not."""
+    near, far = int(true.sum()), int((~true).sum())
+    if not near or not far:
+        return float("nan")
+    ranks = rankdata(distances)[true].sum() - near * (near + 1) / 2
+    return float(1.0 - ranks / (near * far))
 
 
 def encoders(folder: Path, seed: int) -> Iterator[tuple[str, Encoder]]:
     """Encoders with their names; the transformer's random weights go through its real files."""
+    yield "VLAD", VladEncoder()
     yield "built-in", BuiltinEncoder()
     yield "colour histograms", ColourHistogramEncoder()
     import transformers
@@ -320,7 +338,7 @@ def searches(
     sequence: DescribedSequence, encoder: Encoder, descriptors: NDArray[np.float32]
 ) -> Iterator[tuple[str, list[LoopCandidate]]]:
     """A threshold, and the candidates that it accepts."""
-    options = CandidateOptions(search_every=1)
+    options = CandidateOptions(search_every=1, threshold="fixed")
     yield f"own, {encoder.threshold:.3f}", found(sequence, encoder, descriptors, options)
     adaptive = replace(options, threshold="adaptive")
     yield "adaptive", found(sequence, encoder, descriptors, adaptive)

@@ -11,7 +11,7 @@ from toolkit.baselines.clouds import CloudRegistration
 from toolkit.baselines.factory import build_registrar, needs_describer
 from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.factory import build_describer
+from toolkit.features.factory import build_differentiable_describer
 from toolkit.features.options import FeatureOptions
 from toolkit.options import validated
 from toolkit.registration.factory import build_view_renderer
@@ -60,7 +60,7 @@ def test_the_feature_term_describes_views_with_the_given_encoder(kind, room, mon
     few = {"optimiser": "first-order", "views": 1, "first_order": {"iterations": 1}}
     settings = validated(RegistrationOptions, {"kind": kind, "fine": few})
     assert needs_describer(settings)
-    describer = build_describer(FeatureOptions())
+    describer = build_differentiable_describer(FeatureOptions())
     registrar = build_registrar(settings, 3, build_view_renderer(settings), describer)
     registrar.register(room.target, room.source, room.T_target_source)
     assert True in described and False in described  # of the target, and of the frozen source
@@ -72,7 +72,7 @@ def test_the_feature_term_has_a_weight(room):
         values = {"optimiser": "first-order", "views": 1, "first_order": few}
         settings = validated(RegistrationOptions, {"kind": "fine", "fine": values})
         assert needs_describer(settings) is (feature > 0)
-        describer = build_describer(FeatureOptions())
+        describer = build_differentiable_describer(FeatureOptions())
         start = room.T_target_source @ motion(1, 0.02, 1.0)
         registrar = build_registrar(settings, 3, build_view_renderer(settings), describer)
         return registrar.register(room.target, room.source, start)

@@ -12,9 +12,9 @@ import torch
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.matching import Offset
 from toolkit.alignment.options import MatchingOptions
-from toolkit.closing import keyframe_loops
 from toolkit.closing.closer import LoopCloser
-from toolkit.closing.options import ClosingOptions
+from toolkit.closing.options import ClosingOptions, PairOptions
+from toolkit.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
 from toolkit.closing.parts import ClosingParts
 from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.datasets.synthetic import tiny_room
@@ -40,7 +40,12 @@ from toolkit.submaps.options import AllocationOptions, BoundaryOptions
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(
-    search_every=1, min_gap_frames=4, min_gap_m=0.0, distance=0.5, max_landmark_distance=2.0
+    search_every=1,
+    min_gap_frames=4,
+    min_gap_m=0.0,
+    threshold="fixed",
+    distance=0.5,
+    max_landmark_distance=2.0,
 )
 
 
@@ -52,6 +57,10 @@ def frames():
     poses = [*truth.T_world_camera, *truth.T_world_camera[:2]]
     start = se3.inverse(poses[0])
     return [(f, start @ T) for f, T in zip([*seen, *again], poses, strict=True)]
+
+
+# No image pair is verified.
+NO_IMAGES = ClosingOptions(pairs=PairOptions(max_sigma_m=1e-12))
 
 
 class TrueRegistrar:
@@ -167,7 +176,7 @@ class TestBetween:
         [{"fails": True}, {"overlap": 0.1}, {"inliers": 0.3}, {"class_agreement": 0.2}],
     )
     def test_what_is_not_verified_leaves_no_trace(self, frames, changes):
-        atlas, closer, registrar = closed(frames, changes)
+        atlas, closer, registrar = closed(frames, changes, options=NO_IMAGES)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert registrar.asked and bits(atlas) == before and not closer.loops
@@ -175,7 +184,7 @@ class TestBetween:
     def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
         # As between identical rooms, where the views do agree.
-        options = ClosingOptions(min_shared=0.0)
+        options = replace(NO_IMAGES, min_shared=0.0)
         atlas, closer, registrar = closed(frames, {"wrong": True}, log, options)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
@@ -196,6 +205,25 @@ class TestBetween:
             T = se3.inverse(registrar.truth[loop.first]) @ registrar.truth[loop.second]
             assert np.allclose(loop.T_first_second, T, atol=1e-6)
 
+    def test_verified_images_give_the_edge_where_registration_fails(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        atlas, closer, registrar = closed(frames, {"fails": True}, log)
+        assert closer.close_between(atlas, atlas.active) and registrar.asked
+        for loop in closer.loops:
+            T = se3.inverse(registrar.truth[loop.first]) @ registrar.truth[loop.second]
+            # The keyframes of the last submap drifted with its anchor.
+            assert np.linalg.norm((se3.inverse(T) @ loop.T_first_second)[:3, 3]) < 0.03
+        taken = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "images"]
+        assert any(r["accepted"] for r in taken)
+
+    def test_images_contradict_a_registration_that_the_odometry_allows(self, frames, tmp_path):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        options = ClosingOptions(max_image_difference_m=1e-6)
+        atlas, closer, _ = closed(frames, log=log, options=options)
+        closer.close_between(atlas, atlas.active)
+        refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "between"]
+        assert any("the images differ" in r["reason"] and not r["accepted"] for r in refused)
+
     def test_what_the_odometry_allows_is_not_tried_again(self, frames):
         atlas, closer, registrar = closed(frames, {"overlap": 0.1})
         closer.close_between(atlas, atlas.active)
@@ -203,7 +231,7 @@ class TestBetween:
 
     def test_submaps_that_fit_prove_no_other_suspicion(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
-        options = ClosingOptions(min_shared=1.01)
+        options = replace(NO_IMAGES, min_shared=1.01)
         atlas, closer, _ = closed(frames, log=log, options=options)
         assert not closer.close_between(atlas, atlas.active) and not closer.loops
         refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "verified"]
@@ -223,13 +251,24 @@ class TestBetween:
         assert all("reason" in r for r in records if r["kind"] in ("candidate", "between"))
 
 
+def measured(monkeypatch, offset):
+    """Let every pair of images match, with this offset."""
+    rough = RoughMotion(np.eye(4), 50)
+    monkeypatch.setattr(PairMatcher, "rough", lambda *_: rough)
+
+    def verified(_, first, second, rough):
+        return VerifiedPair(50, offset(first, second), "")
+
+    monkeypatch.setattr(PairMatcher, "verified", verified)
+
+
 class TestWithin:
     def test_a_look_alike_that_the_odometry_rules_out_is_refused(
         self, frames, tmp_path, monkeypatch
     ):
         # Two views of one submap agree to the pixel, and the camera walked metres in between.
         same = Offset(np.eye(4), 50, 0.9, ResidualScales(0.02, 0.003), np.eye(6) * 1e8)
-        monkeypatch.setattr(keyframe_loops, "measure_offset", lambda *_: same)
+        measured(monkeypatch, lambda *_: same)
         away = np.eye(4)
         away[0, 3] = 4.0
         moved = [(f, away @ T if f.index >= 20 else T) for f, T in frames]
@@ -248,11 +287,11 @@ class TestWithin:
         """G, III.C: 10 mapping iterations a keyframe after a correction inside a submap."""
         truth = {frame.index: T for frame, T in frames}
 
-        def true_offset(first, second, _):
+        def true_offset(first, second):
             T = se3.inverse(truth[first.index]) @ truth[second.index]
             return Offset(T, 50, 0.9, ResidualScales(0.02, 0.003), np.eye(6) * 1e8)
 
-        monkeypatch.setattr(keyframe_loops, "measure_offset", true_offset)
+        measured(monkeypatch, true_offset)
         options = ClosingOptions(mapping_iterations=iterations)
         atlas, closer, _ = closed(frames, options=options, max_keyframes=100)
         before = dict(atlas.keyframe_poses(0))
@@ -325,7 +364,7 @@ class TestSettle:
         assert {(loop.first, loop.second) for loop in closer.loops} == {around} | neighbours
 
     def test_without_a_loop_nothing_is_touched(self, frames):
-        atlas, closer, registrar = closed(frames, {"fails": True})
+        atlas, closer, registrar = closed(frames, {"fails": True}, options=NO_IMAGES)
         closer.close_between(atlas, atlas.active)
         before = bits(atlas)
         registrar.asked.clear()

@@ -17,7 +17,13 @@ pytest.importorskip("faiss")
 D = 32
 PLACES = 30
 THRESHOLD = 0.3
-OPTIONS = CandidateOptions(search_every=1, min_gap_frames=50, min_gap_m=1.0)
+OPTIONS = CandidateOptions(
+    search_every=1,
+    min_gap_frames=50,
+    min_gap_m=1.0,
+    threshold="fixed",
+    max_landmark_distance=0.7,
+)
 
 
 def place_descriptors() -> np.ndarray:
@@ -186,6 +192,28 @@ def test_without_classes_candidates_are_ranked_by_descriptor():
     assert [c.distance for c in taken] == sorted(c.distance for c in taken)
 
 
+def test_by_rank_the_nearest_are_accepted_whatever_their_distance():
+    by_rank = replace(OPTIONS, threshold="rank", max_landmark_distance=2.0)
+    _, found = run_path(by_rank)
+    for candidates in filter(None, found):
+        taken = [c for c in candidates if c.accepted]
+        assert len(taken) == min(by_rank.kept, len(candidates))
+        assert min(c.distance for c in candidates) == taken[0].distance
+    assert any(c.accepted and c.distance > THRESHOLD for cs in found for c in cs)
+
+
+def test_by_rank_a_distance_still_limits():
+    by_rank = replace(OPTIONS, threshold="rank", distance=1e-3)
+    assert accepted(run_path(by_rank)[1][-1]) == [PLACES - 1]
+
+
+def test_by_rank_descriptors_precede_landmarks():
+    by_rank = replace(OPTIONS, threshold="rank", max_landmark_distance=2.0)
+    finder, _ = run_path(by_rank, PLACES + 20)
+    again = finder.add(replace(keyframe(PLACES + 20), descriptor=DESCRIPTORS[5]))
+    assert accepted(again)[0] == 5
+
+
 @pytest.mark.parametrize("at", [0, 1, 37])
 def test_restored_finder_continues_identically(at):
     finder = CandidateFinder(D, THRESHOLD, OPTIONS)
@@ -212,7 +240,9 @@ def test_keyframe_out_of_order_or_with_other_classes_raises():
 
 def test_the_threshold_of_a_describer_separates_similar_views():
     describer = ViewDescriber(BuiltinEncoder())
-    candidates = CandidateOptions(search_every=1, min_gap_frames=1, min_gap_m=0.0)
+    candidates = CandidateOptions(
+        search_every=1, min_gap_frames=1, min_gap_m=0.0, threshold="fixed"
+    )
     landmarks = LandmarkOptions(weighting="linear")
     finder = CandidateFinder(describer.dimensions, describer.threshold, candidates, landmarks)
     here = np.zeros(384, np.float32)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
-from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.vlad import VladEncoder
 from toolkit.geometry.frustum import far_depth_m, observed_points
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
 from toolkit.loops.options import CandidateOptions
@@ -33,7 +31,7 @@ def test_return_path_is_recognised(kitchen):
     truth = dataset.ground_truth
     poses = np.array([truth.at(frame.timestamp_s) for frame in frames])
     steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, prepend=poses[:1, :3, 3]), axis=1)
-    encoder = BuiltinEncoder()
+    encoder = VladEncoder()
     options = CandidateOptions(search_every=1, min_gap_frames=4)
     finder = CandidateFinder(encoder.dimensions, encoder.threshold, options)
     accepted = []
@@ -53,8 +51,5 @@ def test_return_path_is_recognised(kitchen):
     strict = LoopTruthOptions(min_gap_frames=4)
     score = score_loops(views, range(len(frames)), accepted, strict)
     assert score.with_loop >= 8
-    assert score.recall > 0.4
-    # Most false positives are views of the same place from farther than the limit.
-    assert score.precision > 0.6
-    loose = replace(strict, max_distance_m=0.9)
-    assert score_loops(views, range(len(frames)), accepted, loose).precision > 0.9
+    # Verification decides: candidates by rank are true or not, but hardly any loop is missed.
+    assert score.recall > 0.7

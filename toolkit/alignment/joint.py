@@ -101,10 +101,10 @@ def _stepped(
     pairs: Sequence[Pair], level: int, estimate: Estimate, options: JointOptions
 ) -> tuple[Estimate, bool]:
     """One Gauss-Newton iteration, and whether the equations could be solved."""
-    linears = _linearised(pairs, level, estimate, options)
+    linears = linearised(pairs, level, estimate, options)
     with_exposure = options.exposure and level == 0
     parts = [
-        _Eliminated.of(pair, linear, estimate, with_exposure)
+        Eliminated.of(pair, linear, estimate, with_exposure)
         for pair, linear in zip(pairs, linears, strict=True)
     ]
     H = np.sum([part.H for part in parts], axis=0)
@@ -129,9 +129,10 @@ def _stepped(
     ), True
 
 
-def _linearised(
+def linearised(
     pairs: Sequence[Pair], level: int, estimate: Estimate, options: JointOptions
 ) -> list[Linearisation]:
+    """The normal equations of each pair at one level."""
     gate = options.max_distance * 2**level
     return [
         linearise(
@@ -147,7 +148,7 @@ def _linearised(
 
 
 @dataclass(frozen=True)
-class _Eliminated:
+class Eliminated:
     """Normal equations of a pair in x of T_target_source exp(x), with its exposure eliminated.
 
     T_model_frame = T_model_target T T_source_frame, so x on the right of T is
@@ -158,11 +159,12 @@ class _Eliminated:
     g: Array
     by_exposure: Array  # [2, 6]: the exposure's step is constant - by_exposure @ x
     constant: Array  # [2]
+    adjoint: Array  # [6, 6]: from x to the tangent of `linearise`
 
     @classmethod
     def of(
         cls, pair: Pair, linear: Linearisation, estimate: Estimate, with_exposure: bool
-    ) -> _Eliminated:
+    ) -> Eliminated:
         A = se3.adjoint(pair.T_model_target @ estimate.T_target_source)
         H, g = linear.H.copy(), linear.g.copy()
         if with_exposure and linear.intensity_pixels > 0:
@@ -181,7 +183,12 @@ class _Eliminated:
             g=A.T @ g[:6] + cross.T @ constant,
             by_exposure=by_exposure,
             constant=constant,
+            adjoint=A,
         )
+
+    def gradient(self, g: Array) -> Array:
+        """Gradient [6] in x of some of the pair's residuals, from their gradient g [8]."""
+        return np.asarray(self.adjoint.T @ g[:6] - self.by_exposure.T @ g[6:])
 
     def exposure_step(self, x: Array) -> Array:
         """Change [2] of gain and bias for a step x."""

@@ -5,12 +5,14 @@ The map is not used: two renderings of one map agree regardless of its drift.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.covariance import clustered_information
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.health import failure_reason
 from toolkit.alignment.joint import Estimate, Pair, align
@@ -75,13 +77,22 @@ def measure_offset(
     if found is None:
         return None
     T_first_second, matches = found
-    return _refined(first, second, T_first_second, matches, options)
+    return refine_offset(first, second, T_first_second, matches, options)
 
 
-def _refined(
-    first: Keyframe, second: Keyframe, start: Array, matches: int, options: MatchingOptions
+def refine_offset(
+    first: Keyframe,
+    second: Keyframe,
+    start: Array,
+    matches: int,
+    options: MatchingOptions,
 ) -> Offset | None:
-    """The offset after dense alignment, or None if that is not reliable."""
+    """The offset after dense alignment, or None if that is not reliable.
+
+    Args:
+        start: T_first_second [4, 4] from feature matches.
+        matches: number of inliers of these.
+    """
     levels = options.dense.levels
     model = [
         model_level(level)
@@ -95,25 +106,33 @@ def _refined(
     failed = failure_reason(
         options.limits, estimate.scales, visible, estimate.information, measured
     )
-    if failed or correction_too_large(start, estimate.T_target_source, first.camera, second):
+    end = estimate.T_target_source
+    if failed or correction_too_large(start, end, first.camera, second, options.max_correction):
         return None
     return Offset(
         estimate.T_target_source,
         matches,
         visible,
         estimate.scales,
-        estimate.information / options.redundancy,
+        clustered_information([pair], estimate, options.dense),
         estimate.iterations,
     )
 
 
-def correction_too_large(start: Array, end: Array, camera: Camera, second: Keyframe) -> bool:
+def correction_too_large(
+    start: Array,
+    end: Array,
+    camera: Camera,
+    second: Keyframe,
+    max_correction: float = _MAX_CORRECTION,
+) -> bool:
     """Whether dense alignment moved a keyframe by more than the error of an initial pose.
 
     Args:
         start, end: T_first_second [4, 4] before and after dense alignment.
         camera: camera of the first keyframe.
         second: the second keyframe.
+        max_correction: median shift of its points, as a fraction of the image's width.
     """
     points = second.points.astype(np.float64)
     if len(points) == 0:
@@ -124,7 +143,7 @@ def correction_too_large(start: Array, end: Array, camera: Camera, second: Keyfr
         return True
     shift = np.linalg.norm(camera.project(before[ahead]) - camera.project(after[ahead]), axis=1)
     pixels = _MAX_CORRECTION_PIXELS * _pixel_size(camera, second.camera)
-    max_shift = max(_MAX_CORRECTION * camera.width, pixels)
+    max_shift = max(max_correction * camera.width, pixels)
     return bool(np.median(shift) > max_shift)
 
 
@@ -133,9 +152,19 @@ def _pixel_size(first: Camera, second: Camera) -> float:
     return max(1.0, first.focal / second.focal)
 
 
-def match_features(first: Keyframe, second: Keyframe, options: MatchingOptions) -> Matched | None:
-    """Mutual matches of two images with depth in both; None without any."""
-    a, b = (_keypoints(keyframe, options.features) for keyframe in (first, second))
+def match_features(
+    first: Keyframe,
+    second: Keyframe,
+    options: MatchingOptions,
+    keypoints: Callable[[Keyframe, int], Keypoints] | None = None,
+) -> Matched | None:
+    """Mutual matches of two images with depth in both; None without any.
+
+    Args:
+        keypoints: detects at most so many keypoints in a keyframe; by default without a cache.
+    """
+    keypoints = keypoints or keyframe_keypoints
+    a, b = (keypoints(keyframe, options.features) for keyframe in (first, second))
     matches = match_keypoints(a, b, options.ratio)
     if len(matches) == 0:
         return None
@@ -163,7 +192,8 @@ def _by_features(
     return matched.motion(options, generator)
 
 
-def _keypoints(keyframe: Keyframe, count: int) -> Keypoints:
+def keyframe_keypoints(keyframe: Keyframe, count: int) -> Keypoints:
+    """Keypoints of a keyframe's image, at most `count`."""
     grey = cv2.cvtColor(keyframe.rgb.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2GRAY)
     return detect_keypoints(grey, count)
 

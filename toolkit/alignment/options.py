@@ -66,12 +66,12 @@ class MatchingOptions:
     """Maximum depth error of an inlier, as a fraction of depth."""
     min_matches: Annotated[int, Range(ge=3)] = 12
     """Minimum number of inlier matches."""
+    # Where a sensor's depth is not registered to its colour image, as in 7-Scenes, the depth at a
+    # feature may be that of another surface: correct motions were corrected by 5 % of the width.
+    max_correction: Fraction = 0.08
+    """Maximum median shift of the points by dense alignment, as a fraction of the image's width."""
     max_width: Annotated[int, Range(ge=16)] = 400
     """Maximum image width for dense alignment, in pixels. Wider images are halved."""
     # Matches are accurate to one or two pixels, so that few levels suffice.
     dense: JointOptions = JointOptions(levels=3)
     limits: HealthLimits = HealthLimits()
-    # Residuals are not independent: with independent residuals, the squared pose errors were 2 to
-    # 13 times the expected ones in synthetic rooms.
-    redundancy: Annotated[float, Range(ge=1)] = 5.0
-    """Number of residuals that count as one in the information matrix."""

@@ -14,6 +14,9 @@ from tqdm import tqdm
 from toolkit.cli.programs import ExplainLoopsOptions
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import FormatError, RunFolderError
+from toolkit.evaluation.loops import LoopTruthOptions
+from toolkit.evaluation.missed_loops import MissedLoop, missed_loops
+from toolkit.evaluation.run_loops import true_views
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import Frustum, contained_fraction, far_depth_m, observed_points
@@ -70,7 +73,11 @@ def main(options: ExplainLoopsOptions) -> int:
     ]
     for line in summary(records):
         print(line)
-    if not candidates:
+    dataset = run.open_dataset(options.dataset_path)
+    missed = _missed(run, dataset, records) if options.missed else []
+    for loop in missed:
+        print(f"frame {loop.query}: missed the loop with frame {loop.match}; {loop.reason}")
+    if not candidates and not missed:
         return 0
     out = options.out or run.folder.path / "loops"
     try:
@@ -79,14 +86,38 @@ def main(options: ExplainLoopsOptions) -> int:
         raise RunFolderError(
             f"cannot create {out}: {error.strerror}; choose another --out"
         ) from error
-    dataset = run.open_dataset(options.dataset_path)
     for position, candidate in tqdm(candidates, unit="loop"):
         results = results_of(candidate, records[position + 1 :])
         picture = candidate_picture(run, dataset, candidate, results)
         name = f"frame{candidate['query']:06d}_frame{candidate['match']:06d}.png"
         write_rgb(out / name, picture.astype(np.float32) / 255.0)
-    _log.info("Wrote %d images to %s.", len(candidates), out)
+    for loop in missed:
+        name = f"missed_frame{loop.query:06d}_frame{loop.match:06d}.png"
+        write_rgb(out / name, missed_picture(dataset, loop).astype(np.float32) / 255.0)
+    _log.info("Wrote %d images to %s.", len(candidates) + len(missed), out)
     return 0
+
+
+def _missed(
+    run: FinishedRun, dataset: RecordedDataset, records: Sequence[Record]
+) -> list[MissedLoop]:
+    """The missed loops; none without ground truth."""
+    if dataset.ground_truth is None or not any(r["kind"] == "search" for r in records):
+        return []
+    candidates = run.settings.loops.candidates
+    truth = LoopTruthOptions(
+        min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
+    )
+    return missed_loops(records, true_views(dataset), truth)
+
+
+def missed_picture(dataset: RecordedDataset, loop: MissedLoop) -> np.ndarray:
+    """Draw the two views of a missed loop side by side, with the reason below."""
+    frames = [dataset[index] for index in (loop.query, loop.match)]
+    panels = [Panel(f"frame {frame.index}", _enlarged(frame)) for frame in frames]
+    shared = f"true loop, {100 * loop.overlap:.0f} % of the views are shared"
+    entries = [LegendEntry(shared, _NEUTRAL), LegendEntry(f"missed: {loop.reason}", _REJECTED)]
+    return legend_below(strip(panels), entries, len(entries))
 
 
 def _check(records: Sequence[Record], path: Path) -> None:
@@ -108,7 +139,7 @@ def summary(records: Sequence[Record]) -> list[str]:
     accepted = [r for r in candidates if r["accepted"]]
     lines = [f"{len(candidates)} loop candidates, {len(accepted)} of them accepted"]
     for record in records:
-        if record["kind"] in ("within", "consistency") and "query" in record:
+        if record["kind"] in ("within", "images", "consistency") and "query" in record:
             pair = f"frames {record['query']} and {record['match']}"
             if not record["accepted"]:
                 lines.append(f"{pair}: rejected, {record['reason']}")
@@ -139,7 +170,7 @@ def results_of(candidate: Record, later: Sequence[Record]) -> list[Record]:
         r
         for r in same_submaps
         if r["kind"] in ("between", "consistency", "retracted")
-        or (r["kind"] == "verified" and (r["query"], r["match"]) == frames)
+        or (r["kind"] in ("verified", "images") and (r["query"], r["match"]) == frames)
     ]
 
 

@@ -112,6 +112,8 @@ class ExplainLoopsOptions:
     """Folder for the images. By default, RUN/loops."""
     refused: bool = False
     """Include the candidates that were rejected before registration."""
+    missed: bool = True
+    """Include the loops of the ground truth that were not found; reads all frames."""
     dataset_path: Path | None = None
     """Folder of the dataset, if it was moved after the run."""
 

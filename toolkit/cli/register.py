@@ -15,7 +15,7 @@ from tqdm import tqdm
 from toolkit.baselines.factory import build_registrar, needs_describer
 from toolkit.cli.programs import RegisterOptions
 from toolkit.errors import SettingsError, ToolkitError
-from toolkit.features.factory import build_describer
+from toolkit.features.factory import build_differentiable_describer
 from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
@@ -113,7 +113,7 @@ def _register(
     renderer = build_view_renderer(options.registration, shared_semantics(a, b), backend)
     describer = None
     if needs_describer(options.registration):
-        describer = build_describer(a.settings.loops.features)
+        describer = build_differentiable_describer(a.settings.loops.features)
     registrar = build_registrar(options.registration, a.settings.seed, renderer, describer)
     pairs = most_similar_submaps(*submaps, options.pairs)
     return [

@@ -183,11 +183,12 @@ class LoopCloser:
             # After a relocalisation, two submaps have a loop edge before they are registered.
             existing = {(loop.first, loop.second): loop for loop in self.loops}
             for other in sorted({c.match_submap for c in candidates}):
-                new = self._between.register(atlas, other, number, self._links)
-                edge = new or existing.get((other, number))
                 pairs = [c for c in candidates if c.match_submap == other]
-                confirmed = edge is not None and self._between.confirm(atlas, edge, pairs)
-                if new is not None and confirmed:
+                new = self._between.close(atlas, (other, number), pairs, self._links)
+                edge = existing.get((other, number))
+                if new is None and edge is not None:
+                    self._between.confirm(atlas, edge, pairs)
+                if new is not None:
                     self.loops.append(new)
                     found = True
             return found and self._correct_between(atlas)

@@ -9,11 +9,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.baselines.factory import build_fine, build_registrar
+from toolkit.baselines.factory import build_fine, build_registrar, needs_describer
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.options import LoopClosureOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.features.factory import build_describer
+from toolkit.features.factory import build_describer, build_differentiable_describer
 from toolkit.frame import Recorder
 from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
@@ -77,10 +77,13 @@ def build_loop_closer(
     )
     renderer = build_view_renderer(options.registration, context.semantics, context.backend_name)
     matching = options.registration.coarse.matching
+    differentiable = None
+    if needs_describer(options.registration):
+        differentiable = build_differentiable_describer(options.features)
     pose_graph = options.pose_graph
     parts = ClosingParts(
-        registrar=build_registrar(options.registration, context.seed, renderer, describer),
-        nearby=build_fine(options.registration.fine, renderer, describer),
+        registrar=build_registrar(options.registration, context.seed, renderer, differentiable),
+        nearby=build_fine(options.registration.fine, renderer, differentiable),
         matching=matching,
         relocaliser=Relocaliser(detector, matching, options.relocalisation),
         verification=options.verification,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from toolkit.alignment.matching import measure_offset
 from toolkit.closing.options import ClosingOptions
+from toolkit.closing.pair_matching import PairMatcher
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import Record, correction_values, verdict
+from toolkit.closing.records import Record, correction_values, pair_values, verdict
 from toolkit.closing.uncertainty import NEGLIGIBLE_NOISE
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
@@ -31,8 +29,7 @@ class KeyframeLoops:
         """Close the loops among the candidate pairs; return whether keyframes moved."""
         submap = atlas.submap(atlas.active)
         keyframes = {keyframe.index: keyframe for keyframe in submap.keyframes}
-        edges = [self._loop_edge(keyframes[c.match], keyframes[c.query]) for c in candidates]
-        loops = [loop for loop in edges if loop is not None]
+        loops = self._loop_edges(keyframes, candidates)
         correction = self._correct(submap, loops) if loops else None
         if correction is None:
             return False
@@ -41,22 +38,39 @@ class KeyframeLoops:
         atlas.mapper.optimise_keyframes(correction.moved, self._options.mapping_iterations)
         return True
 
-    def _loop_edge(self, first: Keyframe, second: Keyframe) -> PoseEdge | None:
-        """Estimate a loop edge from the images of two keyframes; None if they do not match."""
-        offset = measure_offset(first, second, self._parts.matching)
-        values: dict[str, Any] = {"match": first.index, "query": second.index}
-        if offset is None:
-            self._record("within", values | verdict("images do not match"))
-            return None
-        apart_m = float(np.linalg.norm(offset.T_first_second[:3, 3]))
-        values |= {"matches": offset.matches, "visible": offset.visible, "apart_m": apart_m}
-        if offset.visible < self._options.min_visible:
-            reason = f"only {100 * offset.visible:.0f} % of the view is shared"
-            self._record("within", values | verdict(reason))
-            return None
-        self._record("within", values | verdict(""))
-        T = offset.T_first_second
-        return self._parts.loop_noise.edge(first.index, second.index, T, offset.information)
+    def _loop_edges(
+        self, keyframes: Mapping[int, Keyframe], candidates: Sequence[LoopCandidate]
+    ) -> list[PoseEdge]:
+        """At most one edge for each query: further ones of the same place add little."""
+        matcher = PairMatcher(self._parts.matching, self._options.pairs)
+        by_query: dict[int, list[tuple[Keyframe, Keyframe]]] = {}
+        for c in candidates:
+            by_query.setdefault(c.query, []).append((keyframes[c.match], keyframes[c.query]))
+        edges = [self._query_edge(matcher, pairs) for pairs in by_query.values()]
+        return [edge for edge in edges if edge is not None]
+
+    def _query_edge(
+        self, matcher: PairMatcher, pairs: list[tuple[Keyframe, Keyframe]]
+    ) -> PoseEdge | None:
+        """The first verified edge of a query, in descending order of feature matches."""
+        promising = matcher.most_matches(pairs)
+        for number in sorted(set(range(len(pairs))) - {number for number, _ in promising}):
+            first, second = pairs[number]
+            self._record(
+                "within",
+                {"match": first.index, "query": second.index} | verdict("images do not match"),
+            )
+        for number, rough in promising:
+            first, second = pairs[number]
+            result = matcher.verified(first, second, rough)
+            values = {"match": first.index, "query": second.index} | pair_values(result)
+            self._record("within", values | verdict(result.reason))
+            if result.offset is not None and not result.reason:
+                offset = result.offset
+                return self._parts.loop_noise.edge(
+                    first.index, second.index, offset.T_first_second, offset.information
+                )
+        return None
 
     def _correct(self, submap: Submap, loops: list[PoseEdge]) -> PoseCorrection | None:
         """Move keyframes and their Gaussians if the loops significantly contradict the odometry.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.pair_matching import VerifiedPair
 from toolkit.geometry import se3
 from toolkit.pose_graph.correction import PoseCorrection
 from toolkit.registration.result import RegistrationResult
@@ -20,6 +21,22 @@ Record = Callable[[str, dict[str, Any]], None]
 def correction_values(correction: PoseCorrection) -> dict[str, float]:
     """The largest pose change of a correction."""
     return {"largest_m": correction.largest_m, "largest_rad": correction.largest_rad}
+
+
+def pair_values(pair: VerifiedPair) -> dict[str, Any]:
+    """Matches and relative pose of two keyframes."""
+    values: dict[str, Any] = {"matches": pair.matches}
+    if pair.offset is None:
+        return values
+    return values | {"visible": pair.offset.visible} | motion_values(pair.offset.T_first_second)
+
+
+def motion_values(T_match_query: Array) -> dict[str, Any]:
+    """Measured relative pose [4, 4] of two keyframes, as 16 numbers row by row."""
+    return {
+        "apart_m": float(np.linalg.norm(T_match_query[:3, 3])),
+        "T_match_query": [float(value) for value in T_match_query.ravel()],
+    }
 
 
 def verdict(reason: str) -> dict[str, Any]:

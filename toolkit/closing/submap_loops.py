@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.image_edges import ImageEdges, ImageLoops
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import Record, registration_values, verdict
+from toolkit.closing.records import Record, motion_values, registration_values, verdict
 from toolkit.closing.visibility import Visibility
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
@@ -43,6 +44,7 @@ class SubmapLoops:
 
     def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
         self._parts, self._options, self._record = parts, options, record
+        self._images = ImageLoops(parts, options, record)
 
     def overlapping(self, atlas: Atlas, loops: set[tuple[int, int]]) -> list[tuple[int, int]]:
         """Pairs of submaps with a loop edge, or with overlapping keyframe views.
@@ -73,24 +75,62 @@ class SubmapLoops:
         ]
 
     def register(
-        self, atlas: Atlas, first: int, second: int, odometry: Sequence[PoseEdge]
+        self,
+        atlas: Atlas,
+        first: int,
+        second: int,
+        odometry: Sequence[PoseEdge],
+        images: ImageEdges | None = None,
     ) -> PoseEdge | None:
         """Register two submaps; return their loop edge, or None if it cannot be verified.
 
         Similar keyframes can be of different places (perceptual aliasing). If the odometry
         contradicts the result, the submaps are registered again from their current poses.
+
+        Args:
+            images: edges of the candidate pairs' images, which the result must not contradict.
         """
         for registrar in (self._parts.registrar, self._parts.nearby):
             registration = self._registered(registrar, atlas, first, second)
             if registration is None:
                 return None
             contradiction = self._contradiction(odometry, registration.edge)
+            if images is not None and not contradiction:
+                T = registration.edge.T_first_second
+                contradiction = images.contradiction(T, self._options)
             rejection = rejection_reason(registration.result, self._parts.verification)
             if self._accept(registration, rejection or contradiction):
                 return registration.edge
             if not contradiction:
                 return None
         return None
+
+    def close(
+        self,
+        atlas: Atlas,
+        submaps: tuple[int, int],
+        pairs: Sequence[LoopCandidate],
+        odometry: Sequence[PoseEdge],
+    ) -> PoseEdge | None:
+        """The loop edge of two submaps with candidate pairs of keyframes; None without one.
+
+        Submaps are registered only if the images of some pair match. If the registration is
+        rejected, verified images give the edge.
+        """
+        values = {"first": submaps[0], "second": submaps[1]}
+        try:
+            images = self._images.edges(atlas, submaps, pairs, odometry)
+        except ToolkitError as error:
+            self._record("between", values | verdict(str(error)))
+            return None
+        if images.matched == 0:
+            reason = f"the images of none of {len(pairs)} candidate pairs match"
+            self._record("between", values | verdict(reason))
+            return None
+        edge = self.register(atlas, *submaps, odometry, images)
+        if edge is not None and self.confirm(atlas, edge, pairs):
+            return edge
+        return images.edges[0] if images.edges else None
 
     def register_neighbours(
         self, atlas: Atlas, first: int, second: int, odometry: Sequence[PoseEdge]
@@ -152,7 +192,6 @@ class SubmapLoops:
             points = se3.transform_points(edge.T_first_second, query.points_in_map())
             shared = float(match.reaches(points).mean()) if len(points) else 0.0
             T_first_query = edge.T_first_second @ query.T_map_camera
-            apart_m = float(np.linalg.norm(T_first_query[:3, 3] - match.T_map_camera[:3, 3]))
             enough = shared >= self._options.min_shared
             reason = "" if enough else f"only {100 * shared:.0f} % of the view is shared"
             values = {
@@ -161,7 +200,7 @@ class SubmapLoops:
                 "query": pair.query,
                 "match": pair.match,
                 "shared": shared,
-                "apart_m": apart_m,
+                **motion_values(se3.inverse(match.T_map_camera) @ T_first_query),
             }
             self._record("verified", values | verdict(reason))
             confirmed += enough

@@ -43,7 +43,7 @@ def run_loop_metrics(
     views = true_views(dataset)
     verified = [
         (r["query"], r["match"])
-        for r in _accepted(records)
+        for r in accepted_edges(records)
         if r["apart_m"] < options.max_distance_m
     ]
     candidates = [
@@ -60,14 +60,12 @@ def run_loop_metrics(
     }
 
 
-def _accepted(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def accepted_edges(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the records of verified pairs of frames whose edge was not removed later."""
     removed = {_edge(r) for r in records if r["kind"] in ("consistency", "retracted")}
-    return [
-        r
-        for r in records
-        if r["kind"] in ("within", "verified") and r["accepted"] and _edge(r) not in removed
-    ]
+    kinds = ("within", "verified", "images")
+    verified = [r for r in records if r["kind"] in kinds and r["accepted"]]
+    return [r for r in verified if _edge(r) not in removed]
 
 
 def _edge(record: dict[str, Any]) -> tuple[str, int, int]:

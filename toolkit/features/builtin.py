@@ -45,6 +45,7 @@ class BuiltinEncoder:
     name = "builtin"
     dimensions = 3 * _MAPS * sum(rows * columns for rows, columns in _WINDOWS)
     threshold = 0.20
+    differentiable = True
 
     def __init__(self) -> None:
         self._windows = _pyramid(_ROWS // 2, _COLUMNS // 2)

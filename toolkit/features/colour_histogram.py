@@ -24,6 +24,7 @@ class ColourHistogramEncoder:
     name = "colour-histogram"
     dimensions = _BINS[0] * _BINS[1] * _BINS[2]
     threshold = 0.40
+    differentiable = True
 
     def describe(self, images: Tensor) -> Tensor:
         """Descriptors [B, 384] of images [B, 3, H, W]; see `Encoder.describe`."""

@@ -39,6 +39,7 @@ class Dinov2Encoder:
 
     name = "dinov2"
     threshold = _THRESHOLD
+    differentiable = True
 
     def __init__(
         self,

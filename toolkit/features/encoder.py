@@ -15,14 +15,16 @@ class Encoder(Protocol):
         dimensions: descriptor dimension D.
         threshold: maximum Euclidean distance (not squared) of descriptors of the same place.
             Descriptors are unit vectors, so the cosine is 1 - threshold^2 / 2.
+        differentiable: whether descriptors have gradients with respect to the images.
     """
 
     name: str
     dimensions: int
     threshold: float
+    differentiable: bool
 
     def describe(self, images: Tensor) -> Tensor:
-        """Compute descriptors [B, D] float32 of unit norm, differentiable in the images.
+        """Compute descriptors [B, D] float32 of unit norm.
 
         Results are reproducible on a CPU.
 

@@ -8,6 +8,7 @@ from toolkit.features.colour_histogram import ColourHistogramEncoder
 from toolkit.features.encoder import Encoder
 from toolkit.features.options import FeatureOptions
 from toolkit.features.sources import ViewDescriber
+from toolkit.features.vlad import VladEncoder
 
 
 def build_encoder(settings: FeatureOptions) -> Encoder:
@@ -18,6 +19,8 @@ def build_encoder(settings: FeatureOptions) -> Encoder:
         DependencyError: transformers cannot be loaded, or the device is not available.
         FormatError: the model's folder does not contain a supported model.
     """
+    if settings.kind == "vlad":
+        return VladEncoder()
     if settings.kind == "colour-histogram":
         return ColourHistogramEncoder()
     if settings.kind == "builtin":
@@ -37,3 +40,11 @@ def build_encoder(settings: FeatureOptions) -> Encoder:
 def build_describer(settings: FeatureOptions) -> ViewDescriber:
     """Create the encoder and image source selected by the settings; raises as `build_encoder`."""
     return ViewDescriber(build_encoder(settings), settings.source)
+
+
+def build_differentiable_describer(settings: FeatureOptions) -> ViewDescriber:
+    """Create a describer for losses: the selected one, or the built-in encoder if the selected one
+    is not differentiable; raises as `build_encoder`.
+    """
+    encoder = build_encoder(settings)
+    return ViewDescriber(encoder if encoder.differentiable else BuiltinEncoder(), settings.source)

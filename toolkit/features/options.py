@@ -27,9 +27,10 @@ class Dinov2Options:
 class FeatureOptions:
     """Image descriptors for place recognition."""
 
-    kind: Literal["builtin", "dinov2", "colour-histogram"] = "builtin"
-    """Encoder of images: built in without weights (builtin), a vision transformer (dinov2) or a
-    baseline (colour-histogram)."""
+    kind: Literal["vlad", "builtin", "dinov2", "colour-histogram"] = "vlad"
+    """Encoder of images: aggregated SIFT keypoints (vlad), edges and colours of the whole image
+    without learned weights (builtin), a vision transformer (dinov2) or a baseline
+    (colour-histogram)."""
     source: Literal["rgb", "semantic", "both"] = "rgb"
     """Image to encode: colour (rgb), classes in their colours as in GauSem-SLAM (semantic) or
     both."""

@@ -7,6 +7,7 @@ keyframe that it considered, accepted or rejected, with the reason.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -172,7 +173,8 @@ class CandidateFinder:
             for near in found
         ]
         rejected = [c for c in evaluated if not c.accepted]
-        return _select([c for c in evaluated if c.accepted], options.kept) + rejected
+        order = _by_distance if options.threshold == "rank" else _by_landmarks
+        return _select([c for c in evaluated if c.accepted], options.kept, order) + rejected
 
     def most_similar(self, descriptor: NDArray[np.float32], count: int) -> list[SimilarKeyframe]:
         """Return the keyframes with the nearest descriptors to [D], nearest first."""
@@ -224,6 +226,8 @@ class CandidateFinder:
     def _threshold_of(self, number: int) -> float:
         """Descriptor distance below which matches of a keyframe are accepted."""
         options = self.options
+        if options.threshold == "rank":
+            return np.inf if options.distance is None else options.distance
         if options.threshold == "fixed":
             return self._fixed_threshold
         submaps, numbers = np.array(self._submaps), np.arange(len(self))
@@ -260,14 +264,16 @@ class CandidateFinder:
         )
 
 
-def _select(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
+def _select(
+    passed: list[LoopCandidate], kept: int, order: Callable[[LoopCandidate], tuple[float, float]]
+) -> list[LoopCandidate]:
     """Order candidates by preference and accept the first `kept`.
 
     The best candidate of every submap precedes the second best of any submap. Neighbouring
     keyframes of one submap are redundant, and where two places look similar, the candidates of
     the wrong place could otherwise take all `kept` positions.
     """
-    ranked = sorted(passed, key=_rank)
+    ranked = sorted(passed, key=order)
     turns: Counter[int] = Counter()
     numbered = []
     for rank, candidate in enumerate(ranked):
@@ -275,7 +281,7 @@ def _select(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
         turns[candidate.match_submap] += 1
     chosen: list[LoopCandidate] = []
     for turn, rank, candidate in sorted(numbered, key=lambda entry: entry[:2]):
-        reason = f"rank {rank + 1} of {len(ranked)} by landmarks, {turn + 1} in its submap"
+        reason = f"rank {rank + 1} of {len(ranked)}, {turn + 1} in its submap"
         accepted = len(chosen) < kept
         if not accepted:
             reason += f"; {kept} are kept"
@@ -283,6 +289,10 @@ def _select(passed: list[LoopCandidate], kept: int) -> list[LoopCandidate]:
     return chosen
 
 
-def _rank(candidate: LoopCandidate) -> tuple[float, float]:
+def _by_distance(candidate: LoopCandidate) -> tuple[float, float]:
+    return (candidate.distance, _by_landmarks(candidate)[0])
+
+
+def _by_landmarks(candidate: LoopCandidate) -> tuple[float, float]:
     landmarks = candidate.landmark_distance
     return (_UNKNOWN_LANDMARKS if landmarks is None else landmarks, candidate.distance)

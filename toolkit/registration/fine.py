@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.covariance import clustered_information
 from toolkit.alignment.data import ModelLevel
 from toolkit.alignment.joint import MIN_PIXELS, Estimate, Pair, align
 from toolkit.alignment.levels import model_level, pyramid
@@ -98,9 +99,10 @@ class FineRegistration:
         if not sources:
             return failed(self.method, "no view of the one shows what the other saw", start)
         estimate, targets = self._estimate(target, source, sources, start)
+        pairs = self._pairs(sources, targets, far=False)
         check = self._check(sources, targets, estimate.T_target_source)
         renders = self.renderer.renders - before
-        return self._result(estimate, check, renders)
+        return self._result(estimate, check, renders, pairs)
 
     def _source_view(self, source: Submap, index: int) -> SourceView:
         keyframe = source.keyframes[index]
@@ -174,7 +176,7 @@ class FineRegistration:
         return total
 
     def _result(
-        self, estimate: Estimate, check: AlignmentCheck, renders: int
+        self, estimate: Estimate, check: AlignmentCheck, renders: int, pairs: list[Pair]
     ) -> RegistrationResult:
         reason = ""
         if check.overlap < self.options.min_overlap:
@@ -188,12 +190,20 @@ class FineRegistration:
             residual=estimate.scales,
             overlap=check.overlap,
             class_agreement=check.class_agreement,
-            information=estimate.information / self.options.redundancy,
+            information=_information(pairs, estimate, self.options),
             iterations=estimate.iterations,
             renders=renders,
             method=self.method,
             reason=reason,
         )
+
+
+def _information(pairs: list[Pair], estimate: Estimate, options: FineOptions) -> Array:
+    """Information [6, 6] of one average view: all views show the same Gaussians, so that their
+    residuals are not independent. With independent views, the squared pose errors were 5 to 50
+    times the expected ones in synthetic rooms of 10 views, with and without sensor noise.
+    """
+    return clustered_information(pairs, estimate, options.dense) / len(pairs)
 
 
 def _largest_motion(sources: list[SourceView], T_before: Array, T_after: Array) -> float:

@@ -48,7 +48,7 @@ class FirstOrderFineOptions:
     """Weight of the semantic term relative to the colour term."""
     feature: NonNegativeFloat = 0.5
     """Weight of the feature term relative to the colour term. Its encoder is that of
-    --loops.features."""
+    --loops.features, or the built-in one if that has no gradients (vlad)."""
     iterations: PositiveInt = 150
     """Maximum number of Adam iterations."""
     translation_rate: PositiveFloat = 0.005
@@ -84,11 +84,6 @@ class FineOptions:
     """Minimum overlap of a converged registration."""
     semantic_gate: bool = True
     """Exclude pixels whose classes differ."""
-    # Residuals are not independent: pixels and views show the same Gaussians, and the errors are
-    # those of two maps. With independent residuals, the squared pose errors were 200 to 1100 times
-    # the expected ones in synthetic rooms, with and without sensor noise.
-    redundancy: Annotated[float, Range(ge=1)] = 500.0
-    """Number of residuals that count as one in the information matrix."""
     dense: JointOptions = JointOptions()
     first_order: FirstOrderFineOptions = FirstOrderFineOptions()
 
