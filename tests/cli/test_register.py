@@ -172,7 +172,7 @@ def without_descriptors(run: Path) -> None:
 
 def with_other_descriptors(run: Path) -> None:
     config = run / "config.yaml"
-    config.write_text(config.read_text().replace("kind: builtin", "kind: dinov2"))
+    config.write_text(config.read_text().replace("kind: vlad", "kind: dinov2"))
 
 
 def with_a_damaged_submap(run: Path) -> None:

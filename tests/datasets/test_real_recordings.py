@@ -30,7 +30,7 @@ def test_a_bag_of_a_tracking_camera_gives_undistorted_images(real_data):
     """The left edge of the door is straight, as it is not in the image of the fisheye."""
     pytest.importorskip("rosbags")
     path = real_data("recordings") / "trimmed_locoffice.bag"
-    dataset = open_dataset("bag", path, needs_depth=False)
+    dataset = open_dataset("bag", path, image_size=(848, 800), needs_depth=False)
     assert len(dataset) == 3
     assert dataset.camera.size == (848, 800)
     assert dataset.timestamps_s[0] == pytest.approx(1553180224.360916)
