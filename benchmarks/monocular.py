@@ -78,7 +78,7 @@ WORST = {
     "scale_drift_percent": max,
 }
 OFFICE, EUROC, ROOM, NOISY = "office0", "EuRoC V1_01", "room", "room, sensor noise"
-RING, NOISY_RING, STILL, RPY = "ring", "ring, sensor noise", "hardly moving", "fr1/rpy"
+RING, STILL, RPY = "ring", "ring, sensor noise", "hardly moving", "fr1/rpy"
 OFFICE_FILM, EUROC_FILM = "office0, film", "EuRoC V1_01, film"
 
 
@@ -107,7 +107,6 @@ ROWS: dict[str, Row] = {
     ROOM: Row("room"),
     NOISY: Row("room-noise"),
     RING: Row("ring-ideal"),
-    NOISY_RING: Row("ring"),
     "around objects": Row("orbit"),
     STILL: Row("still"),
     "RedKitchen": Row("redkitchen"),
@@ -189,11 +188,6 @@ def targets(rows: Rows) -> list[Target]:
         Target("noisy room, ATE in % of the path", ate_percent(NOISY), at_most=2.0),
         Target("room, PSNR in dB", median(ROOM, "psnr_db"), at_least=30.0),
         Target("ring, drift of scale in %", median(RING, "scale_drift_percent"), at_most=2.0),
-        Target(
-            "noisy ring, drift of scale in %",
-            median(NOISY_RING, "scale_drift_percent"),
-            at_most=2.0,
-        ),
         Target("hardly moving camera, called reliable (0: no)", reliable(STILL), at_most=0.0),
         Target("fr1/rpy, called reliable (0: no)", reliable(RPY), at_most=0.0),
     ]

@@ -42,7 +42,7 @@ _MAX_CORRECTION_PX = 8.0
 class GuidedTracker(GivenPoses):
     """Aligns each frame to the map, starting at its pose in a trajectory.
 
-    Where the map covers too little of the image, or alignment fails, the pose is the given one.
+    Frames with depth keep their pose, and only their exposure is estimated. Where the map covers too little of the image, or alignment fails, the pose is the given one.
 
     Args:
         trajectory: poses of the frames, wrong by a few pixels.
@@ -79,9 +79,13 @@ class GuidedTracker(GivenPoses):
         if not correction * frame.camera.focal < _MAX_CORRECTION_PX:
             return given
         self._exposure = exposure
+        # Frames with depth extend the map. At their given poses, it does not drift.
+        extends = bool(frame.depth_m.any())
         return replace(
             given,
-            T_map_camera=se3.orthonormalise(T_map_view @ found.T_view_camera),
+            T_map_camera=T_map_view
+            if extends
+            else se3.orthonormalise(T_map_view @ found.T_view_camera),
             converged=found.converged,
             iterations=found.iterations,
             renders=1,
