@@ -78,7 +78,7 @@ WORST = {
     "scale_drift_percent": max,
 }
 OFFICE, EUROC, ROOM, NOISY = "office0", "EuRoC V1_01", "room", "room, sensor noise"
-RING, STILL, RPY = "ring", "ring, sensor noise", "hardly moving", "fr1/rpy"
+RING, STILL, RPY = "ring", "hardly moving", "fr1/rpy"
 OFFICE_FILM, EUROC_FILM = "office0, film", "EuRoC V1_01, film"
 
 

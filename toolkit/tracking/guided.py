@@ -42,7 +42,8 @@ _MAX_CORRECTION_PX = 8.0
 class GuidedTracker(GivenPoses):
     """Aligns each frame to the map, starting at its pose in a trajectory.
 
-    Frames with depth keep their pose, and only their exposure is estimated. Where the map covers too little of the image, or alignment fails, the pose is the given one.
+    Frames with depth keep their pose, and only their exposure is estimated. Where the map covers
+    too little of the image, or alignment fails, the pose is the given one.
 
     Args:
         trajectory: poses of the frames, wrong by a few pixels.
