@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.backend import align
-from toolkit.alignment.data import INITIAL_SCALES, Alignment, FrameLevel, GaussNewtonOptions
+from toolkit.alignment.data import (
+    INITIAL_SCALES,
+    Alignment,
+    FrameLevel,
+    GaussNewtonOptions,
+    ModelLevel,
+)
 from toolkit.alignment.exposure import estimate_exposure
 from toolkit.alignment.levels import finest_level, model_level, pyramid, view_level
 from toolkit.exposure import IDENTITY, Exposure
@@ -100,22 +106,20 @@ class GuidedTracker(GivenPoses):
         views = pyramid(view, _LEVELS)
         models = [model_level(level) for level in views]
         frames = pyramid(FrameLevel(frame.camera, own.intensity, view.depth_m), _LEVELS)
+        # The given pose is good enough to tell a sudden change of exposure.
+        unaligned = Alignment(np.eye(4), INITIAL_SCALES, self._exposure)
+        start = _exposure(models, frames, unaligned)
         options = GaussNewtonOptions(
             iterations=_ITERATIONS,
             max_distance=_MAX_DISTANCE,
             photometric_weight=_PHOTOMETRIC_WEIGHT,
-            exposure=self._exposure,
+            exposure=start,
             min_pixels=_MIN_PIXELS,
             min_translation_m=_SMALL_TRANSLATION_M,
             min_rotation_rad=_SMALL_ROTATION_RAD,
         )
-        start = Alignment(np.eye(4), INITIAL_SCALES, self._exposure)
-        found = align(models, frames, start, options)
-        levels = list(zip(models, frames, strict=True))
-        exposure = estimate_exposure(
-            levels, found.T_view_camera, found.scales, found.exposure, _MAX_DISTANCE
-        )
-        return found, exposure
+        found = align(models, frames, Alignment(np.eye(4), INITIAL_SCALES, start), options)
+        return found, _exposure(models, frames, found)
 
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
@@ -125,3 +129,14 @@ class GuidedTracker(GivenPoses):
         """Restore an earlier `state`."""
         super().restore(state)
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
+
+
+def _exposure(models: list[ModelLevel], frames: list[FrameLevel], alignment: Alignment) -> Exposure:
+    """Exposure of a frame at a pose relative to a view."""
+    return estimate_exposure(
+        list(zip(models, frames, strict=True)),
+        alignment.T_view_camera,
+        alignment.scales,
+        alignment.exposure,
+        _MAX_DISTANCE,
+    )
