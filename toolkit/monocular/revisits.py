@@ -19,7 +19,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.visual_odometry.landmarks import View
 from toolkit.visual_odometry.sparse_map import MAX_ERROR_PX
-from toolkit.visual_odometry.two_view import parallax_rad, rays
+from toolkit.visual_odometry.two_view import depth_equations, parallax_rad, rays
 
 Array = NDArray[np.float64]
 Matches = NDArray[np.int64]
@@ -111,11 +111,8 @@ class _Lines:
     ) -> None:
         """Add matches [M] with another view."""
         turned = rays(camera, px) @ T_other_own[:3, :3].T
-        t, seen = T_other_own[:3, 3], rays(camera, other_px)
-        # Projection of turned + q t onto the ray seen: both components are linear in q.
-        a = t[:2] - seen[:, :2] * t[2]
-        b = seen[:, :2] * turned[:, 2:] - turned[:, :2]
-        numerator, denominator = (a * b).sum(1), (a * a).sum(1)
+        t = T_other_own[:3, 3]
+        numerator, denominator = depth_equations(turned, t, rays(camera, other_px))
         points = turned + (numerator / np.maximum(denominator, 1e-18))[:, None] * t
         good = (numerator > 0) & (reprojection_px(camera, points, other_px) < _MAX_TRIANGULATION_PX)
         self._numerator[rows[good]] += numerator[good]

@@ -84,11 +84,25 @@ def triangulate(camera: Camera, T_second_first: Array, first_px: Array, second_p
     """
     T = np.broadcast_to(T_second_first, (len(first_px), 4, 4))
     turned = np.einsum("nij,nj->ni", T[:, :3, :3], rays(camera, first_px))
-    t, second = T[:, :3, 3], rays(camera, second_px)
-    # Projection of turned + q t onto the second ray: both components are linear in q.
-    a = t[:, :2] - second[:, :2] * t[:, 2:]
+    numerator, denominator = depth_equations(turned, T[:, :3, 3], rays(camera, second_px))
+    return numerator / np.maximum(denominator, 1e-18)
+
+
+def depth_equations(turned: Array, t: Array, second: Array) -> tuple[Array, Array]:
+    """Normal equations of inverse depths q [N], for which turned + q t is closest to a ray.
+
+    Args:
+        turned: [N, 3] rays of the first image in the second camera.
+        t: [3] or [N, 3] position of the first camera in the second one.
+        second: [N, 3] rays of the second image.
+
+    Returns:
+        [N] and [N], of which q is the ratio; sums over images give q from all of them.
+    """
+    # Both components of the projection onto the second ray are linear in q.
+    a = t[..., :2] - second[:, :2] * t[..., 2:]
     b = second[:, :2] * turned[:, 2:] - turned[:, :2]
-    return (a * b).sum(1) / np.maximum((a * a).sum(1), 1e-18)
+    return (a * b).sum(1), (a * a).sum(1)
 
 
 def parallax_rad(camera: Camera, R_second_first: Array, first_px: Array, second_px: Array) -> Array:
