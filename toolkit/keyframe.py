@@ -25,8 +25,8 @@ _MAX_BEHIND = 1.05
 _ON_SURFACE = 0.05
 # Space is empty in front of the measured depth by more than the larger of these: in metres, and as
 # a fraction of depth.
-_FREE_SPACE_M = 0.05
-_FREE_SPACE = 0.03
+FREE_SPACE_M = 0.05
+FREE_SPACE = 0.03
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ class Keyframe:
     def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
         inside, z, depth_m = self._depths_at(points_map, self.measured_m)
-        margin = np.maximum(_FREE_SPACE_M, _FREE_SPACE * depth_m)
+        margin = np.maximum(FREE_SPACE_M, FREE_SPACE * depth_m)
         inside[inside] = (depth_m > 0) & (z < depth_m - margin)
         return inside
 

@@ -18,6 +18,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import ToolkitError
+from toolkit.evaluation.free_space import free_space_metrics
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import (
     IMAGE_CONVENTIONS,
@@ -35,6 +36,7 @@ from toolkit.frame import Frame
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.mapping.free_space import DepthView
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.dense import DenseTracker
 
@@ -140,9 +142,12 @@ def measure_run(
         for view in _tracked_views(mapped, dataset, options.max_views)
     ]
     unseen_quality, refined_quality = [], []
+    depth_views: list[DepthView] = []
     tracker = DenseTracker(backend_name=options.backend_name)
     for view in _unseen_views(held_out, dataset, unseen, alignment, options.max_views):
         unseen_quality.append(_quality(scene, view, options, scores[1], scale))
+        if len(depth_views) < min(len(held_out), options.max_views):  # held-out frames come first
+            depth_views.append(_depth_view(view, scale))
         refined = _refined(view, scene, tracker, scale)
         refined_quality.append(_quality(scene, refined, options, scores[2], scale))
 
@@ -152,6 +157,7 @@ def measure_run(
         **image_metrics(unseen_quality, "_unseen"),
         **image_metrics(refined_quality, "_unseen_refined"),
         **{name: value for score in scores for name, value in score.metrics().items()},
+        **free_space_metrics(scene, depth_views),
         **_surface_metrics(scene, options.mesh, alignment),
         **IMAGE_CONVENTIONS,
         **_view_conventions(options),
@@ -242,6 +248,11 @@ def _surface_metrics(
     if mesh is None or alignment is None or alignment.scale != 1.0:
         return {}
     return wall_thickness(scene, mesh, alignment.T_world_map).metrics()
+
+
+def _depth_view(view: View, scale: float) -> DepthView:
+    depth_m = view.frame.depth_m / np.float32(scale)
+    return DepthView(se3.inverse(view.T_map_camera).astype(np.float32), view.frame.camera, depth_m)
 
 
 def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: float) -> View:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
@@ -22,6 +23,7 @@ from toolkit.mapping.consensus import label_consensus
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
+from toolkit.mapping.free_space import DepthView, Evidence, contradicted, seen_through
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
@@ -127,8 +129,18 @@ class Mapper:
         if self.options.fuse_depth:
             with self._recorder.timed("depth fusion"):
                 fuse_depth(self.map, observed.measured_m)
+        others, free_space = self.keyframes[:-1], self.options.free_space
+        if free_space.use and others:
+            with self._recorder.timed("free space"):
+                self._remove(contradicted(self.gaussians.means, keyframe, others, free_space))
+        before = len(self.gaussians)
         with self._recorder.timed("seeding"):
             seeded = self._densification.seed(self.map, keyframe, self.view(keyframe), observed)
+        if free_space.use and others and seeded:
+            with self._recorder.timed("free space"):
+                mask = seen_through(self.gaussians.means[before:], others, free_space)
+                self._remove(torch.cat([mask.new_zeros(before), mask]))
+                seeded -= int(mask.sum())
         all_new = seeded == len(self.gaussians)
         steps = self.options.first_iterations if all_new else self.options.iterations
         if self.deferred is None:
@@ -243,10 +255,12 @@ class Mapper:
                     self.options.consensus,
                 )
             self.map.optimiser.reset("features")
+        self._clear_free_space()
         if self.options.fill_holes:
             with self._recorder.timed("hole filling"):
                 self._fill_holes()
         refine(self.map, self._optimisation, self.options, self._generator)
+        self._clear_free_space()
         self._densification.prune(self.map)
 
     def replace_content(self, content: MapContent) -> None:
@@ -287,6 +301,22 @@ class Mapper:
         options = RenderOptions(features=features)
         T_camera_map = se3.inverse(T_map_camera)
         return render_surface(self._backend, gaussians, camera, T_camera_map, options)
+
+    def _clear_free_space(self) -> None:
+        """Remove Gaussians from space that all keyframes together measured as empty."""
+        if not self.options.free_space.use:
+            return
+        with self._recorder.timed("free space"):
+            views = (DepthView.of(keyframe) for keyframe in self.keyframes)
+            evidence = Evidence.of(self.gaussians.means, views)
+            mask = evidence.contradicts(self.options.free_space)
+        self._remove(mask)
+        _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
+
+    def _remove(self, mask: Tensor) -> None:
+        """Remove the Gaussians in a mask [N]."""
+        if mask.any():
+            self.map.keep(~mask)
 
     def _fill_holes(self) -> None:
         filled = sum(

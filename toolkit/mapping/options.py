@@ -78,6 +78,22 @@ class ConsensusOptions:
 
 
 @dataclass(frozen=True)
+class FreeSpaceOptions:
+    """Removal of Gaussians from space that keyframes measured as empty."""
+
+    use: bool = True
+    """Remove Gaussians that keyframes measured through, and do not seed any there."""
+    min_through: PositiveFloat = 1.5
+    """Minimum number of keyframes that measured through a Gaussian, each weighted by its
+    confidence."""
+    min_ratio: NonNegativeFloat = 0.5
+    """Minimum ratio of the keyframes that measured through a Gaussian to those that measured a
+    surface at its place."""
+    views: PositiveInt = 8
+    """Maximum number of keyframes compared during mapping, spread over those of the submap."""
+
+
+@dataclass(frozen=True)
 class DepthAdjustmentOptions:
     """Scale and shift of corrected depth priors, optimised with the map (Hier-SLAM++, equation 17).
 
@@ -155,3 +171,4 @@ class MapperOptions:
     loss: RgbdLossWeights = RgbdLossWeights()
     consensus: ConsensusOptions = ConsensusOptions()
     depth_adjustment: DepthAdjustmentOptions = DepthAdjustmentOptions()
+    free_space: FreeSpaceOptions = FreeSpaceOptions()

@@ -21,6 +21,8 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.mapping.free_space import DepthView, Evidence
+from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.exposures import estimate_exposures
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
@@ -36,6 +38,9 @@ _MIN_OPACITY = 2.0
 _CACHE_MB = 256.0
 # Rendered extent of a Gaussian, in radii.
 _REACH = 4.0
+# Maximum number of keyframes of a submap whose free space is compared with other submaps; limits
+# memory and time.
+_MAX_VIEWS = 48
 
 
 class FusedMap:
@@ -145,11 +150,15 @@ def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
     """Fuse all readable submaps. A single submap is returned unchanged."""
     if len(atlas) == 1:
         return FusedMap(atlas.submap, {0: None}, {0: IDENTITY})
-    return fuse_submaps(atlas.readable(), atlas.submap, voxel_m)
+    free_space = atlas.mapper.options.free_space
+    return fuse_submaps(atlas.readable(), atlas.submap, voxel_m, free_space)
 
 
 def fuse_submaps(
-    numbers: Sequence[int], submap: Callable[[int], Submap], voxel_m: float = VOXEL_M
+    numbers: Sequence[int],
+    submap: Callable[[int], Submap],
+    voxel_m: float = VOXEL_M,
+    free_space: FreeSpaceOptions | None = None,
 ) -> FusedMap:
     """Fuse submaps placed by their `T_world_submap`; the first keeps its exposure.
 
@@ -158,15 +167,31 @@ def fuse_submaps(
         submap: returns the submap of a number; must be deterministic. Submaps are loaded one at a
             time and must have the same number of feature channels.
         voxel_m: voxel size, metres.
+        free_space: removes Gaussians that keyframes of all submaps measured through; defaults if
+            absent.
     """
+    free_space = free_space or FreeSpaceOptions()
     statistics = {number: _voxel_statistics(submap(number), voxel_m) for number in numbers}
     owners = _owners(statistics)
     exposures = estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
+    views = []
+    if free_space.use:
+        views = [view for number in numbers for view in _depth_views(submap(number))]
     kept: dict[int, Tensor | None] = {}
     for number in numbers:
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
-        kept[number] = torch.from_numpy(owners.submap[index] == number)
+        mask = torch.from_numpy(owners.submap[index] == number)
+        if views:
+            means = submap(number).gaussians.transformed(submap(number).T_world_submap).means
+            mask &= ~Evidence.of(means, views).contradicts(free_space)
+        kept[number] = mask
     return FusedMap(submap, kept, exposures)
+
+
+def _depth_views(submap: Submap) -> list[DepthView]:
+    """The depth of a submap's keyframes in the world, at most `_MAX_VIEWS`, evenly spaced."""
+    keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
+    return [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
 
 
 @dataclass(frozen=True)

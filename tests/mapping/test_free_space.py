@@ -1,0 +1,125 @@
+"""Gaussians in space that keyframes measured as empty."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.mapping.conftest import MappedRoom
+from toolkit.evaluation.free_space import free_space_metrics
+from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.scene import InMemoryScene
+from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.free_space import (
+    DepthView,
+    Evidence,
+    contradicted,
+    depth_confidence,
+    empty_depth,
+    seen_through,
+)
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
+
+CAMERA = Camera(40.0, 40.0, 20.0, 15.0, 40, 30)
+OPTIONS = FreeSpaceOptions()
+
+
+def wall(depth_m: float = 2.0, index: int = 0, **changed) -> Keyframe:
+    """A keyframe at the origin in front of a wall."""
+    image = np.full((30, 40), depth_m, np.float32)
+    frame = Frame(index, float(index), np.full((30, 40, 3), 0.5, np.float32), image, CAMERA)
+    return Keyframe.from_frame(replace(frame, **changed), np.eye(4))
+
+
+def points(*depths_m: float) -> torch.Tensor:
+    """Points on the optical axis."""
+    return torch.tensor([[0.0, 0.0, z] for z in depths_m])
+
+
+def test_what_is_in_front_of_a_measured_surface_is_empty_beyond_a_margin():
+    evidence = Evidence.of(points(1.0, 1.9, 1.97, 2.0, 2.05, 3.0, -1.0), [DepthView.of(wall())])
+    assert (evidence.through > 0).tolist() == [True, True] + 5 * [False]
+    assert evidence.support.tolist() == [0, 0, 1, 1, 1, 0, 0]
+
+
+def test_pixels_beside_edges_and_holes_do_not_rule_out_space():
+    depth_m = np.full((30, 40), 2.0, np.float32)
+    depth_m[:, 20:] = 1.0
+    depth_m[0, 0] = 0.0
+    empty = empty_depth(depth_m)
+    assert empty[15, 18] == pytest.approx(1.94) and empty[15, 19] == pytest.approx(0.95)
+    assert empty[1, 1] == 0.0 and empty[2, 2] > 0.0
+
+
+def test_confidence_falls_with_distance_and_obliqueness():
+    rays = CAMERA.rays()
+    facing = np.full((30, 40), 2.0, np.float32)
+    # The plane x + z = 2 is seen at 45 degrees in the centre of the image.
+    oblique = (2.0 / (1.0 + rays[..., 0])).astype(np.float32)
+    centre = (15, 20)
+    assert depth_confidence(facing, CAMERA)[centre] == pytest.approx(1.0)
+    assert depth_confidence(oblique, CAMERA)[centre] == pytest.approx(0.707, abs=0.02)
+    assert depth_confidence(3 * facing, CAMERA)[centre] == pytest.approx(0.25)
+    assert depth_confidence(0 * facing, CAMERA)[centre] == 0.0
+
+
+def test_a_keyframe_that_contradicts_most_of_the_map_counts_little():
+    cloud = torch.cat([points(*9 * [2.0]), points(1.0)])
+    good = Evidence.of(cloud, [DepthView.of(wall(2.0))]).through[-1]
+    # The same keyframe, moved back by a wrong pose, measures through the whole map.
+    bad = Evidence.of(cloud, [DepthView.of(wall(2.5))]).through[-1]
+    assert good > 0.7 and bad == 0.0
+
+
+@pytest.mark.parametrize("through", [1, 3])
+def test_several_keyframes_must_measure_through_a_point(through: int):
+    cloud = torch.cat([points(*30 * [2.0]), points(1.0)])
+    near = [wall(1.0, n) for n in range(2)]
+    far = [wall(2.0, 2 + n) for n in range(through)]
+    mask = contradicted(cloud, far[-1], [*near, *far[:-1]], OPTIONS)
+    assert mask[-1].item() == (through == 3) and not mask[:-1].any()
+
+
+def test_seeds_in_space_that_others_saw_through_are_dropped_unless_they_are_many():
+    others = [wall(2.0, n) for n in range(3)]
+    few = torch.cat([points(*30 * [2.0]), points(1.0)])
+    assert seen_through(few, others, OPTIONS).nonzero().tolist() == [[30]]
+    assert not seen_through(points(1.0, 1.0, 2.0), others, OPTIONS).any()
+
+
+def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom):
+    frames = list(room.frames[:4])
+    ghost = frames[0].depth_m.copy()
+    ghost[10:25, 10:25] *= 0.5
+    frames[0] = replace(frames[0], depth_m=ghost)
+    counts = []
+    for use in (False, True):
+        options = MapperOptions(final_iterations=1, free_space=FreeSpaceOptions(use=use))
+        mapper = Mapper(options)
+        for frame, pose in zip(frames, room.T_map_camera, strict=False):
+            mapper.add_keyframe(Keyframe.from_frame(frame, pose))
+        mapper.refine()
+        truth = Keyframe.from_frame(room.frames[0], room.T_map_camera[0])
+        evidence = Evidence.of(mapper.gaussians.means, [DepthView.of(truth)])
+        counts.append(int((evidence.through > 0).sum()))
+    assert counts[0] > 20 and counts[1] < 0.1 * counts[0]
+
+
+def test_opacity_in_empty_space_is_measured_by_majority_and_by_any_frame():
+    cloud = GaussianCloud.from_values(
+        means=points(2.0, 1.0, 1.5),
+        radii_m=torch.full((3,), 0.01),
+        opacities=torch.tensor([0.5, 0.3, 0.2]),
+        colours=torch.zeros(3, 3),
+    )
+    views = [DepthView.of(wall(2.0)), DepthView.of(wall(1.5)), DepthView.of(wall(1.5))]
+    found = free_space_metrics(InMemoryScene(cloud), views)
+    assert found["free_space_opacity_percent"] == pytest.approx(30.0)
+    assert found["free_space_opacity_any_percent"] == pytest.approx(50.0)
+    assert free_space_metrics(InMemoryScene(cloud), [])["free_space_opacity_percent"] is None
