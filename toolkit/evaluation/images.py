@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32] | Tensor
+Image = NDArray[np.float32] | NDArray[np.float64] | Tensor
 
 WINDOW_SIZE = 11
 WINDOW_SIGMA = 1.5
@@ -43,6 +43,20 @@ def psnr_db(rendered: Image, truth: Image) -> float:
     if mean_square <= 10.0 ** (-MAX_PSNR_DB / 10.0):
         return MAX_PSNR_DB
     return -10.0 * math.log10(mean_square)
+
+
+def masked_psnr_db(rendered: Image, truth: Image, mask: NDArray[np.bool_]) -> float | None:
+    """Compute the PSNR in dB over the pixels in a mask [H, W] only; None if it is empty.
+
+    Args:
+        rendered, truth: as in `psnr_db`.
+
+    Raises:
+        ValueError: shapes differ or are not [H, W, 3].
+    """
+    a, b = _as_pair(rendered, truth)
+    # Both images as one row of pixels.
+    return psnr_db(a[mask][None], b[mask][None]) if mask.any() else None
 
 
 def ssim(rendered: Image, truth: Image) -> float | None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.evaluation.depth import depth_l1
-from toolkit.evaluation.images import mean_or_none, psnr_db, ssim_and_ms_ssim
+from toolkit.evaluation.images import masked_psnr_db, mean_or_none, psnr_db, ssim_and_ms_ssim
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
@@ -26,6 +26,7 @@ from toolkit.evaluation.trajectory import (
     absolute_trajectory_error,
     relative_pose_error,
 )
+from toolkit.evaluation.white_balance import balanced
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
 
@@ -33,7 +34,9 @@ MetricValue = float | int | str | None
 Metrics = dict[str, MetricValue]
 
 IMAGE_CONVENTIONS: Metrics = {
-    "psnr_convention": "mean of per-view dB over all pixels, at most 100 dB a view",
+    "psnr_convention": "mean of per-view dB over all pixels, at most 100 dB a view; measured and "
+    "inferred: over the pixels with and without measured depth, of the views that have any; "
+    "per_channel: after fitting one gain per channel",
     "ssim_convention": "11x11 Gaussian window of sigma 1.5, data range 1, mirrored border",
     "ms_ssim_convention": "5 scales; null where the shorter side is below 176 pixels",
     "lpips_convention": "AlexNet, version 0.1; null without --lpips-weights, and for images below "
@@ -50,6 +53,8 @@ class ViewQuality:
     Attributes:
         frame_index: index of the view's frame.
         psnr_db: over all pixels, in dB.
+        psnr_measured_db, psnr_inferred_db: over the pixels with and without measured depth.
+        psnr_per_channel_db: over all pixels, after fitting one gain per channel.
         ssim, ms_ssim, lpips: without unit.
         depth_l1_m: mean absolute depth error in metres.
         depth_coverage: fraction of the pixels with measured depth that were compared, in [0, 1].
@@ -62,6 +67,9 @@ class ViewQuality:
     lpips: float | None
     depth_l1_m: float | None
     depth_coverage: float
+    psnr_measured_db: float | None = None
+    psnr_inferred_db: float | None = None
+    psnr_per_channel_db: float | None = None
 
 
 @dataclass(frozen=True)
@@ -125,6 +133,9 @@ def view_quality(
         lpips=None if lpips is None else lpips(rgb, true_rgb),
         depth_l1_m=depth.l1_m,
         depth_coverage=depth.coverage,
+        psnr_measured_db=masked_psnr_db(rgb, true_rgb, measured_depth_m > 0),
+        psnr_inferred_db=masked_psnr_db(rgb, true_rgb, ~(measured_depth_m > 0)),
+        psnr_per_channel_db=psnr_db(balanced(rgb, true_rgb), true_rgb),
     )
 
 
@@ -170,6 +181,10 @@ def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
     return {
         f"views{suffix}": len(views),
         f"psnr{suffix}_db": mean_or_none([view.psnr_db for view in views]),
+        **{
+            f"psnr{suffix}_{kind}_db": mean_or_none([getattr(v, f"psnr_{kind}_db") for v in views])
+            for kind in ("measured", "inferred", "per_channel")
+        },
         f"ssim{suffix}": mean_or_none([view.ssim for view in views]),
         f"ms_ssim{suffix}": mean_or_none([view.ms_ssim for view in views]),
         f"lpips{suffix}": mean_or_none([view.lpips for view in views]),
