@@ -83,10 +83,10 @@ class FreeSpaceOptions:
 
     use: bool = True
     """Remove Gaussians that keyframes measured through, and do not seed any there."""
-    min_through: PositiveFloat = 1.5
+    min_through: PositiveFloat = 1.0
     """Minimum number of keyframes that measured through a Gaussian, each weighted by its
     confidence."""
-    min_ratio: NonNegativeFloat = 0.5
+    min_ratio: NonNegativeFloat = 0.33
     """Minimum ratio of the keyframes that measured through a Gaussian to those that measured a
     surface at its place."""
     views: PositiveInt = 8

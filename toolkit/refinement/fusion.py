@@ -40,7 +40,7 @@ _CACHE_MB = 256.0
 _REACH = 4.0
 # Maximum number of keyframes of a submap whose free space is compared with other submaps; limits
 # memory and time.
-_MAX_VIEWS = 48
+_MAX_VIEWS = 128
 
 
 class FusedMap:
