@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.depth_priors.fattening import remove_fattening
 from toolkit.depth_priors.plane_sweep import double_depth, plane_sweep
 from toolkit.depth_priors.problem import Image, Planes, PosedImage, SweepOptions
 from toolkit.geometry.camera import Camera
@@ -107,6 +108,7 @@ def sweep_depth(
     known = (middle > 0) & (found.plane >= 0) & (inverse_depth > 0.5 * far)
     known &= inverse_depth > 0
     inverse_depth = np.where(known, inverse_depth, np.float32(0.0))
+    inverse_depth = remove_fattening(images.full, inverse_depth)
     return SweptDepth(inverse_depth, found.correlation, found.margin)
 
 

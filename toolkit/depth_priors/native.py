@@ -54,6 +54,16 @@ def double_depth(
     return doubled
 
 
+def remove_fattening(
+    kernels: ModuleType, intensity: Image, inverse_depth: Image, farthest: Image
+) -> Image:
+    """See `toolkit.depth_priors.fattening.remove_fattening`."""
+    kept = np.empty_like(inverse_depth)
+    images = (intensity, inverse_depth, farthest, kept)
+    kernels.remove_fattening(inverse_depth.shape[::-1], [image.ctypes.data for image in images])
+    return kept
+
+
 def find_consensus(
     kernels: ModuleType,
     camera: Camera,

@@ -28,6 +28,8 @@ _EDGE_CONTRAST = 0.04
 # See upsampling.cpp and consensus.cpp.
 _PIXEL_CONTRAST = 0.02
 _MIN_DEPTH = 1e-6
+# See fattening.cpp.
+_REACH, _EDGE, _CONTRAST, _PREFERENCE, _MIN_FAR = 11, 1.05, 0.1, 1.5, 3
 
 
 def plane_sweep(
@@ -176,6 +178,42 @@ def _between(count: int, half: int) -> tuple[NDArray[np.int64], NDArray[np.float
     place = 0.5 * np.arange(count, dtype=np.float32) - 0.25
     first = np.clip(np.floor(place).astype(np.int64), 0, max(half - 2, 0))
     return first, np.clip(place - first, 0.0, 1.0).astype(np.float32)
+
+
+def remove_fattening(intensity: Image, inverse_depth: Image, farthest: Image) -> Image:
+    """See `toolkit.depth_priors.fattening.remove_fattening`."""
+    known = inverse_depth > 0
+    border = known & (inverse_depth > _EDGE * np.where(known, farthest, 1.0))
+    rows, columns = np.nonzero(border)
+    own, level = inverse_depth[rows, columns], intensity[rows, columns]
+    padding = ((_REACH, _REACH), (_REACH, _REACH))
+    levels = np.pad(intensity, padding)
+    depths = np.pad(np.where(known, inverse_depth, np.inf), padding, constant_values=np.inf)
+    inner = np.pad(np.where(known & ~border, inverse_depth, 0.0), padding)
+    far, near, like_far, like_near = np.zeros((4, len(rows)))
+    for dy, dx in _chessboard(_REACH):
+        place = (rows + _REACH + dy, columns + _REACH + dx)
+        is_far = depths[place] * _EDGE < own
+        is_near = (inner[place] * _EDGE >= own) & (inner[place] < own * _EDGE)
+        difference = (levels[place] - level) / _CONTRAST
+        similarity = np.maximum(1.0 - difference**2, 0.0) ** 2
+        far += is_far
+        near += is_near
+        like_far += is_far * similarity
+        like_near += is_near * similarity
+    more = (near == 0) | (like_far * near >= _PREFERENCE * like_near * far)
+    removed = (far >= _MIN_FAR) & more
+    kept = inverse_depth.copy()
+    kept[rows[removed], columns[removed]] = 0.0
+    return kept
+
+
+def _chessboard(radius: int) -> list[tuple[int, int]]:
+    """Every second pixel (dy, dx) of a disc."""
+    around = range(-radius, radius + 1)
+    return [
+        (y, x) for y in around for x in around if (x + y) % 2 == 0 and x * x + y * y <= radius**2
+    ]
 
 
 def find_consensus(

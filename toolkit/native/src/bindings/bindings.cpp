@@ -20,6 +20,7 @@
 #include "optimisation/adam.hpp"
 #include "plane_sweep/upsampling.hpp"
 #include "plane_sweep/consensus.hpp"
+#include "plane_sweep/fattening.hpp"
 #include "plane_sweep/plane_sweep.hpp"
 #include "rendering/splats.hpp"
 #include "rendering/surface.hpp"
@@ -305,6 +306,14 @@ void double_depth(const std::tuple<Size, Address, Address>& half, const Size& si
                            at<float>(images[1]));
 }
 
+// images: intensity, inverse depth, farthest inverse depth around each pixel, result.
+void remove_fattening_of(const Size& size, const std::array<Address, 4>& images) {
+    const MatchedDepth image{size[0], size[1], at<const float>(images[0]), at<const float>(images[1]),
+                             at<const float>(images[2])};
+    const py::gil_scoped_release release;
+    remove_fattening(image, at<float>(images[3]));
+}
+
 // others: inverse depths and T_other_reference. limits: tolerance, in_front. out: inverse depth, spread,
 // parallax, agreeing, conflicting.
 void find_consensus(const Intrinsics& intrinsics, const Size& size, Address inverse_depth, const PosedImages& others,
@@ -363,6 +372,7 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("adjust_bundle", &adjust_bundle);
     m.def("plane_sweep", &plane_sweep);
     m.def("double_depth", &double_depth);
+    m.def("remove_fattening", &remove_fattening_of);
     m.def("find_consensus", &find_consensus);
     m.def("adam", &adam);
     m.def("smooth_inverse_depth", &smoothed);

@@ -1,0 +1,42 @@
+"""Foreground fattening: matched depth of near surfaces reaches beyond their borders in the image.
+
+The window around a pixel beside a near surface shows that surface too, and often its border has the
+strongest contrast in the window. The pixel is then given the depth of the near surface, in all
+images alike, so that keyframes agree on it.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from toolkit.depth_priors import native, reference
+from toolkit.depth_priors.problem import Image
+from toolkit.native.loading import kernels
+
+# Width of the wrong borders: half a window of the image of half the size.
+_WIDTH = 6
+
+
+def remove_fattening(intensity: Image, inverse_depth: Image) -> Image:
+    """Remove the depth of pixels that belong to the surface behind the one of their depth.
+
+    Pixels on the near side of a depth edge are compared with both surfaces, of which they have the
+    intensity that is more frequent there.
+
+    Args:
+        intensity: [H, W] float32 in [0, 1].
+        inverse_depth: [H, W] float32, 0 where unknown.
+
+    Returns:
+        [H, W] float32 inverse depth, 0 where unknown or removed.
+    """
+    known = inverse_depth > 0
+    side = 2 * _WIDTH + 1
+    farthest = cv2.erode(
+        np.where(known, inverse_depth, np.float32(np.inf)), np.ones((side, side), np.uint8)
+    )
+    module = kernels()
+    if module is None:
+        return reference.remove_fattening(intensity, inverse_depth, farthest)
+    return native.remove_fattening(module, intensity, inverse_depth, farthest)
