@@ -9,6 +9,7 @@ from fastapi import FastAPI, Path, Query, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 from fastapi.routing import APIRoute
+from pydantic import ValidationError
 
 from toolkit import __version__
 from toolkit.errors import FormatError, SettingsError, ToolkitError
@@ -121,7 +122,7 @@ def _listed(routes: Iterable[Any]) -> list[Listed]:
         Listed(method, route.path, route.description.splitlines()[0])
         for route in routes
         if isinstance(route, APIRoute) and route.include_in_schema
-        for method in sorted(route.methods)
+        for method in sorted(route.methods or ())
     ]
 
 
@@ -149,6 +150,10 @@ def _add_errors(app: FastAPI) -> None:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         return answer(422, f"{place}: {first['msg']}")
+
+    @app.exception_handler(ValidationError)
+    async def invalid_view(_: Request, error: ValidationError) -> JSONResponse:
+        return answer(422, error.errors()[0]["msg"])
 
     @app.exception_handler(OverloadedError)
     async def overloaded(*_: Any) -> JSONResponse:

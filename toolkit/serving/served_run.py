@@ -133,7 +133,12 @@ class ServedRun:
         reader = self._reader(ObjectOptions())
         palette = Palette(reader.map.taxonomy)
         colours = [
-            {"path": list(node.path), "level": node.level, "rgb": rgb.tolist()}
+            {
+                "path": list(node.path),
+                "level": node.level,
+                "is_class": node.leaf,
+                "rgb": rgb.tolist(),
+            }
             for node, rgb in zip(reader.map.taxonomy.nodes, palette.nodes, strict=True)
         ]
         return {"levels": list(reader.map.taxonomy.levels), **reader.tree(), "colours": colours}

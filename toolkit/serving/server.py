@@ -120,7 +120,7 @@ def serve(
         run = ServedRun(path, limits.max_pixels)
         computations = Computations(limits.max_waiting)
         config = uvicorn.Config(
-            build_application(run, limits, token, computations),  # type: ignore[arg-type]
+            build_application(run, limits, token, computations),
             http="h11",
             ws="none",
             lifespan="off",
@@ -133,8 +133,8 @@ def serve(
             timeout_keep_alive=15,
             timeout_graceful_shutdown=5,
         )
-        ready(url_of(bound))
         try:
+            ready(url_of(bound))
             uvicorn.Server(config).run(sockets=[bound])
         except KeyboardInterrupt:
             return
