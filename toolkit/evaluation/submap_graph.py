@@ -103,7 +103,8 @@ def submap_graph_svg(graph: SubmapGraph) -> str:
     at = {submap.number: place for submap, place in zip(graph.submaps, places, strict=True)}
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels(graph.path_m))
     body = [f'<polyline class="path" points="{path}"/>']
-    body += [_line(link, at) for link in graph.links]
+    body += [_overlap_line(link, at) for link in graph.links]
+    body += [f'<line class="loop" {_ends(link, at)}/>' for link in graph.links if link.loop]
     for submap in graph.submaps:
         x, y = at[submap.number]
         body.append(
@@ -117,14 +118,19 @@ def submap_graph_svg(graph: SubmapGraph) -> str:
     )
 
 
-def _line(link: SubmapLink, at: dict[int, Array]) -> str:
-    (x1, y1), (x2, y2) = at[link.first], at[link.second]
-    ends = f'x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
+def _overlap_line(link: SubmapLink, at: dict[int, Array]) -> str:
     title = f"submaps {link.first} and {link.second}: {100 * link.overlap:.0f} % overlap"
     title += ", loop edge" * link.loop
     width = max(1.0, _MAX_WIDTH * link.overlap)
-    line = f'<line class="overlap" {ends} stroke-width="{width:.1f}"><title>{title}</title></line>'
-    return line + (f'<line class="loop" {ends}/>' if link.loop else "")
+    return (
+        f'<line class="overlap" {_ends(link, at)} stroke-width="{width:.1f}">'
+        f"<title>{title}</title></line>"
+    )
+
+
+def _ends(link: SubmapLink, at: dict[int, Array]) -> str:
+    (x1, y1), (x2, y2) = at[link.first], at[link.second]
+    return f'x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
 
 
 def _scale(points_m: Array) -> tuple[float, Array]:
