@@ -18,7 +18,8 @@ import httpx2 as httpx
 import pytest
 
 from toolkit.cli.main import main
-from toolkit.serving.server import TOKEN_VARIABLE, bind, is_local
+from toolkit.serving.protection import is_local
+from toolkit.serving.server import TOKEN_VARIABLE, bind
 
 ROOT = Path(__file__).resolve().parents[2]
 TOKEN = "0123456789abcdef"

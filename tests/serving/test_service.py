@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import random
 import shutil
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -212,7 +215,7 @@ def test_paths_outside_the_service_and_wrong_methods_are_rejected(client: TestCl
 
 def test_other_host_names_are_rejected_without_a_token(connect: Connect):
     assert "Host" in detail(connect(base="http://rebound.example").get("/run"), 400)
-    for base in ("http://localhost:8000", "http://[::1]:8000"):
+    for base in ("http://localhost:8000", "http://[::1]:8000", "http://127.0.0.2"):
         assert connect(base=base).get("/run").status_code == 200
 
 
@@ -238,6 +241,50 @@ def test_large_bodies_are_rejected_before_they_are_read(connect: Connect):
             yield b" " * 500
 
     detail(client.post("/render", content=parts()), 413)
+
+
+def test_bodies_that_do_not_arrive_end_the_request():
+    sent: list[dict[str, Any]] = []
+
+    async def application(*_: Any) -> None:
+        raise AssertionError("the body is not complete")
+
+    async def receive() -> dict[str, Any]:
+        await asyncio.sleep(60)
+        return {}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    protection = Protection(application, ServiceLimits(body_timeout_s=0.05), None)
+    scope = {"type": "http", "method": "POST", "path": "/render"}
+    scope |= {"headers": [(b"host", b"localhost")], "client": ("127.0.0.1", 1)}
+    asyncio.run(protection(scope, receive, send))
+    assert sent[0]["status"] == 408
+
+
+def test_more_computations_than_may_wait_are_rejected_and_the_others_answered(
+    connect: Connect, served: ServedRun, monkeypatch
+):
+    begun, finish = threading.Event(), threading.Event()
+
+    def slow_objects() -> dict[str, Any]:
+        begun.set()
+        assert finish.wait(10)
+        return {"nodes": []}
+
+    monkeypatch.setattr(served, "objects", slow_objects)
+    client = connect(ServiceLimits(requests_per_s=1e6, burst=10**6, max_waiting=1))
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(client.get, "/objects")
+        assert begun.wait(10)
+        response = client.get("/keyframes/0.png")
+        detail(response, 503)
+        assert response.headers["retry-after"] == "1"
+        assert client.get("/run").status_code == 200
+        finish.set()
+        assert waiting.result(10).json() == {"nodes": []}
+    assert client.get("/keyframes/0.png").status_code == 200
 
 
 def test_floods_are_answered_with_the_time_to_wait(connect: Connect):

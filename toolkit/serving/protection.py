@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import ipaddress
 import json
 import logging
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -23,14 +24,22 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-LOCAL_NAMES = frozenset(("localhost", "127.0.0.1", "[::1]"))
-
 # The pages of the service load nothing, and no other page may embed them.
 _HEADERS = (
     (b"cache-control", b"no-store"),
     (b"content-security-policy", b"default-src 'none'; style-src 'unsafe-inline'"),
     (b"x-content-type-options", b"nosniff"),
 )
+
+
+def is_local(host: str) -> bool:
+    """Return whether only this machine can reach an address. Other names are not looked up."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 class _RejectedError(Exception):
@@ -96,7 +105,7 @@ class Protection:
             )
         if self._token is None:
             host = headers.get(b"host", b"").decode("latin-1").lower()
-            if _without_port(host) not in LOCAL_NAMES:
+            if not is_local(_without_port(host).strip("[]")):
                 raise _RejectedError(400, "the header Host must be localhost or 127.0.0.1")
         elif not self._authorised(headers.get(b"authorization", b"")):
             raise _RejectedError(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import errno
-import ipaddress
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.serving.options import ServiceLimits
+from toolkit.serving.protection import is_local
 
 TOKEN_VARIABLE = "SEMSPLAT_TOKEN"
 _MIN_TOKEN = 16
@@ -34,16 +34,6 @@ def check_token(host: str, token: str | None) -> None:
             f"the token must have at least {_MIN_TOKEN} characters, ASCII letters, digits and "
             "punctuation; for instance: openssl rand -hex 16"
         )
-
-
-def is_local(host: str) -> bool:
-    """Return whether only this machine can reach an address. Other names are not looked up."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def bind(host: str, port: int) -> socket.socket:
