@@ -30,7 +30,7 @@ _PAGE = """<!doctype html>
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 52em; margin: 2em auto; padding: 0 1em; }
 table { border-collapse: collapse; width: 100%; }
 td { padding: 6px 14px 6px 0; border-bottom: 1px solid #8884; vertical-align: top; }
-pre { background: #8882; padding: 10px 14px; border-radius: 6px; overflow-x: auto; }
+pre { background: #8882; padding: 10px 14px; border-radius: 6px; white-space: pre-wrap; }
 </style>
 </head>
 <body>
