@@ -7,9 +7,10 @@ import json
 import cv2
 import pytest
 
-from toolkit.cli.explain_loops import main, results_of, summary
+from toolkit.cli.explain_loops import main, summary
 from toolkit.cli.programs import ExplainLoopsOptions
 from toolkit.errors import FormatError, RunFolderError
+from toolkit.evaluation.loop_gallery import results_of
 
 CANDIDATE = {
     "kind": "candidate",

@@ -64,7 +64,7 @@ def test_the_page_is_one_file_that_works_offline(tmp_path: Path) -> None:
     assert "<script" not in page
     sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
     assert len(sources) == 5
-    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert all(re.match(r"data:image/(png|jpeg);base64,", source) for source in sources)
 
 
 def test_the_page_shows_figures_times_settings_and_warnings() -> None:

@@ -18,6 +18,14 @@ def test_a_run_with_labels_reports_its_floor_plan(tiny_run):
     assert "area from above" in page
 
 
+def test_a_run_reports_its_classes_and_the_costs_of_its_frames(tiny_run):
+    page = (tiny_run / "report.html").read_text()
+    for heading in ("classes from coarse to fine", "Time of each frame", "Memory of the process"):
+        assert heading in page
+    assert "<h2>Submaps</h2>" not in page  # there is only one
+    assert len(page) < 1_000_000
+
+
 def test_maps_without_labels_or_without_a_floor_have_none(tmp_path):
     points_m, labels = labelled(room_parts())
     gaussians = gaussians_at(points_m, labels.label)

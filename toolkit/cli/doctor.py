@@ -40,6 +40,8 @@ _OPTIONAL = {
     "rosbags": ("rosbags", "bags of ROS and RealSense"),
     "lzfse": ("lzfse", "depth of Record3D"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
+    "fastapi": ("fastapi", "semsplat serve"),
+    "uvicorn": ("uvicorn", "semsplat serve"),
 }
 
 # Shared library that Open3D loads: Debian package.

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from toolkit.cli.programs import ExplainLoopsOptions
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import FormatError, RunFolderError
+from toolkit.evaluation.loop_gallery import results_of
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.missed_loops import MissedLoop, missed_loops
 from toolkit.evaluation.run_loops import true_views
@@ -156,22 +157,6 @@ def summary(records: Sequence[Record]) -> list[str]:
             largest = f"{100 * record['largest_m']:.1f} cm"
             lines.append(f"{record['loops']} loops: {corrected} corrected by up to {largest}")
     return lines
-
-
-def results_of(candidate: Record, later: Sequence[Record]) -> list[Record]:
-    """Return the later records of the log about a candidate's frames or submaps."""
-    submaps = {candidate["query_submap"], candidate["match_submap"]}
-    frames = (candidate["query"], candidate["match"])
-    if len(submaps) == 1:
-        same_frames = [r for r in later if (r.get("query"), r.get("match")) == frames]
-        return [r for r in same_frames if r["kind"] in ("within", "consistency")]
-    same_submaps = [r for r in later if {r.get("first"), r.get("second")} == submaps]
-    return [
-        r
-        for r in same_submaps
-        if r["kind"] in ("between", "consistency", "retracted")
-        or (r["kind"] in ("verified", "images") and (r["query"], r["match"]) == frames)
-    ]
 
 
 def candidate_picture(

@@ -1,4 +1,4 @@
-"""Arguments of the jobs that write maps for other programs or change them."""
+"""Arguments of the jobs that serve maps or write them for other programs, or change them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
 from toolkit.options import Fraction, PositiveFloat, PositiveInt, Range
+from toolkit.serving.options import ServiceLimits
 
 # A mesh of a room with smaller voxels does not fit in memory.
 VoxelSize = Annotated[float, Range(ge=0.001)]
@@ -99,3 +100,20 @@ class EditOptions:
     """Minimum confidence of the class of an edited Gaussian."""
     every: PositiveInt = 10
     """Interval of the poses of the run that are rendered: every n-th one."""
+
+
+@dataclass(frozen=True)
+class ServeOptions:
+    """Serve poses, rendered views, queries and objects of a finished run over HTTP."""
+
+    run: Positional[Path]
+    """Run folder."""
+    host: str = "127.0.0.1"
+    """Address to listen on. Other machines can reach addresses other than the default one; a token
+    is required then."""
+    port: Annotated[int, Range(ge=0, le=65535)] = 8000
+    """Port to listen on; 0 chooses a free one."""
+    token: str | None = None
+    """Token that clients must send. By default, the value of SEMSPLAT_TOKEN, which other users of
+    the machine cannot see."""
+    limits: ServiceLimits = ServiceLimits()

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.cli.map_programs import EditOptions, ExportOptions, VoxelSize
+from toolkit.cli.map_programs import EditOptions, ExportOptions, ServeOptions, VoxelSize
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
@@ -306,6 +306,7 @@ PROGRAMS: dict[str, type] = {
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,
     "query": QueryProgram,
+    "serve": ServeOptions,
     "check-data": CheckDataOptions,
     "make-room": MakeRoomOptions,
     "train-head": TrainHeadOptions,

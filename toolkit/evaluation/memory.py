@@ -1,4 +1,4 @@
-"""Peak memory of this process."""
+"""Peak and present memory of this process."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 _STATUS = Path("/proc/self/status")
+_STATM = Path("/proc/self/statm")
 
 
 def peak_memory_mb() -> float:
@@ -22,3 +23,12 @@ def peak_memory_mb() -> float:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     bytes_per_unit = 1 if sys.platform == "darwin" else 1024
     return peak * bytes_per_unit / 1e6
+
+
+def resident_memory_mb() -> float | None:
+    """Return the present resident memory of this process in MB, None where it is unknown."""
+    try:
+        pages = int(_STATM.read_text().split()[1])
+    except OSError:
+        return None
+    return pages * resource.getpagesize() / 1e6

@@ -16,7 +16,10 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from toolkit.evaluation.charts import Axes, Series, line_chart
+from toolkit.evaluation.frame_costs import FrameCosts, memory_chart, time_chart
+from toolkit.evaluation.loop_gallery import LoopPicture
 from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_svg
 from toolkit.evaluation.timing import StageTime
 from toolkit.evaluation.trajectory import (
     AbsoluteTrajectoryError,
@@ -26,11 +29,14 @@ from toolkit.evaluation.trajectory import (
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
-from toolkit.io.visualisation import DepthSpan, colour_image, depth_image
+from toolkit.io.visualisation import DepthSpan, LegendEntry, colour_image, depth_image
 from toolkit.semantics.floor_plan import ClassArea
 
-# Limits the size of a report with six views to about 10 MB.
+# Limit the size of a report with six views to a few MB.
 _MAX_IMAGE_WIDTH = 640
+_JPEG_QUALITY = 88
+# Entries of the legend below the classes of a view.
+_LEGEND_ENTRIES = 5
 
 # Title, key, decimals and unit of the metrics at the top of the page.
 _HEADLINES = (
@@ -48,6 +54,21 @@ _HEADLINES = (
 
 
 @dataclass(frozen=True)
+class LevelImage:
+    """The classes of a view at one level of the tree.
+
+    Attributes:
+        name: of the level.
+        image: [H, W, 3] uint8 colours of the classes.
+        legend: classes in the image, largest first.
+    """
+
+    name: str
+    image: NDArray[np.uint8]
+    legend: Sequence[LegendEntry]
+
+
+@dataclass(frozen=True)
 class ReportView:
     """Observed and rendered images of one view.
 
@@ -56,6 +77,7 @@ class ReportView:
         observed_rgb, rendered_rgb: [H, W, 3] float in [0, 1].
         observed_depth_m, rendered_depth_m: [H, W] in metres, 0 where missing.
         psnr_db: PSNR of this view, or None.
+        levels: rendered classes, coarsest level first; empty without semantics.
     """
 
     title: str
@@ -64,6 +86,7 @@ class ReportView:
     observed_depth_m: NDArray[np.floating]
     rendered_depth_m: NDArray[np.floating]
     psnr_db: float | None = None
+    levels: Sequence[LevelImage] = ()
 
 
 @dataclass(frozen=True)
@@ -113,6 +136,9 @@ class ReportContent:
         machine: description of the software and machine.
         delays: delays of a run in real time; None for other runs.
         floor_plan: the map from above; None without labels or without a floor.
+        loops: pairs of images of the loop gallery.
+        submaps: overlaps and loops of the submaps; None if there is only one.
+        costs: time and memory by frame, or None.
     """
 
     title: str
@@ -129,6 +155,9 @@ class ReportContent:
     machine: str = ""
     delays: DelaySeries | None = None
     floor_plan: ReportFloorPlan | None = None
+    loops: Sequence[LoopPicture] = ()
+    submaps: SubmapGraph | None = None
+    costs: FrameCosts | None = None
 
 
 def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
@@ -162,6 +191,10 @@ def render_report(content: ReportContent) -> str:
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
         memory=_memory(content.metrics),
+        loops=[_loop(picture) for picture in content.loops],
+        submap_graph=Markup("" if content.submaps is None else submap_graph_svg(content.submaps)),
+        time_chart=Markup("" if content.costs is None else time_chart(content.costs)),
+        memory_chart=Markup("" if content.costs is None else memory_chart(content.costs)),
         plan=None if content.floor_plan is None else _data_url(content.floor_plan.image),
         all_metrics=[(key, _text(value)) for key, value in sorted(content.metrics.items())],
     )
@@ -260,8 +293,8 @@ def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _embedded(view: ReportView) -> dict[str, str]:
-    """Return the title of a view and its four images as data URLs, depths on one scale."""
+def _embedded(view: ReportView) -> dict[str, Any]:
+    """Return the title of a view and its images as data URLs, depths on one scale."""
     span = DepthSpan.of([view.observed_depth_m])
     score = "" if view.psnr_db is None else f"{view.psnr_db:.2f} dB"
     return {
@@ -269,17 +302,48 @@ def _embedded(view: ReportView) -> dict[str, str]:
         "score": score,
         "near": f"{span.near_m:g}",
         "far": f"{span.far_m:g}",
-        "observed": _data_url(colour_image(view.observed_rgb)),
-        "rendered": _data_url(colour_image(view.rendered_rgb)),
-        "observed_depth": _data_url(depth_image(view.observed_depth_m, span)),
-        "rendered_depth": _data_url(depth_image(view.rendered_depth_m, span)),
+        "observed": _photo_url(colour_image(view.observed_rgb)),
+        "rendered": _photo_url(colour_image(view.rendered_rgb)),
+        "observed_depth": _photo_url(depth_image(view.observed_depth_m, span)),
+        "rendered_depth": _photo_url(depth_image(view.rendered_depth_m, span)),
+        "levels": [
+            {
+                "name": level.name,
+                "image": _data_url(level.image, cv2.INTER_NEAREST),
+                "legend": level.legend[:_LEGEND_ENTRIES],
+                "others": max(0, len(level.legend) - _LEGEND_ENTRIES),
+            }
+            for level in view.levels
+        ],
     }
 
 
-def _data_url(rgb: NDArray[np.uint8]) -> str:
+def _loop(picture: LoopPicture) -> dict[str, Any]:
+    return {
+        "pair": picture.pair,
+        "query": _photo_url(colour_image(picture.query_rgb)),
+        "match": _photo_url(colour_image(picture.match_rgb)),
+    }
+
+
+def _photo_url(rgb: NDArray[np.uint8]) -> str:
+    """Return a photo or a colour-mapped image as JPEG, a third of the size of a PNG."""
+    return _url("jpeg", _reduced(rgb, cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+
+
+def _data_url(rgb: NDArray[np.uint8], interpolation: int = cv2.INTER_AREA) -> str:
+    """Return a drawing or an image of classes as PNG, which keeps its colours."""
+    return _url("png", _reduced(rgb, interpolation), [])
+
+
+def _reduced(rgb: NDArray[np.uint8], interpolation: int) -> NDArray[np.uint8]:
     height, width = rgb.shape[:2]
-    if width > _MAX_IMAGE_WIDTH:
-        size = (_MAX_IMAGE_WIDTH, round(height * _MAX_IMAGE_WIDTH / width))
-        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    _, png = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-    return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode()
+    if width <= _MAX_IMAGE_WIDTH:
+        return rgb
+    size = (_MAX_IMAGE_WIDTH, round(height * _MAX_IMAGE_WIDTH / width))
+    return np.asarray(cv2.resize(rgb, size, interpolation=interpolation), dtype=np.uint8)
+
+
+def _url(kind: str, rgb: NDArray[np.uint8], parameters: Sequence[int]) -> str:
+    _, content = cv2.imencode(f".{kind}", np.ascontiguousarray(rgb[..., ::-1]), parameters)
+    return f"data:image/{kind};base64," + base64.b64encode(content.tobytes()).decode()

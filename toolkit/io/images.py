@@ -122,9 +122,19 @@ def write_png(path: PathLike, image: NDArray[np.integer]) -> None:
         ValueError: the dtype is neither uint8 nor uint16.
         RunFolderError: the file cannot be written.
     """
+    write_bytes(Path(path), encode_png(image))
+
+
+def encode_png(image: NDArray[np.integer]) -> bytes:
+    """Return [H, W] or [H, W, 3] (RGB) uint8 or uint16 values as the bytes of a PNG.
+
+    Raises:
+        ValueError: the dtype is neither uint8 nor uint16.
+    """
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"PNG values must be uint8 or uint16, got {image.dtype}")
-    _write(Path(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)
+    pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    return cv2.imencode(".png", pixels)[1].tobytes()
 
 
 def check_whole(path: PathLike) -> None:

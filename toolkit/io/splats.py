@@ -236,13 +236,15 @@ def read_splats(path: PathLike) -> Splats:
     log_scales = np.log(columns["scale"])
     if (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
         _log.warning("%s: anisotropic splats are converted to spheres of the same volume", path)
+    # Every array is copied: if one of Open3D's own still exists at the end of the process, Open3D
+    # prints statistics of its memory and changes the exit status to 1.
     return Splats(
         means=columns["positions"].astype(np.float32),
         log_radii=log_scales.mean(axis=1).astype(np.float32),
-        opacity_logits=columns["opacity"][:, 0],
+        opacity_logits=columns["opacity"][:, 0].copy(),
         colours=(0.5 + CONSTANT_HARMONIC * columns["f_dc"]).astype(np.float32),
         extra={
-            name: column[:, 0]
+            name: column[:, 0].copy()
             for name, column in columns.items()
             if name not in _OWN_ATTRIBUTES and column.shape[1:] == (1,)
         },

@@ -16,6 +16,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
+from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.monocular.motion import CameraMotion, estimate_motion
@@ -153,8 +154,9 @@ def _execute(
                 settings.pace,
             )
             frames = paced.arriving(frames)
+        costs = FrameCostRecorder(recorder)
         with recorder.timed(ONLINE):
-            _process(system, frames, checkpoints, settings, recorder, expected)
+            _process(system, frames, checkpoints, settings, costs, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
                 f"no frame of {settings.dataset.path} could start a map; check that the frames "
@@ -168,7 +170,7 @@ def _execute(
         prior = None
         if provider is not None:
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
-        record = RunRecord(recorder, pace, motion, prior)
+        record = RunRecord(recorder, pace, motion, prior, costs.costs())
         write_results(result, dataset, folder, settings, record)
 
 
@@ -279,13 +281,13 @@ def _process(
     frames: Iterable[Frame],
     checkpoints: CheckpointWriter,
     settings: RunSettings,
-    recorder: StageRecorder,
+    costs: FrameCostRecorder,
     expected: ExpectedTime,
 ) -> None:
     """Process the remaining frames, saving checkpoints on the way."""
     saved_at, new_keyframes = time.monotonic(), 0
     for frame in frames:
-        with recorder.timed("frame"):
+        with costs.frame(frame.index):
             result = system.process_frame(frame, may_map=not held_out(frame.index, settings))
         if result.lost and not result.dropped:
             reason = result.tracking.reason if result.tracking else "no map exists yet"

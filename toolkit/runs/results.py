@@ -14,11 +14,18 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.datasets.base import Dataset
+from toolkit.evaluation.frame_costs import FrameCosts
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
-from toolkit.evaluation.report import DelaySeries, ReportContent, ReportView, write_report
+from toolkit.evaluation.report import (
+    DelaySeries,
+    LevelImage,
+    ReportContent,
+    ReportView,
+    write_report,
+)
 from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.storage import gaussian_bytes
@@ -42,6 +49,7 @@ from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
 from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.report_pictures import level_images, loop_pictures, submap_graph
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.palette import Palette
@@ -74,12 +82,14 @@ class RunRecord:
         pace: delays of a run in real time, None for other runs.
         motion: motion of the camera that a run without depth starts from, None for other runs.
         prior: depth priors of the run, None without them.
+        costs: time and memory by frame.
     """
 
     recorder: StageRecorder
     pace: PaceSummary | None = None
     motion: CameraMotion | None = None
     prior: DepthPriorUse | None = None
+    costs: FrameCosts | None = None
 
 
 def write_results(
@@ -131,6 +141,12 @@ def write_results(
         cameras_m = result.trajectory.positions_m
         plan = report_floor_plan(folder.map, result.taxonomy, cameras_m)
         report = replace(report, floor_plan=plan)
+    report = replace(
+        report,
+        loops=loop_pictures(folder.loops, dataset),
+        submaps=submap_graph(result, dataset),
+        costs=record.costs,
+    )
     write_report(folder.report, report)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
 
@@ -267,14 +283,15 @@ def _render_views(
         write_rgb(folder.renders / f"{name}.png", colour)
         picture = view_strip(colour, depth_m, silhouette, frame.rgb)
         write_rgb(folder.renders / f"{name}_strip.png", picture.astype(np.float32) / 255.0)
+        levels: list[LevelImage] = []
         if palette is not None:
             nodes = final.semantics.decode_view(rendered).nodes.T.reshape(-1, *depth_m.shape)
+            levels = level_images(palette, list(nodes))
             picture = palette.level_strip(colour, list(nodes), legend_rows=_LEGEND_ROWS)
             write_rgb(folder.renders / f"{name}_levels.png", picture.astype(np.float32) / 255.0)
         title = f"frame {view.index}" + (", unseen" if view.held_out else "")
-        views.append(
-            ReportView(title, frame.rgb, colour, frame.depth_m, depth_m, psnr_db(colour, frame.rgb))
-        )
+        score = psnr_db(colour, frame.rgb)
+        views.append(ReportView(title, frame.rgb, colour, frame.depth_m, depth_m, score, levels))
     return views
 
 

@@ -1,0 +1,135 @@
+"""`semsplat serve` as users start it, and its one line for what cannot be served."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx2 as httpx
+import pytest
+
+from toolkit.cli.main import main
+from toolkit.serving.protection import is_local
+from toolkit.serving.server import TOKEN_VARIABLE, bind
+
+ROOT = Path(__file__).resolve().parents[2]
+TOKEN = "0123456789abcdef"
+
+
+@contextmanager
+def service(*words: object, **variables: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A service in a process of its own, and its URL; it is ended with the block."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "toolkit.cli.main", "serve", *map(str, words), "--port", "0"],
+        cwd=ROOT,
+        env=os.environ | {"OMP_NUM_THREADS": "1", **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A background job of a shell ignores Ctrl-C, and so would its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("serving "), process.stderr.read() if process.stderr else ""
+        yield process, line.split(" at ")[1].split(";")[0]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def error_line(capsys, *words: object) -> str:
+    """The line of a call that must fail."""
+    assert main(["serve", *map(str, words)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+def test_a_service_answers_over_http_and_ends_with_ctrl_c(tiny_run: Path):
+    with service(tiny_run, **{TOKEN_VARIABLE: TOKEN}) as (process, url):
+        assert url.startswith("http://127.0.0.1:")
+        with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {TOKEN}"}) as client:
+            assert client.get("run").json()["frames"] == 6
+            assert client.get("keyframes/0.png").content.startswith(b"\x89PNG")
+            assert client.get("run", headers={"Authorization": ""}).status_code == 401
+        _send_garbage(url)
+        assert httpx.get(url).status_code == 401
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+        assert process.returncode == 0
+        assert "Traceback" not in errors
+
+
+def _send_garbage(url: str) -> None:
+    """Send bytes that are not HTTP, and a request that ends early."""
+    host, port = url.removeprefix("http://").rstrip("/").split(":")
+    for content in (
+        b"\x16\x03\x01\x02\x00" * 50,
+        b"POST /render HTTP/1.1\r\nContent-Length: 9\r\n\r\n{",
+    ):
+        with socket.create_connection((host, int(port)), timeout=5) as connection:
+            connection.sendall(content)
+            connection.shutdown(socket.SHUT_WR)
+            time.sleep(0.05)
+
+
+def test_a_port_in_use_is_reported_in_one_line(tiny_run: Path, capsys):
+    with bind("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        assert f"port {port} of 127.0.0.1 is in use" in error_line(capsys, tiny_run, "--port", port)
+
+
+def test_other_machines_need_a_token(tiny_run: Path, capsys, monkeypatch):
+    monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
+    assert f"set {TOKEN_VARIABLE} or --token" in error_line(capsys, tiny_run, "--host", "0.0.0.0")
+    assert "at least 16" in error_line(capsys, tiny_run, "--token", "short")
+    assert "at least 16" in error_line(capsys, tiny_run, "--token", "")
+    monkeypatch.setenv(TOKEN_VARIABLE, "with spaces in the middle of it")
+    assert "at least 16" in error_line(capsys, tiny_run)
+    assert [is_local(h) for h in ("localhost", "127.1.2.3", "::1", "::", "0.0.0.0", "a.b")] == [
+        *(True, True, True, False, False, False)
+    ]
+
+
+def test_addresses_of_other_machines_are_rejected(tiny_run: Path, capsys):
+    line = error_line(capsys, tiny_run, "--host", "192.0.2.1", "--token", TOKEN)
+    assert "192.0.2.1" in line
+    assert "--port" in error_line(capsys, tiny_run, "--port", "70000")
+
+
+@pytest.mark.parametrize("missing", ["config.yaml", "map.ply", "trajectory.txt", "frames.json"])
+def test_incomplete_runs_are_rejected(tiny_run: Path, tmp_path: Path, capsys, missing: str):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    (run / missing).unlink()
+    assert missing in error_line(capsys, run, "--port", 0)
+
+
+def test_damaged_runs_and_those_of_other_versions_are_rejected(tiny_run, tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    config = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(f"{config}\nof_another_version: 1\n")
+    assert "of_another_version" in error_line(capsys, run, "--port", 0)
+    (run / "config.yaml").write_text(config)
+    frames = json.loads((run / "frames.json").read_text())
+    # As if a resumed run were writing its results.
+    (run / "frames.json").write_text(json.dumps(frames | {"frames": frames["frames"][:-1]}))
+    assert "frames.json" in error_line(capsys, run, "--port", 0)
+    assert "config.yaml is missing" in error_line(capsys, tmp_path / "nothing", "--port", 0)
+
+
+def test_missing_packages_are_named(tiny_run: Path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fastapi", None)
+    monkeypatch.delitem(sys.modules, "toolkit.serving.application", raising=False)
+    assert "pip install 'semsplat[server]'" in error_line(capsys, tiny_run, "--port", 0)

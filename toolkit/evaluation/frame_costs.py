@@ -1,0 +1,129 @@
+"""Time and memory of a run, frame by frame, and their charts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.evaluation.charts import Axes, Series, line_chart
+from toolkit.evaluation.memory import resident_memory_mb
+from toolkit.evaluation.timing import StageRecorder
+
+# Recorded stages that each line of the chart sums.
+_TRACKING = ("denoising", "tracking")
+_MAPPING = ("labelling", "placing", "mapping")
+# A chart has at most this many points; each shows the largest value of some frames.
+_MAX_POINTS = 600
+# The first map and loop closures take many times the time of other frames; the range of the chart
+# follows this percentile, and frames above it are marked.
+_RANGE_PERCENTILE, _RANGE_FACTOR = 98.0, 1.3
+
+
+@dataclass(frozen=True)
+class FrameCosts:
+    """Time and memory of F frames.
+
+    Attributes:
+        frames: [F] frame indices, ascending.
+        total_ms: [F] time from taking a frame to its result, with loop closure.
+        tracking_ms, mapping_ms: [F] parts of it.
+        memory_mb: [F] resident memory of the process after the frame, nan where unknown.
+    """
+
+    frames: NDArray[np.int64]
+    total_ms: NDArray[np.float64]
+    tracking_ms: NDArray[np.float64]
+    mapping_ms: NDArray[np.float64]
+    memory_mb: NDArray[np.float64]
+
+
+class FrameCostRecorder:
+    """Assigns the times of a recorder to frames.
+
+    Args:
+        recorder: records the stages of tracking and mapping, and "frame".
+    """
+
+    def __init__(self, recorder: StageRecorder) -> None:
+        self._recorder = recorder
+        self._known: dict[str, int] = {}
+        self._rows: list[tuple[float, ...]] = []
+
+    @contextmanager
+    def frame(self, index: int) -> Iterator[None]:
+        """Measure the stage "frame" and what it contains; then store it with the memory."""
+        with self._recorder.timed("frame"):
+            yield
+        times = [self._new_ms(("frame",)), self._new_ms(_TRACKING), self._new_ms(_MAPPING)]
+        memory_mb = resident_memory_mb()
+        self._rows.append((index, *times, math.nan if memory_mb is None else memory_mb))
+
+    def costs(self) -> FrameCosts:
+        """Return the costs of all frames."""
+        rows = np.array(self._rows, np.float64).reshape(-1, 5)
+        return FrameCosts(rows[:, 0].astype(np.int64), *rows[:, 1:].T)
+
+    def _new_ms(self, stages: Sequence[str]) -> float:
+        total_ms = 0.0
+        for stage in stages:
+            durations = self._recorder.durations_ms.get(stage, [])
+            total_ms += sum(durations[self._known.get(stage, 0) :])
+            self._known[stage] = len(durations)
+        return total_ms
+
+
+def time_chart(costs: FrameCosts) -> str:
+    """Draw the time of each frame as SVG; empty without frames."""
+    if not len(costs.frames):
+        return ""
+    highest_ms = _RANGE_FACTOR * float(np.percentile(costs.total_ms, _RANGE_PERCENTILE))
+    above = costs.frames[costs.total_ms > highest_ms]
+
+    def line(values_ms: NDArray[np.float64], name: str, css_class: str) -> Series:
+        shown = np.where(values_ms <= highest_ms, values_ms, np.nan)
+        return Series(_points(costs.frames, shown), name, css_class)
+
+    mapping = line(costs.mapping_ms, "mapping of keyframes", "second")
+    # Frames between keyframes are not mapped; the line connects the keyframes.
+    mapped = replace(mapping, points=mapping.points[~(mapping.points[:, 1] == 0.0)])
+    series = [
+        line(costs.total_ms, "all", "truth"),
+        mapped,
+        line(costs.tracking_ms, "tracking", "estimate"),
+    ]
+    axes = Axes(
+        _x_label(len(costs.frames)),
+        "time, ms",
+        marks_x=[float(frame) for frame in above],
+        marks_name=f"longer, up to {costs.total_ms.max():.0f} ms",
+    )
+    return line_chart(series, axes)
+
+
+def memory_chart(costs: FrameCosts) -> str:
+    """Draw the resident memory of the process as SVG; empty if it is unknown."""
+    points = _points(costs.frames, costs.memory_mb)
+    return line_chart([Series(points, "", "estimate")], Axes(_x_label(len(costs.frames)), "MB"))
+
+
+def _group(count: int) -> int:
+    return max(1, math.ceil(count / _MAX_POINTS))
+
+
+def _x_label(count: int) -> str:
+    group = _group(count)
+    return "frame" if group == 1 else f"frame (largest value of every {group} frames)"
+
+
+def _points(frames: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points [N, 2]: the largest finite value of each group of frames, nan without one."""
+    starts = np.arange(0, len(frames), _group(len(frames)))
+    if not len(starts):
+        return np.empty((0, 2))
+    largest = np.fmax.reduceat(values, starts)
+    return np.stack([frames[starts].astype(np.float64), largest], axis=1)

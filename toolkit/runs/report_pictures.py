@@ -1,0 +1,82 @@
+"""Pictures of a run's report: classes by level, loops, and the graph of the submaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import Dataset
+from toolkit.evaluation.loop_gallery import LoopPicture, gallery_pairs
+from toolkit.evaluation.report import LevelImage
+from toolkit.evaluation.submap_graph import (
+    SubmapGraph,
+    SubmapViews,
+    observed_from,
+    submap_links,
+)
+from toolkit.geometry.frustum import Frustum, far_depth_m, observed_points
+from toolkit.loops.log import read_loop_log
+from toolkit.result import SlamResult, SubmapSummary
+from toolkit.semantics.palette import Palette
+
+# Pairs of each kind in the loop gallery.
+_LOOP_PAIRS = 4
+# Views of a submap and points of a view from which overlaps are computed.
+_VIEWS, _POINTS = 8, 200
+# With more submaps, the number of pairs grows too large for a drawing.
+_MAX_SUBMAPS = 100
+
+
+def level_images(palette: Palette, nodes: Sequence[NDArray[np.integer]]) -> list[LevelImage]:
+    """Return the classes of a view at every level, coarsest first.
+
+    Args:
+        nodes: node indices [H, W] at each level, -1 where nothing was decoded.
+    """
+    return [
+        LevelImage(name, palette.class_image(node_ids), palette.legend(node_ids))
+        for name, node_ids in zip(palette.taxonomy.levels, nodes, strict=True)
+    ]
+
+
+def loop_pictures(log: Path, dataset: Dataset) -> list[LoopPicture]:
+    """Return the loop gallery of a run; empty without loop candidates."""
+    pairs = gallery_pairs(read_loop_log(log), _LOOP_PAIRS)
+    return [LoopPicture(p, dataset[p.query].rgb, dataset[p.match].rgb) for p in pairs]
+
+
+def submap_graph(result: SlamResult, dataset: Dataset) -> SubmapGraph | None:
+    """Return the graph of the submaps, None if there is only one, or more than can be drawn."""
+    if not 2 <= len(result.submaps) <= _MAX_SUBMAPS:
+        return None
+    poses = dict(zip(result.frame_indices, result.trajectory.T_world_camera, strict=True))
+    submaps = [_views(submap, poses, dataset) for submap in result.submaps]
+    loops = [(edge.first, edge.second) for edge in result.loops]
+    path_m = result.trajectory.positions_m[:, [0, 2]]
+    return SubmapGraph(submaps, submap_links(submaps, loops), path_m)
+
+
+def _views(
+    submap: SubmapSummary, poses: dict[int, NDArray[np.float64]], dataset: Dataset
+) -> SubmapViews:
+    # Keyframes of a loaded map are not in the dataset of this run.
+    keyframes = [index for index in submap.keyframe_indices if index >= 0 and index in poses]
+    chosen = np.linspace(0, len(keyframes) - 1, min(_VIEWS, len(keyframes))).round().astype(int)
+    points_m, frusta = [np.empty((0, 3))], []
+    for index in (keyframes[i] for i in chosen):
+        frame = dataset[index]
+        points = observed_points(frame.camera, frame.depth_m, _POINTS)
+        points_m.append(observed_from(points, poses[index]))
+        if len(points_m[-1]):
+            frusta.append(Frustum(frame.camera, poses[index], far_m=far_depth_m(frame.depth_m)))
+    positions_m = [poses[index][:3, 3] for index in keyframes] or [submap.T_world_submap[:3, 3]]
+    return SubmapViews(
+        submap.number,
+        len(submap.keyframe_indices),
+        np.mean(positions_m, axis=0)[[0, 2]],
+        np.concatenate(points_m),
+        frusta,
+    )

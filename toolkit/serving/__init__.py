@@ -1,0 +1,1 @@
+"""HTTP service for a finished run: poses, rendered views, queries and objects."""

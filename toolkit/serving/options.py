@@ -1,0 +1,30 @@
+"""Options of the service."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from toolkit.options import PositiveFloat, PositiveInt, Range
+
+
+@dataclass(frozen=True)
+class ServiceLimits:
+    """Limits of the service."""
+
+    max_pixels: Annotated[int, Range(ge=64, le=33_554_432)] = 2_073_600
+    """Maximum number of pixels of a rendered image; by default that of 1920x1080."""
+    max_body_bytes: Annotated[int, Range(ge=256, le=1_048_576)] = 16_384
+    """Maximum size of the body of a request, in bytes."""
+    max_waiting: PositiveInt = 32
+    """Maximum number of renders and queries that are computed or wait; they are computed one after
+    another. Further ones are answered with status 503."""
+    requests_per_s: PositiveFloat = 20.0
+    """Requests per second that each client may make on average. Further ones are answered with
+    status 429."""
+    burst: PositiveInt = 100
+    """Number of requests that a client may make at once, after a pause."""
+    max_connections: PositiveInt = 128
+    """Maximum number of open connections of all clients."""
+    body_timeout_s: PositiveFloat = 10.0
+    """Maximum time for receiving the body of a request, in seconds."""
