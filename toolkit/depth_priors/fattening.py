@@ -16,6 +16,8 @@ from toolkit.native.loading import kernels
 
 # Width of the wrong borders: half a window of the image of half the size.
 _WIDTH = 6
+# Ratio of the inverse depths of neighbouring pixels on different surfaces.
+_EDGE = 1.05
 
 
 def remove_fattening(intensity: Image, inverse_depth: Image) -> Image:
@@ -31,12 +33,18 @@ def remove_fattening(intensity: Image, inverse_depth: Image) -> Image:
     Returns:
         [H, W] float32 inverse depth, 0 where unknown or removed.
     """
-    known = inverse_depth > 0
-    side = 2 * _WIDTH + 1
-    farthest = cv2.erode(
-        np.where(known, inverse_depth, np.float32(np.inf)), np.ones((side, side), np.uint8)
-    )
+    # A 3x3 window beside a depth edge shows what is behind it.
+    known = np.where(inverse_depth > 0, inverse_depth, np.float32(np.inf))
+    far = _least(known, 3)
+    edge = (known < np.inf) & (known > np.float32(_EDGE) * far)
+    behind = _least(np.where(edge, far, np.float32(np.inf)), 2 * _WIDTH + 1)
     module = kernels()
     if module is None:
-        return reference.remove_fattening(intensity, inverse_depth, farthest)
-    return native.remove_fattening(module, intensity, inverse_depth, farthest)
+        return reference.remove_fattening(intensity, inverse_depth, behind)
+    return native.remove_fattening(module, intensity, inverse_depth, behind)
+
+
+def _least(image: Image, side: int) -> Image:
+    """Least value [H, W] of the square around each pixel."""
+    square = np.ones((side, side), np.uint8)
+    return np.asarray(cv2.erode(image, square, borderType=cv2.BORDER_REPLICATE), np.float32)

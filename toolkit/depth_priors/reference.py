@@ -180,12 +180,14 @@ def _between(count: int, half: int) -> tuple[NDArray[np.int64], NDArray[np.float
     return first, np.clip(place - first, 0.0, 1.0).astype(np.float32)
 
 
-def remove_fattening(intensity: Image, inverse_depth: Image, farthest: Image) -> Image:
+def remove_fattening(intensity: Image, inverse_depth: Image, behind: Image) -> Image:
     """See `toolkit.depth_priors.fattening.remove_fattening`."""
     known = inverse_depth > 0
-    border = known & (inverse_depth > _EDGE * np.where(known, farthest, 1.0))
+    border = known & (inverse_depth > np.float32(_EDGE) * behind)
     rows, columns = np.nonzero(border)
     own, level = inverse_depth[rows, columns], intensity[rows, columns]
+    middle = np.float32(0.5) * (own + behind[rows, columns])
+    nearest = own + (own - middle)
     padding = ((_REACH, _REACH), (_REACH, _REACH))
     levels = np.pad(intensity, padding)
     depths = np.pad(np.where(known, inverse_depth, np.inf), padding, constant_values=np.inf)
@@ -193,8 +195,8 @@ def remove_fattening(intensity: Image, inverse_depth: Image, farthest: Image) ->
     far, near, like_far, like_near = np.zeros((4, len(rows)))
     for dy, dx in _chessboard(_REACH):
         place = (rows + _REACH + dy, columns + _REACH + dx)
-        is_far = depths[place] * _EDGE < own
-        is_near = (inner[place] * _EDGE >= own) & (inner[place] < own * _EDGE)
+        is_far = depths[place] < middle
+        is_near = (inner[place] >= middle) & (inner[place] < nearest)
         difference = (levels[place] - level) / _CONTRAST
         similarity = np.maximum(1.0 - difference**2, 0.0) ** 2
         far += is_far

@@ -306,7 +306,7 @@ void double_depth(const std::tuple<Size, Address, Address>& half, const Size& si
                            at<float>(images[1]));
 }
 
-// images: intensity, inverse depth, farthest inverse depth around each pixel, result.
+// images: intensity, inverse depth, inverse depth behind depth edges, result.
 void remove_fattening_of(const Size& size, const std::array<Address, 4>& images) {
     const MatchedDepth image{size[0], size[1], at<const float>(images[0]), at<const float>(images[1]),
                              at<const float>(images[2])};

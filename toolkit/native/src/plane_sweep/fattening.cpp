@@ -14,7 +14,7 @@ namespace semsplat {
 namespace {
 
 enum { RADIUS = 11 };
-// Ratio of inverse depths on two sides of a depth edge.
+// Least ratio of the inverse depths of a near surface and of the one behind it.
 constexpr float EDGE = 1.05f;
 // Intensities that differ by this do not count as equal.
 constexpr float CONTRAST = 0.1f;
@@ -35,17 +35,18 @@ struct Padded {
 
 struct Images {
     Padded intensity, any, inner;  // inverse depth of all pixels, infinite if unknown; of those away from borders
-    Padded border;                 // inverse depth of pixels beside a depth edge, on its near side, else 0
+    Padded border, middle;         // of pixels on the near side of a depth edge, else 0; between it and the far side
 
-    Images(const MatchedDepth& d) : intensity(d, 0.0f), any(d, HUGE_VALF), inner(d, 0.0f), border(d, 0.0f) {
+    Images(const MatchedDepth& d) : intensity(d, 0.0f), any(d, HUGE_VALF), inner(d, 0.0f), border(d, 0.0f), middle(d, 0.0f) {
         for (int y = 0; y < d.height; ++y) {
             for (int x = 0; x < d.width; ++x) {
                 const size_t pixel = (size_t)y * d.width + x;
-                const float q = d.inverse_depth[pixel];
+                const float q = d.inverse_depth[pixel], behind = d.behind[pixel];
                 *intensity.at(x, y) = d.intensity[pixel];
                 if (!(q > 0)) continue;
                 *any.at(x, y) = q;
-                *(q > EDGE * d.farthest[pixel] ? border : inner).at(x, y) = q;
+                *(q > EDGE * behind ? border : inner).at(x, y) = q;
+                *middle.at(x, y) = 0.5f * (q + behind);
             }
         }
     }
@@ -53,15 +54,15 @@ struct Images {
 
 // Mask of the pixels (x, y), (x + 1, y) ... that look like the surface behind them.
 Mask look_like_background(const Images& images, int x, int y, Floats own) {
-    const Floats intensity = load(images.intensity.at(x, y)), one = all(1.0f), edge = all(EDGE);
-    const Floats nearest = own * edge;
+    const Floats intensity = load(images.intensity.at(x, y)), one = all(1.0f);
+    const Floats middle = load(images.middle.at(x, y)), nearest = own + (own - middle);
     Floats far = all(0.0f), near = far, like_far = far, like_near = far;
     for (int dy = -RADIUS; dy <= RADIUS; ++dy) {
         // Every second pixel of a disc, as on a chessboard.
         const int half = (int)std::sqrt((float)(RADIUS * RADIUS - dy * dy));
         for (int dx = -half + ((half + dy) & 1); dx <= half; dx += 2) {
             const Floats q = load(images.any.at(x + dx, y + dy)), r = load(images.inner.at(x + dx, y + dy));
-            const Mask is_far = lt(q * edge, own), is_near = both(ge(r * edge, own), lt(r, nearest));
+            const Mask is_far = lt(q, middle), is_near = both(ge(r, middle), lt(r, nearest));
             const Floats difference = (load(images.intensity.at(x + dx, y + dy)) - intensity) * all(1 / CONTRAST);
             const Floats share = maximum(fnma(difference, difference, one), all(0.0f)), similarity = share * share;
             far = far + keep(is_far, one);

@@ -7,7 +7,7 @@ struct MatchedDepth {
     int width, height;
     const float* intensity;      // [H, W] in [0, 1]
     const float* inverse_depth;  // [H, W], 0 where unknown
-    const float* farthest;       // [H, W] least known inverse depth around each pixel, as far as windows reach
+    const float* behind;         // [H, W], behind the depth edges near each pixel, infinite where there is none
 };
 
 // Inverse depth [H, W] without that of pixels beside a depth edge that look like the surface behind it.
