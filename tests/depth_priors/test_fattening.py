@@ -73,7 +73,9 @@ def test_kernels_agree_with_the_reference(name, size, monkeypatch):
     intensity = rng.random(size, np.float32)
     inverse_depth = rng.choice(np.float32([0.0, 0.5, 0.51, 1.0]), size, p=[0.1, 0.4, 0.1, 0.4])
     # Surfaces, not single pixels.
-    inverse_depth = np.where(ROWS < 20, inverse_depth[0, 0] + 0.3, matched(20))[: size[0], : size[1]]
+    inverse_depth = np.where(ROWS < 20, inverse_depth[0, 0] + 0.3, matched(20))[
+        : size[0], : size[1]
+    ]
     inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
     results = []
     for kernels in (None, name):
