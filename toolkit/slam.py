@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing, NoLoopClosing
 from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
-from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -146,7 +146,7 @@ class Slam:
             frame.index, T_map_camera, tracking, mapping, T_world_camera, is_keyframe
         )
 
-    def drop_frame(self, frame: Frame) -> FrameResult:
+    def drop_frame(self, frame: FrameStamp) -> FrameResult:
         """Record a frame without processing it; its pose is that of the frame before.
 
         While the camera is lost, the frame is lost as well.

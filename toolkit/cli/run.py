@@ -71,6 +71,6 @@ def _value(argv: list[str], flag: str) -> str | None:
     return found or None
 
 
-def _with_progress(frames: Iterable[Frame], total: int, first: int) -> Iterable[Frame]:
+def _with_progress(frames: Iterable[Frame], total: int | None, first: int) -> Iterable[Frame]:
     bar = {"unit": "frame", "file": sys.stderr, "disable": not sys.stderr.isatty()}
     return tqdm(frames, total=total, initial=first, **bar)
