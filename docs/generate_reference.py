@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import toolkit
 from toolkit.cli.help import default_text, option_names, type_text
+from toolkit.cli.live import LiveProgram
 from toolkit.cli.main import JOBS
 from toolkit.cli.programs import PROGRAMS
 from toolkit.cli.run import RunProgram
@@ -83,7 +84,7 @@ def options_page() -> str:
 
 def job_options(job: str) -> tuple[Option, ...]:
     """The options of a job, without help."""
-    kind = {**PROGRAMS, "run": RunProgram}.get(job)
+    kind = {**PROGRAMS, "run": RunProgram, "live": LiveProgram}.get(job)
     return () if kind is None else nested_options(kind)
 
 

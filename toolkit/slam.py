@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.pose_graph.graph import PoseEdge
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
@@ -80,6 +81,11 @@ class Slam:
             tracker, self.atlas, self._path, self._closer, self._labelled, self._recorder
         )
         self._fused: FusedMap | None = None
+
+    @property
+    def loops(self) -> Sequence[PoseEdge]:
+        """The accepted loop edges between submaps so far."""
+        return self._closer.loops
 
     def load_map(self, submaps: Iterable[Submap]) -> None:
         """Load the map of an earlier run, before the first frame; it is extended but not changed.
