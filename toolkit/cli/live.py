@@ -41,13 +41,13 @@ def main(argv: Sequence[str]) -> int:
     observers = progress_observers(program)
     camera = build_camera(program.live, program.settings)
     hooks = LiveHooks(progress=with_progress, observers=observers)
-    with _stopped_by_interrupt(hooks.stop):
+    with stopped_by_interrupt(hooks.stop):
         run_live(program.settings, program.live, camera, program.out, hooks)
     return 0
 
 
 @contextmanager
-def _stopped_by_interrupt(stop: threading.Event) -> Iterator[None]:
+def stopped_by_interrupt(stop: threading.Event) -> Iterator[None]:
     """Let the first Ctrl-C set an event; the second one interrupts the program."""
 
     def interrupted(_number: int, _frame: FrameType | None) -> None:

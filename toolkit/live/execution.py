@@ -99,9 +99,7 @@ def run_live(
             the frames before are complete.
         ToolkitError: bad settings, data or output folder.
     """
-    check_settings(settings)
-    if settings.depth != "sensor":
-        raise SettingsError("live cameras need depth; remove --depth none")
+    check_live_settings(settings)
     out = Path(out)
     settings = with_absolute_paths(settings)
     if camera.dataset is None:
@@ -122,6 +120,17 @@ def run_live(
             raise
     finally:
         camera.stop()
+
+
+def check_live_settings(settings: RunSettings) -> None:
+    """Reject what does not work with a live camera.
+
+    Raises:
+        SettingsError: with the option to remove.
+    """
+    if settings.depth != "sensor":
+        raise SettingsError("live cameras need depth; remove --depth none")
+    check_settings(settings)
 
 
 def _source(

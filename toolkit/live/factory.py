@@ -5,6 +5,7 @@ from __future__ import annotations
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import SettingsError
 from toolkit.live.camera import LiveCamera
+from toolkit.live.execution import check_live_settings
 from toolkit.live.options import LiveOptions
 from toolkit.live.replay import ReplayCamera
 from toolkit.runs.settings import RunSettings
@@ -14,9 +15,11 @@ def build_camera(options: LiveOptions, settings: RunSettings) -> LiveCamera:
     """Build the camera of a live run; it is not started.
 
     Raises:
+        SettingsError: the settings do not work with a live camera.
         DependencyError: the package of its driver is missing.
         ToolkitError: the dataset of a replay is missing or inconsistent.
     """
+    check_live_settings(settings)
     if options.camera == "realsense":
         from toolkit.live.realsense import RealSenseCamera
 

@@ -122,6 +122,7 @@ class LiveFeed:
             frame,
             rgb=self._grid.colour(frame.rgb),
             depth_m=self._grid.depth(frame.depth_m),
+            labels=None if frame.labels is None else self._grid.nearest(frame.labels),
             camera=self._grid.camera,
         )
 

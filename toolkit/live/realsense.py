@@ -182,13 +182,16 @@ class _Pipeline:
     """The pipeline of a connected camera."""
 
     def __init__(self, rs: Any, fps: int, serial: str | None) -> None:
-        self._pipeline, self._config = rs.pipeline(), rs.config()
+        self._context = rs.context()
+        self._pipeline, self._config = rs.pipeline(self._context), rs.config()
         if serial is not None:
             self._config.enable_device(serial)
         self._config.enable_stream(rs.stream.depth, *_SIZE, rs.format.z16, fps)
         self._config.enable_stream(rs.stream.color, *_SIZE, rs.format.rgb8, fps)
 
     def start(self) -> None:
+        if not len(self._context.query_devices()):
+            raise RuntimeError("no device is connected")  # the library would wait for 15 s
         self._pipeline.start(self._config)
 
     def wait(self, timeout_ms: int) -> Any | None:

@@ -55,8 +55,8 @@ class ProgressObserver(Protocol):
 class Observers:
     """Calls several observers.
 
-    One that fails is reported and no longer called: a recording on a full disk must not cost the
-    map.
+    One that fails is reported and only closed after that: a recording on a full disk must not cost
+    the map.
 
     Args:
         observers: in the order of the calls.
@@ -64,6 +64,7 @@ class Observers:
 
     def __init__(self, observers: Sequence[ProgressObserver] = ()) -> None:
         self._observers = list(observers)
+        self._failed: list[ProgressObserver] = []
 
     def started(self, run: RunProgress) -> None:
         """See `ProgressObserver`."""
@@ -79,8 +80,9 @@ class Observers:
 
     def close(self) -> None:
         """See `ProgressObserver`."""
+        self._observers, self._failed = self._observers + self._failed, []
         self._call(lambda observer: observer.close())
-        self._observers.clear()
+        self._observers, self._failed = [], []
 
     def _call(self, call: Callable[[ProgressObserver], None]) -> None:
         for observer in list(self._observers):
@@ -88,6 +90,7 @@ class Observers:
                 call(observer)
             except Exception as error:  # noqa: BLE001 - the run continues without the observer
                 self._observers.remove(observer)
+                self._failed.append(observer)
                 name = type(observer).__name__
                 _log.warning("%s failed and is no longer called: %s", name, error)
                 _log.debug("Traceback of the failure:", exc_info=True)
