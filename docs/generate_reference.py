@@ -30,6 +30,13 @@ API_PAGE = "reference/python-api.md"
 API = {
     "Run SLAM": ("toolkit.slam.Slam", "toolkit.result.SlamResult", "toolkit.result.FrameResult"),
     "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.record.PaceSummary"),
+    "Live cameras and observers": (
+        "toolkit.live.execution.run_live",
+        "toolkit.live.camera.LiveCamera",
+        "toolkit.live.camera.CapturedFrame",
+        "toolkit.runs.observers.ProgressObserver",
+        "toolkit.runs.observers.RunProgress",
+    ),
     "Maps": (
         "toolkit.gaussians.cloud.GaussianCloud",
         "toolkit.rendering.RenderOutput",
