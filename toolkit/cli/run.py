@@ -32,8 +32,7 @@ class RunArguments(RunSettings):
     """YAML file of settings. They take precedence over the preset, and options on the command line
     over both."""
     record: Path | None = None
-    """File (.rrd) to which frames, depth, poses, map, loops and times are recorded for the viewer
-    of Rerun."""
+    """File (.rrd) to record the run to, for the viewer of Rerun."""
 
     @property
     def settings(self) -> RunSettings:
