@@ -44,15 +44,14 @@ ROWS: dict[str, list[str]] = {
     f"{title}, {how}": [sequence, *words]
     for title, sequence in _SEQUENCES.items()
     for how, words in {
-        "offline": ("run",),
         "live": _LIVE,
         "live, --pace": (*_LIVE, "--pace", str(FPS)),
         "live, --pace, --record": (*_LIVE, "--pace", str(FPS), "--record"),
     }.items()
 }
 DESCRIPTION = f"""\
-Datasets as live cameras: `semsplat live --camera replay --fps {FPS}`, beside `semsplat run`, which
-processes every frame however long it takes. The delay is the time from the capture of a frame to
+Datasets as live cameras: `semsplat live --camera replay --fps {FPS}`. The files `sequences` and
+`pace` have offline runs of the same sequences. The delay is the time from the capture of a frame to
 its pose, without dropped frames. `ate_rmse_cm` scores all frames, dropped ones at the last pose
 before them; `ate_processed_rmse_cm` scores the frames that were processed. Without `--pace`, each
 frame is processed completely, and only the newest one waits; with `--pace`, optimisation is

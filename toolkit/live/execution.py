@@ -162,7 +162,9 @@ def _execute(
     slam = build_slam(replayed, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     folder.check_taxonomy(slam.result().taxonomy)
-    limits = FeedOptions(_capacity(settings), options.timeout_s, settings.max_frames)
+    # A dataset may have pauses; a camera has none.
+    timeout_s = options.timeout_s if replayed is None else math.inf
+    limits = FeedOptions(_capacity(settings), timeout_s, settings.max_frames)
     feed = LiveFeed(camera, limits, hooks.stop, source.grid, source.writer)
     system = LiveSlam(slam, paced, feed, keeps_dropped=replayed is not None)
     intrinsics = source.intrinsics if source.grid is None else source.grid.camera

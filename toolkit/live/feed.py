@@ -19,6 +19,8 @@ _log = logging.getLogger(__name__)
 
 # Interval at which a waiting feed looks whether it was interrupted.
 _POLL_S = 0.05
+# Maximum time until a camera that was stopped has returned from its driver.
+_JOIN_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,8 @@ class LiveFeed:
             self.failure = error
         finally:
             self._camera.stop()
+            # The evaluation may read the files that a replay reads.
+            self._reader.join(_JOIN_S)
 
     @property
     def left(self) -> tuple[DroppedFrame, ...]:

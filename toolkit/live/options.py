@@ -21,7 +21,7 @@ class LiveOptions:
     serial: str | None = None
     """Serial number of the RealSense camera. By default, the first one that is connected."""
     timeout_s: PositiveFloat = 5.0
-    """Seconds without a frame after which the camera counts as disconnected."""
+    """Seconds without a frame after which a RealSense camera counts as disconnected."""
     save_frames: bool = False
     """Keep the processed frames in the folder recording/ of the run, as a dataset of kind folder
     with which the run can be repeated. Otherwise, the frames of a camera are removed after the
