@@ -18,7 +18,10 @@ from scripted_camera import ScriptedCamera, room_frames
 
 from toolkit.cli.live import stopped_by_interrupt
 from toolkit.cli.main import main
-from toolkit.errors import CameraError, DatasetError
+from toolkit.datasets.registry import open_dataset
+from toolkit.errors import CameraError, DatasetError, RunFolderError
+from toolkit.io.images import write_depth_png
+from toolkit.live import frame_writer
 from toolkit.live.execution import LiveHooks, run_live
 from toolkit.live.options import LiveOptions
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
@@ -106,7 +109,22 @@ def test_a_camera_that_is_unplugged_leaves_a_finished_map_and_an_error(tmp_path:
         run_live(SETTINGS, LiveOptions(), camera, out, LiveHooks(observers=[follower]))
     assert len(load_run(out).tracked) == 4
     assert camera.stopped.is_set()
-    assert "The camera failed" in (out / "log.txt").read_text(encoding="utf-8")
+    assert "The recording ended early" in (out / "log.txt").read_text(encoding="utf-8")
+
+
+def test_a_full_disk_is_one_error_and_keeps_the_frames_before(tmp_path: Path, monkeypatch):
+    def fails_later(path: Path, depth_m, scale: float) -> None:
+        if path.stem == "000002":
+            raise RunFolderError(f"cannot write {path}: no space left on device")
+        write_depth_png(path, depth_m, scale)
+
+    monkeypatch.setattr(frame_writer, "write_depth_png", fails_later)
+    camera, follower = one_by_one()
+    hooks = LiveHooks(observers=[follower])
+    with pytest.raises(RunFolderError, match="no space left"):
+        run_live(SETTINGS, LiveOptions(), camera, tmp_path / "run", hooks)
+    assert follower.calls[-1] == "close"
+    assert len(open_dataset("folder", tmp_path / "run" / "recording")) >= 2
 
 
 def test_without_a_usable_frame_nothing_is_left_behind(tmp_path: Path):

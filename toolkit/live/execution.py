@@ -14,7 +14,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.resize import ImageGrid
-from toolkit.errors import DatasetError, SettingsError
+from toolkit.errors import CameraError, DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.geometry.camera import Camera
 from toolkit.live.camera import LiveCamera
@@ -112,9 +112,11 @@ def run_live(
         source = _source(camera, intrinsics, settings, options, folder)
         try:
             _execute(settings, options, source, folder, hooks)
-        except Exception:
+        except Exception as error:
             if not folder.has_checkpoint:
-                if source.writer is not None and not options.save_frames:
+                # Frames that could not be mapped are of no use; others can be processed again.
+                useless = isinstance(error, CameraError | DatasetError)
+                if source.writer is not None and useless and not options.save_frames:
                     source.writer.remove()
                 folder.discard()
             raise
@@ -183,16 +185,20 @@ def _execute(
         total = None if replayed is None else len(replayed)
         session.process(hooks.progress(feed, total, 0), checkpoints)
         camera.stop()
-        if source.writer is not None:
-            source.writer.close()
-        if feed.failure is not None:
-            _log.warning("The camera failed; the map so far is finished: %s", feed.failure)
+        failure = feed.failure or _closed(source.writer)
+        if failure is not None:
+            _log.warning("The recording ended early; the map so far is finished: %s", failure)
         summary = _logged(system.summary(camera.name))
         if not slam.result().keyframe_indices:
-            raise feed.failure or DatasetError(
+            raise failure or DatasetError(
                 f"no frame of {camera.name} could start a map; check that the frames have depth"
             )
-        frames = _processed(settings, replayed, summary)
+        if replayed is None:
+            frames = _stored(settings, feed.taken, failure)
+        else:
+            # Those that the run has seen.
+            seen = len(summary.delays)
+            frames = RecordedDataset(replayed.recording, settings.image_size, seen)
         checkpoints.save(system, len(frames))
         checkpoints.wait()
         result = session.finish()
@@ -200,8 +206,18 @@ def _execute(
     if source.writer is not None and not options.save_frames:
         source.writer.remove()
         _log.info("Removed the frames of the camera; --save-frames keeps them.")
-    if feed.failure is not None:
-        raise type(feed.failure)(f"{feed.failure}; the map so far was saved in {folder.path}")
+    if failure is not None:
+        raise type(failure)(f"{failure}; the map so far was saved in {folder.path}")
+
+
+def _closed(writer: FrameWriter | None) -> ToolkitError | None:
+    """Complete the stored frames; return why that failed, or None."""
+    try:
+        if writer is not None:
+            writer.close()
+    except ToolkitError as error:
+        return error
+    return None
 
 
 def _capacity(settings: RunSettings) -> int:
@@ -214,15 +230,21 @@ def _capacity(settings: RunSettings) -> int:
     return 1 + math.ceil(settings.pacing.max_delay_s * settings.pace)
 
 
-def _processed(
-    settings: RunSettings, replayed: RecordedDataset | None, summary: LiveSummary
-) -> RecordedDataset:
-    """The frames that the run has seen, for its evaluation."""
-    if replayed is not None:
-        count = len(summary.delays)
-        return RecordedDataset(replayed.recording, settings.image_size, count)
+def _stored(settings: RunSettings, count: int, failure: ToolkitError | None) -> RecordedDataset:
+    """The frames of a camera that the run has stored, for its evaluation.
+
+    Args:
+        count: number of frames that were processed.
+        failure: why storing them has failed, or None.
+    """
     assert settings.dataset.path is not None
-    return open_dataset("folder", settings.dataset.path, settings.image_size)
+    try:
+        dataset = open_dataset("folder", settings.dataset.path, settings.image_size)
+    except DatasetError as error:
+        raise failure or error from error
+    if failure is not None and len(dataset) < count:
+        raise failure
+    return dataset
 
 
 def _logged(summary: LiveSummary) -> LiveSummary:

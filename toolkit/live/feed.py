@@ -54,6 +54,7 @@ class LiveFeed:
 
     Attributes:
         failure: why the camera or the writer failed, None if neither did.
+        taken: number of frames that were yielded.
         delivery: the newest one, that of the frame that was yielded last.
         idle: called while no frame waits; returns whether it had anything to do.
     """
@@ -69,7 +70,7 @@ class LiveFeed:
         self._camera, self._options, self._stop = camera, options, stop
         self._grid, self._writer = grid, writer
         self._buffer = FrameBuffer(options.capacity)
-        self._taken = 0
+        self.taken = 0
         self._reader = threading.Thread(target=self._read, name="camera", daemon=True)
         self.failure: ToolkitError | None = None
         self.delivery = Delivery(None, ())
@@ -116,8 +117,8 @@ class LiveFeed:
         """Number, store and resample a frame."""
         frame = captured.frame
         if self._camera.dataset is None:
-            frame = replace(frame, index=self._taken)
-        self._taken += 1
+            frame = replace(frame, index=self.taken)
+        self.taken += 1
         if self._writer is not None:
             self._writer.write(frame)
         if self._grid is None:

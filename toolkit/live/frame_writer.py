@@ -57,7 +57,7 @@ class FrameWriter:
         self._pending.append(self._executor.submit(self._write, frame))
 
     def close(self) -> None:
-        """Return when all frames are written.
+        """Return when all frames are written, or have failed.
 
         Raises:
             RunFolderError: one cannot be written.

@@ -56,9 +56,9 @@ class LiveSummary:
             "captured_fps": self.captured_fps,
             **delay_statistics(self.delays),
             "live_convention": "delay from the capture of a frame to its pose, without dropped "
-            "frames; dropped frames of a dataset are scored at the last pose before them, those "
-            "of a camera have no pose; these results depend on the speed of the machine and are "
-            "not repeatable",
+            "frames; dropped frames of a dataset, and frames that --pace drops, are scored at the "
+            "last pose before them; other dropped frames of a camera are not scored; these "
+            "results depend on the speed of the machine and are not repeatable",
         }
 
     def csv(self) -> str:
