@@ -230,3 +230,18 @@ def test_bad_arguments_are_one_line(words: list[str], message: str, tmp_path: Pa
     errors = capsys.readouterr().err.strip().splitlines()
     assert message in errors[-1]
     assert not (tmp_path / "run").exists()
+
+
+def test_bad_input_is_one_line_and_leaves_other_files_alone(tmp_path: Path):
+    other = tmp_path / "run" / "notes.txt"
+    other.parent.mkdir()
+    other.write_text("mine")
+    done = subprocess.run(
+        [*LIVE, "--camera", "replay", "--dataset.path", "nowhere", "--out", str(other.parent)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1 and "nowhere" in done.stderr
+    assert other.read_text() == "mine"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from toolkit.cli.main import main
 from toolkit.errors import CameraError, DependencyError
 from toolkit.live.realsense import RealSenseCamera
 
@@ -174,9 +175,22 @@ def test_an_error_of_the_driver_is_a_camera_error():
     camera.stop()
 
 
+no_camera = pytest.mark.skipif(
+    len(rs.context().query_devices()) > 0, reason="a RealSense camera is connected"
+)
+
+
+@no_camera
 def test_a_missing_camera_is_one_line_with_the_remedy():
     with pytest.raises(CameraError, match="connect it to a USB 3 port"):
         RealSenseCamera().start()
+
+
+@no_camera
+def test_the_program_reports_a_missing_camera_before_it_writes(tmp_path, capsys):
+    assert main(["live", "--camera", "realsense", "--out", str(tmp_path / "run")]) == 2
+    assert "cannot start the RealSense camera" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_missing_package_names_the_extra(monkeypatch):
