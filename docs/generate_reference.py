@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import toolkit
 from toolkit.cli.help import default_text, option_names, type_text
+from toolkit.cli.live import LiveProgram
 from toolkit.cli.main import JOBS
 from toolkit.cli.programs import PROGRAMS
 from toolkit.cli.run import RunProgram
@@ -29,6 +30,13 @@ API_PAGE = "reference/python-api.md"
 API = {
     "Run SLAM": ("toolkit.slam.Slam", "toolkit.result.SlamResult", "toolkit.result.FrameResult"),
     "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.record.PaceSummary"),
+    "Live cameras and observers": (
+        "toolkit.live.execution.run_live",
+        "toolkit.live.camera.LiveCamera",
+        "toolkit.live.camera.CapturedFrame",
+        "toolkit.runs.observers.ProgressObserver",
+        "toolkit.runs.observers.RunProgress",
+    ),
     "Maps": (
         "toolkit.gaussians.cloud.GaussianCloud",
         "toolkit.rendering.RenderOutput",
@@ -83,7 +91,7 @@ def options_page() -> str:
 
 def job_options(job: str) -> tuple[Option, ...]:
     """The options of a job, without help."""
-    kind = {**PROGRAMS, "run": RunProgram}.get(job)
+    kind = {**PROGRAMS, "run": RunProgram, "live": LiveProgram}.get(job)
     return () if kind is None else nested_options(kind)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.exposure import IDENTITY, Exposure
-from toolkit.frame import Frame
+from toolkit.frame import Frame, FrameStamp
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.relocalisation import LastPosition
@@ -75,7 +75,7 @@ class CameraPath:
         self.lost_frames.append(frame.index)
         self.lost_in_a_row += has_depth(frame)
 
-    def add_dropped(self, frame: Frame) -> bool:
+    def add_dropped(self, frame: FrameStamp) -> bool:
         """Add a frame that was not processed, at the pose of the frame before it.
 
         While the camera is lost, the frame is lost as well, but it does not count as an attempt to

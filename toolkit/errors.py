@@ -27,3 +27,7 @@ class RunFolderError(ToolkitError):
 
 class DependencyError(ToolkitError):
     """An optional package or a system library is missing."""
+
+
+class CameraError(ToolkitError):
+    """A live camera is missing, was disconnected or sends no frames."""

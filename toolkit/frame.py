@@ -56,6 +56,16 @@ class Frame:
                 )
 
 
+class FrameStamp(Protocol):
+    """What is known of a frame that was not processed: its place in the sequence and its time."""
+
+    @property
+    def index(self) -> int: ...
+
+    @property
+    def timestamp_s(self) -> float: ...
+
+
 class Recorder(Protocol):
     """Receives run times and counts of the running system; does not influence it."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing, NoLoopClosing
 from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
-from toolkit.frame import Frame, NullRecorder, Recorder
+from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -20,6 +20,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.pose_graph.graph import PoseEdge
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.within import refine_submaps
@@ -80,6 +81,11 @@ class Slam:
             tracker, self.atlas, self._path, self._closer, self._labelled, self._recorder
         )
         self._fused: FusedMap | None = None
+
+    @property
+    def loops(self) -> Sequence[PoseEdge]:
+        """The accepted loop edges between submaps so far."""
+        return self._closer.loops
 
     def load_map(self, submaps: Iterable[Submap]) -> None:
         """Load the map of an earlier run, before the first frame; it is extended but not changed.
@@ -146,7 +152,7 @@ class Slam:
             frame.index, T_map_camera, tracking, mapping, T_world_camera, is_keyframe
         )
 
-    def drop_frame(self, frame: Frame) -> FrameResult:
+    def drop_frame(self, frame: FrameStamp) -> FrameResult:
         """Record a frame without processing it; its pose is that of the frame before.
 
         While the camera is lost, the frame is lost as well.

@@ -10,12 +10,13 @@ import pytest
 from tyro.conf import Positional
 
 from toolkit.cli.help import COMMON, help_page
+from toolkit.cli.live import LiveProgram
 from toolkit.cli.main import JOBS, main
 from toolkit.cli.programs import PROGRAMS
 from toolkit.cli.run import RunProgram
 from toolkit.options import Fraction, PositiveInt, nested_options
 
-KINDS = {**PROGRAMS, "run": RunProgram}
+KINDS = {**PROGRAMS, "run": RunProgram, "live": LiveProgram}
 
 
 @dataclass(frozen=True)

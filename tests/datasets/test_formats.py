@@ -163,6 +163,33 @@ def test_plain_folder(make_folder):
     assert dataset[3].timestamp_s == pytest.approx(0.3)
 
 
+def test_times_of_a_plain_folder_can_be_stated(make_folder):
+    folder = make_folder(frames=3)
+    (folder / "timestamps.txt").write_text("0 0.01\n1 0.13\n2 7.5\n")
+    dataset = open_dataset("folder", folder)
+    assert dataset.timestamps_s.tolist() == [0.01, 0.13, 7.5]
+    # Poses at 0, 0.1 and 0.2 s: the last one is not that of the last frame.
+    check_truth(dataset, [0, 1], [0, 1])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("0 0.0\n1 0.1\n", "lacks the frame 2"),
+        ("0 0.0\n1 0.1\n2 0.1\n", "time of frame 2 must be finite and increase"),
+        ("0 0.0\n1 nan\n2 0.2\n", "time of frame 1 must be finite and increase"),
+        ("0 0.0\n1 0.1\n2\n", "must have a stem and seconds"),
+        ("0 0.0\n1 0.1\n2 soon\n", "must have a stem and seconds"),
+    ],
+)
+def test_errors_in_times_name_the_file(make_folder, content, message):
+    folder = make_folder(frames=3)
+    (folder / "timestamps.txt").write_text(content)
+    with pytest.raises(DatasetError, match=message) as caught:
+        open_dataset("folder", folder)
+    assert "timestamps.txt" in str(caught.value)
+
+
 def test_a_folder_without_depth_has_colour_alone(make_folder):
     folder = make_folder(frames=3, intrinsics={"depth_scale": None})
     shutil.rmtree(folder / "depth")

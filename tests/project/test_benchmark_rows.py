@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 import tyro
 
-from benchmarks import loops, pace, recordings, ring, semantics, sequences
+from benchmarks import live, loops, pace, recordings, ring, semantics, sequences
+from toolkit.cli import live as live_program
 from toolkit.cli import run as run_program
 from toolkit.options import validated
 from toolkit.runs.settings import RunSettings
@@ -48,7 +49,17 @@ def test_settings_of_a_row_are_valid(name: str) -> None:
 @pytest.mark.parametrize("options", commands_with_every_option(), ids=lambda words: words[0])
 def test_options_of_rows_are_those_of_run(options: list[str]) -> None:
     words = ["--dataset.path", "data", *options, "--out", "out"]
-    assert run_program._parse(words).out.name == "out"
+    assert run_program.parse_run(run_program.RunProgram, words, "run").out.name == "out"
+
+
+@pytest.mark.parametrize("row", [row for row in live.ROWS.values() if row[1] == "live"])
+def test_options_of_live_rows_are_those_of_live(row: list[str]) -> None:
+    sequence, _, *options = row
+    options += ["run.rrd"] if options[-1] == "--record" else []
+    words = ["--dataset.path", "data", *options, "--out", "out"]
+    assert sequence in {*recordings.RECORDINGS, *recordings.ROOMS}
+    program = run_program.parse_run(live_program.LiveProgram, words, "live")
+    assert (program.camera, program.fps) == ("replay", live.FPS)
 
 
 def test_sequences_of_rows_are_known() -> None:

@@ -20,6 +20,7 @@ import tyro
 from documentation import PAGES, ROOT, Block, Command
 
 import toolkit
+from toolkit.cli import run as run_program
 from toolkit.cli.arguments import parse_arguments
 from toolkit.cli.help import option_names
 from toolkit.cli.main import JOBS
@@ -120,7 +121,9 @@ def parse_job(words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
         parse_arguments(PROGRAMS[words[0]], words[1:], words[0])
         return
     module = importlib.import_module(f"toolkit.cli.{JOBS[words[0]][0]}")
-    if hasattr(module, "parse_arguments"):
+    if hasattr(module, "parse_run"):
+        monkeypatch.setattr(run_program, "parse_arguments", stop_after(parse_arguments))
+    elif hasattr(module, "parse_arguments"):
         monkeypatch.setattr(module, "parse_arguments", stop_after(module.parse_arguments))
     else:
         stop_parsers(monkeypatch)

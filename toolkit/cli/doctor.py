@@ -39,6 +39,8 @@ _OPTIONAL = {
     "openai": ("openai", "building a taxonomy with a language model"),
     "rosbags": ("rosbags", "bags of ROS and RealSense"),
     "lzfse": ("lzfse", "depth of Record3D"),
+    "pyrealsense2": ("pyrealsense2", "RealSense cameras"),
+    "rerun": ("rerun-sdk", "recordings for Rerun (--record)"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
     "fastapi": ("fastapi", "semsplat serve"),
     "uvicorn": ("uvicorn", "semsplat serve"),

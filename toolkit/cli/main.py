@@ -20,6 +20,7 @@ from toolkit.cli.errors import one_line_errors
 # Job: module of this package, description.
 JOBS = {
     "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
+    "live": ("live", "track and map the frames of a depth camera while they arrive"),
     "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG, or a video"),
     "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
@@ -93,10 +94,11 @@ def _parsed(job: str, argv: list[str]) -> Any:
 def _print_help(job: str, argv: list[str]) -> bool:
     """Print the help page of a job without importing its module; return whether it has one."""
     from toolkit.cli.help import help_page
+    from toolkit.cli.live import LiveProgram
     from toolkit.cli.programs import PROGRAMS
     from toolkit.cli.run import RunProgram
 
-    kind = (PROGRAMS | {"run": RunProgram}).get(job)
+    kind = (PROGRAMS | {"run": RunProgram, "live": LiveProgram}).get(job)
     if kind is not None:
         print(help_page(kind, job, "--help-all" in argv), end="")
     return kind is not None

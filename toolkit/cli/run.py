@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import tyro
 from tqdm import tqdm
@@ -16,11 +16,12 @@ from toolkit.runs.settings import PresetName, RunSettings, load_settings
 
 if TYPE_CHECKING:
     from toolkit.frame import Frame
+    from toolkit.runs.observers import ProgressObserver
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunProgram(RunSettings):
-    """Track and map a sequence, with or without depth, evaluate it and write a run folder."""
+class RunArguments(RunSettings):
+    """The arguments of programs that create a run."""
 
     out: Path
     """Folder of the run, new or empty unless the run is resumed."""
@@ -30,13 +31,24 @@ class RunProgram(RunSettings):
     config: Path | None = None
     """YAML file of settings. They take precedence over the preset, and options on the command line
     over both."""
-    resume: bool = False
-    """Continue an interrupted run from its last checkpoint."""
+    record: Path | None = None
+    """File (.rrd) to record the run to, for the viewer of Rerun."""
 
     @property
     def settings(self) -> RunSettings:
         """The settings of the run."""
         return RunSettings(**{f.name: getattr(self, f.name) for f in fields(RunSettings)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunProgram(RunArguments):
+    """Track and map a sequence, with or without depth, evaluate it and write a run folder."""
+
+    resume: bool = False
+    """Continue an interrupted run from its last checkpoint."""
+
+
+Program = TypeVar("Program", bound=RunArguments)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -45,19 +57,38 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         ToolkitError: bad settings, data or output folder.
     """
-    program = _parse(list(argv))
+    program = parse_run(RunProgram, list(argv), "run")
     # Imports torch, which takes seconds; wrong arguments are reported before.
     from toolkit.runs.execution import run
 
-    run(program.settings, program.out, program.resume, _with_progress)
+    observers = progress_observers(program)
+    run(program.settings, program.out, program.resume, with_progress, observers)
     return 0
 
 
-def _parse(argv: list[str]) -> RunProgram:
+def parse_run(kind: type[Program], argv: list[str], job: str) -> Program:
+    """Parse the arguments of a program that creates a run.
+
+    Raises:
+        SettingsError: an option, the preset or the file of settings is invalid.
+    """
     config, preset = _value(argv, "--config"), _value(argv, "--preset")
     settings = load_settings(Path(config) if config else None, preset or "default")
-    default = RunProgram(out=tyro.MISSING, **vars(settings))
-    return parse_arguments(RunProgram, argv, "run", default=default)
+    return parse_arguments(kind, argv, job, default=kind(out=tyro.MISSING, **vars(settings)))
+
+
+def progress_observers(program: RunArguments) -> list[ProgressObserver]:
+    """Build the observers that the arguments ask for.
+
+    Raises:
+        DependencyError: the package of one is missing.
+        SettingsError: its file exists or has another suffix.
+    """
+    if program.record is None:
+        return []
+    from toolkit.recording.rerun_recorder import RerunRecorder
+
+    return [RerunRecorder(program.record)]
 
 
 def _value(argv: list[str], flag: str) -> str | None:
@@ -71,6 +102,7 @@ def _value(argv: list[str], flag: str) -> str | None:
     return found or None
 
 
-def _with_progress(frames: Iterable[Frame], total: int, first: int) -> Iterable[Frame]:
+def with_progress(frames: Iterable[Frame], total: int | None, first: int) -> Iterable[Frame]:
+    """Wrap frames in a progress bar, which is only displayed in terminals."""
     bar = {"unit": "frame", "file": sys.stderr, "disable": not sys.stderr.isatty()}
     return tqdm(frames, total=total, initial=first, **bar)

@@ -44,11 +44,13 @@ def describe(path: Path) -> Recording:
     """Describe `rgb/STEM.*`, `intrinsics.yaml` and optional files.
 
     Frames are sorted by stem, numerically if all stems are numbers. The timestamp of frame i is
-    i / fps. Optional files are `depth/STEM.png`, `labels/STEM.png` with `labels/classes.json`, and
-    `trajectory.txt` in TUM format with the same timestamps.
+    i / fps, unless `timestamps.txt` states others. Optional files are `depth/STEM.png`,
+    `labels/STEM.png` with `labels/classes.json`, and `trajectory.txt` in TUM format with the same
+    timestamps.
 
     Raises:
-        DatasetError: the folder has a different layout, or `intrinsics.yaml` is malformed.
+        DatasetError: the folder has a different layout, or `intrinsics.yaml` or `timestamps.txt` is
+            malformed.
         FormatError: `trajectory.txt` is malformed.
     """
     folder = folder_holding(path, ("rgb", "intrinsics.yaml"), "folder")
@@ -58,9 +60,10 @@ def describe(path: Path) -> Recording:
     depth = _by_stem(folder / "depth", (".png",))
     labels = _by_stem(folder / "labels", (".png",))
     stems = [stem for stem in rgb if stem in depth or not has_depth]
+    times_s = _timestamps_s(folder / "timestamps.txt", stems, intrinsics.fps)
     files = tuple(
-        FrameFiles(i / intrinsics.fps, rgb[stem], depth.get(stem), labels.get(stem))
-        for i, stem in enumerate(stems)
+        FrameFiles(time_s, rgb[stem], depth.get(stem), labels.get(stem))
+        for time_s, stem in zip(times_s, stems, strict=True)
     )
     trajectory, flaws = None, pairing_flaws(rgb, depth if has_depth else rgb, labels)
     if (folder / "trajectory.txt").exists():
@@ -160,7 +163,35 @@ def _poses(
 ) -> list[NDArray[np.float64] | None]:
     """Return the pose of each frame, or None if no timestamp is within half a frame period."""
     poses = read_tum_lines(path)
+    times_s = np.array([frame.timestamp_s for frame in files])
     found: dict[int, NDArray[np.float64]] = {}
-    for time, pose in zip(poses.timestamps_s, poses.T_world_camera, strict=True):
-        found.setdefault(round(float(time) * fps), pose)
+    for time_s, pose in zip(poses.timestamps_s, poses.T_world_camera, strict=True):
+        nearest = int(np.abs(times_s - time_s).argmin()) if len(times_s) else 0
+        if len(times_s) and abs(times_s[nearest] - time_s) * fps <= 0.5:
+            found.setdefault(nearest, pose)
     return [found.get(i) for i in range(len(files))]
+
+
+def _timestamps_s(path: Path, stems: list[str], fps: float) -> list[float]:
+    """Return the times of the frames: lines of stem and seconds, else equal intervals.
+
+    Raises:
+        DatasetError: the file is malformed, lacks a frame, or its times do not increase.
+    """
+    if not path.exists():
+        return [i / fps for i in range(len(stems))]
+    try:
+        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+        times_s = {stem: float(time_s) for stem, time_s in rows}
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            f"cannot read {path}: {error}; each line must have a stem and seconds"
+        ) from error
+    missing = next((stem for stem in stems if stem not in times_s), None)
+    if missing is not None:
+        raise DatasetError(f"{path} lacks the frame {missing}; add its time or remove its images")
+    found = [times_s[stem] for stem in stems]
+    for stem, time_s, before_s in zip(stems, found, [-np.inf, *found], strict=False):
+        if not before_s < time_s < np.inf:
+            raise DatasetError(f"{path}: the time of frame {stem} must be finite and increase")
+    return found

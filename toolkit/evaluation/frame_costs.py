@@ -45,19 +45,19 @@ class FrameCosts:
 class FrameCostRecorder:
     """Assigns the times of a recorder to frames.
 
-    Args:
+    Attributes:
         recorder: records the stages of tracking and mapping, and "frame".
     """
 
     def __init__(self, recorder: StageRecorder) -> None:
-        self._recorder = recorder
+        self.recorder = recorder
         self._known: dict[str, int] = {}
         self._rows: list[tuple[float, ...]] = []
 
     @contextmanager
     def frame(self, index: int) -> Iterator[None]:
         """Measure the stage "frame" and what it contains; then store it with the memory."""
-        with self._recorder.timed("frame"):
+        with self.recorder.timed("frame"):
             yield
         times = [self._new_ms(("frame",)), self._new_ms(_TRACKING), self._new_ms(_MAPPING)]
         memory_mb = resident_memory_mb()
@@ -71,7 +71,7 @@ class FrameCostRecorder:
     def _new_ms(self, stages: Sequence[str]) -> float:
         total_ms = 0.0
         for stage in stages:
-            durations = self._recorder.durations_ms.get(stage, [])
+            durations = self.recorder.durations_ms.get(stage, [])
             total_ms += sum(durations[self._known.get(stage, 0) :])
             self._known[stage] = len(durations)
         return total_ms

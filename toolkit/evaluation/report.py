@@ -96,12 +96,12 @@ class DelaySeries:
     Attributes:
         arrival_s: time of arrival of each frame.
         delay_s: time from the arrival to the pose; nan for dropped frames.
-        max_delay_s: the bound of the delay.
+        max_delay_s: the bound of the delay; None without one.
     """
 
     arrival_s: Sequence[float]
     delay_s: Sequence[float]
-    max_delay_s: float
+    max_delay_s: float | None
 
 
 @dataclass(frozen=True)
@@ -252,11 +252,11 @@ def _delay_chart(delays: DelaySeries) -> str:
     """Draw the delay over time and mark dropped frames."""
     points = np.stack([delays.arrival_s, delays.delay_s], axis=1)
     points[:, 1] *= 1e3
-    max_ms = 1e3 * delays.max_delay_s
+    bound_s = delays.max_delay_s
     axes = Axes(
         "time of arrival, s",
         "delay of the pose, ms",
-        level=(max_ms, f"maximum {max_ms:.0f} ms"),
+        level=None if bound_s is None else (1e3 * bound_s, f"maximum {1e3 * bound_s:.0f} ms"),
         marks_x=[float(x) for x, y in points if np.isnan(y)],
         marks_name="frame dropped",
     )

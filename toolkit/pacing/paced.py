@@ -102,7 +102,7 @@ class PacedSlam:
             result = self._processed(frame, may_map, arrival_s)
         delay_s = None if result.dropped else self.clock.now_s() - arrival_s
         camera_time_s = self._schedule.camera_time_s(arrival_s)
-        row = FrameDelay(frame.index, camera_time_s, delay_s, _outcome(result))
+        row = FrameDelay(frame.index, camera_time_s, delay_s, outcome_of(result))
         self._record.delays.append(row)
         return result
 
@@ -248,7 +248,8 @@ class _PostponedKeyframes:
         return False
 
 
-def _outcome(result: FrameResult) -> Outcome:
+def outcome_of(result: FrameResult) -> Outcome:
+    """What became of a frame."""
     if result.dropped:
         return "dropped"
     if result.lost:

@@ -6,13 +6,14 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from toolkit.mapping.deferred import StepCounts
 
 Outcome = Literal["tracked", "keyframe", "lost", "dropped"]
+Metrics = dict[str, float | int | str | None]
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,24 @@ class FrameDelay:
     arrival_s: float
     delay_s: float | None
     outcome: Outcome
+
+
+class DelaySummary(Protocol):
+    """The delays of a run in real time, as its results state them."""
+
+    @property
+    def delays(self) -> Sequence[FrameDelay]:
+        """One entry per frame."""
+
+    @property
+    def max_delay_s(self) -> float | None:
+        """The bound of the delay; None without one."""
+
+    def metrics(self) -> Metrics:
+        """Entries of metrics.json, with units in the keys."""
+
+    def csv(self) -> str:
+        """Table of the delays, one row per frame."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +74,14 @@ class PaceSummary:
         """Number of dropped frames."""
         return sum(row.outcome == "dropped" for row in self.delays)
 
-    def metrics(self) -> dict[str, float | int | str | None]:
+    def metrics(self) -> Metrics:
         """Entries of metrics.json, with units in the keys."""
-        delays_ms = np.array([1e3 * row.delay_s for row in self.delays if row.delay_s is not None])
-        statistics = {
-            "delay_median_ms": lambda: float(np.median(delays_ms)),
-            "delay_p95_ms": lambda: float(np.percentile(delays_ms, 95)),
-            "delay_max_ms": lambda: float(delays_ms.max()),
-        }
+        max_delay_s = self.max_delay_s
         return {
             "pace_fps": self.fps,
-            "delay_bound_ms": 1e3 * self.max_delay_s,
-            **{key: value() if len(delays_ms) else None for key, value in statistics.items()},
-            "frames_late": int((delays_ms > 1e3 * self.max_delay_s).sum()),
+            "delay_bound_ms": 1e3 * max_delay_s,
+            **delay_statistics(self.delays),
+            "frames_late": sum((row.delay_s or 0.0) > max_delay_s for row in self.delays),
             "frames_dropped": self.dropped,
             "keyframes_thinned": self.keyframes_thinned,
             "mapping_steps_due": self.steps.due,
@@ -81,13 +95,29 @@ class PaceSummary:
 
     def csv(self) -> str:
         """Table of the delays, one row per frame."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(("frame", "arrival_s", "delay_s", "outcome"))
-        for row in self.delays:
-            delay = "" if row.delay_s is None else f"{row.delay_s:.6f}"
-            writer.writerow((row.index, f"{row.arrival_s:.6f}", delay, row.outcome))
-        return text.getvalue()
+        return delays_csv(self.delays)
+
+
+def delay_statistics(delays: Sequence[FrameDelay]) -> Metrics:
+    """Median, 95th percentile and maximum of the delays; None if no frame has one."""
+    delays_ms = np.array([1e3 * row.delay_s for row in delays if row.delay_s is not None])
+    known = len(delays_ms) > 0
+    return {
+        "delay_median_ms": float(np.median(delays_ms)) if known else None,
+        "delay_p95_ms": float(np.percentile(delays_ms, 95)) if known else None,
+        "delay_max_ms": float(delays_ms.max()) if known else None,
+    }
+
+
+def delays_csv(delays: Sequence[FrameDelay]) -> str:
+    """Table of delays, one row per frame."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("frame", "arrival_s", "delay_s", "outcome"))
+    for row in delays:
+        delay = "" if row.delay_s is None else f"{row.delay_s:.6f}"
+        writer.writerow((row.index, f"{row.arrival_s:.6f}", delay, row.outcome))
+    return text.getvalue()
 
 
 class PaceRecord:

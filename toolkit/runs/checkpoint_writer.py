@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from toolkit.pacing.paced import PacedSlam
+from toolkit.frame import Frame
+from toolkit.result import FrameResult
 from toolkit.runs.folder import RunFolder
-from toolkit.slam import Slam
+from toolkit.submaps.atlas import Atlas
+
+
+class System(Protocol):
+    """A SLAM system that frames are given to: `Slam`, or one that paces it."""
+
+    @property
+    def atlas(self) -> Atlas:
+        """All submaps."""
+
+    def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
+        """Process the next frame; see `Slam`."""
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """State for checkpoints; see `Slam`."""
 
 
 class CheckpointWriter:
@@ -26,7 +43,7 @@ class CheckpointWriter:
         self._executor = ThreadPoolExecutor(max_workers=1) if background else None
         self._pending: Future[None] | None = None
 
-    def save(self, system: Slam | PacedSlam, next_frame: int) -> None:
+    def save(self, system: System, next_frame: int) -> None:
         """Save a checkpoint after the frame before `next_frame`.
 
         Raises:

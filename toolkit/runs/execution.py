@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +23,6 @@ from toolkit.monocular.scale import check_scale, with_metric_scale
 from toolkit.monocular.sequence import MonocularSequence
 from toolkit.pacing.paced import PacedSlam
 from toolkit.pacing.record import PaceSummary
-from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
@@ -34,26 +31,25 @@ from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
+from toolkit.runs.observers import Observers, ProgressObserver
 from toolkit.runs.results import (
-    FINISH,
     MOTION,
-    ONLINE,
     RunRecord,
-    held_out,
     write_motion_alone,
     write_results,
 )
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
+from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
 
 _log = logging.getLogger(__name__)
 
-# Wraps frames in a progress bar; arguments: frames, total number, index of the first frame.
-Progress = Callable[[Iterable[Frame], int, int], Iterable[Frame]]
+# Wraps frames in a progress bar; arguments: frames, total number if known, index of the first one.
+Progress = Callable[[Iterable[Frame], int | None, int], Iterable[Frame]]
 
 
-def _no_progress(frames: Iterable[Frame], _total: int, _first: int) -> Iterable[Frame]:
+def no_progress(frames: Iterable[Frame], _total: int | None, _first: int) -> Iterable[Frame]:
     return frames
 
 
@@ -61,7 +57,8 @@ def run(
     settings: RunSettings,
     out: str | os.PathLike[str],
     resume: bool = False,
-    progress: Progress = _no_progress,
+    progress: Progress = no_progress,
+    observers: Sequence[ProgressObserver] = (),
 ) -> None:
     """Track and map a dataset, evaluate the result and write the run folder.
 
@@ -71,11 +68,12 @@ def run(
         out: the run folder; new or empty unless the run is resumed.
         resume: continue from the last checkpoint in `out`.
         progress: wraps the frames in a progress bar.
+        observers: follow the progress, for instance a recording or a viewer.
 
     Raises:
         ToolkitError: bad settings, data or output folder.
     """
-    _check(settings)
+    check_settings(settings)
     out = Path(out)
     path = _dataset_path(settings, out, resume, progress)
     settings = with_absolute_paths(_with_path(settings, path))
@@ -101,7 +99,7 @@ def run(
     else:
         folder = RunFolder.create(out, config)
     try:
-        _execute(settings, dataset, folder, saved, progress)
+        _execute(settings, dataset, folder, saved, progress, Observers(observers))
     except Exception:
         # Without a checkpoint there is nothing to resume.
         if not resume and not folder.has_checkpoint:
@@ -115,6 +113,7 @@ def _execute(
     folder: RunFolder,
     saved: FinishedRun | None,
     progress: Progress,
+    observers: Observers,
 ) -> None:
     recorder = StageRecorder()
     sequence: Dataset = dataset
@@ -122,7 +121,7 @@ def _execute(
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     if settings.depth == "none":
-        with recorder.timed(MOTION), _logged_to(folder.log):
+        with recorder.timed(MOTION), logged_to(folder.log):
             motion = _motion(dataset, settings, progress)
             if not motion.views:
                 write_motion_alone(motion, folder)
@@ -135,7 +134,11 @@ def _execute(
     folder.check_taxonomy(slam.result().taxonomy)
     start = _restore(system, dataset, folder)
     checkpoints = CheckpointWriter(folder, background=paced is not None)
-    with _logged_to(folder.log):
+    costs = FrameCostRecorder(recorder)
+    session = Session(
+        dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
+    )
+    with session.open():
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
@@ -154,9 +157,7 @@ def _execute(
                 settings.pace,
             )
             frames = paced.arriving(frames)
-        costs = FrameCostRecorder(recorder)
-        with recorder.timed(ONLINE):
-            _process(system, frames, checkpoints, settings, costs, expected)
+        session.process(frames, checkpoints, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
                 f"no frame of {settings.dataset.path} could start a map; check that the frames "
@@ -165,8 +166,7 @@ def _execute(
         checkpoints.save(system, len(dataset))
         checkpoints.wait()
         pace = None if paced is None else _log_pace(paced.summary())
-        with recorder.timed(FINISH):
-            result = _finish(slam)
+        result = session.finish()
         prior = None
         if provider is not None:
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
@@ -174,7 +174,7 @@ def _execute(
         write_results(result, dataset, folder, settings, record)
 
 
-def _check(settings: RunSettings) -> None:
+def check_settings(settings: RunSettings) -> None:
     """Reject what does not work without a depth sensor.
 
     Raises:
@@ -276,41 +276,6 @@ def _with_path(settings: RunSettings, path: Path) -> RunSettings:
     return replace(settings, dataset=replace(settings.dataset, path=path))
 
 
-def _process(
-    system: Slam | PacedSlam,
-    frames: Iterable[Frame],
-    checkpoints: CheckpointWriter,
-    settings: RunSettings,
-    costs: FrameCostRecorder,
-    expected: ExpectedTime,
-) -> None:
-    """Process the remaining frames, saving checkpoints on the way."""
-    saved_at, new_keyframes = time.monotonic(), 0
-    for frame in frames:
-        with costs.frame(frame.index):
-            result = system.process_frame(frame, may_map=not held_out(frame.index, settings))
-        if result.lost and not result.dropped:
-            reason = result.tracking.reason if result.tracking else "no map exists yet"
-            _log.warning("Frame %d is lost: %s.", frame.index, reason)
-        due = time.monotonic() - saved_at > settings.checkpoint.every_s
-        new_keyframes += result.keyframe
-        many = new_keyframes >= settings.checkpoint.every_keyframes and settings.pace is None
-        if due or many:
-            checkpoints.save(system, frame.index + 1)
-            saved_at, new_keyframes = time.monotonic(), 0
-        expected.frame_processed(result.keyframe)
-
-
-def _finish(slam: Slam) -> SlamResult:
-    keyframes, submaps = len(slam.result().keyframe_indices), len(slam.atlas)
-    _log.info(
-        "Refining the map over %d keyframes in %s.",
-        keyframes,
-        "one submap" if submaps == 1 else f"{submaps} submaps",
-    )
-    return slam.finish()
-
-
 def _log_pace(summary: PaceSummary) -> PaceSummary:
     metrics, steps = summary.metrics(), summary.steps
     if metrics["delay_median_ms"] is not None:
@@ -330,17 +295,3 @@ def _log_pace(summary: PaceSummary) -> PaceSummary:
         steps.due,
     )
     return summary
-
-
-@contextmanager
-def _logged_to(path: Path) -> Iterator[None]:
-    """Append the log of the toolkit to a file."""
-    handler = logging.FileHandler(path)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logger = logging.getLogger("toolkit")
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.close()

@@ -41,7 +41,7 @@ from toolkit.io.visualisation import view_strip
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
-from toolkit.pacing.record import PaceSummary
+from toolkit.pacing.record import DelaySummary
 from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
@@ -86,7 +86,7 @@ class RunRecord:
     """
 
     recorder: StageRecorder
-    pace: PaceSummary | None = None
+    pace: DelaySummary | None = None
     motion: CameraMotion | None = None
     prior: DepthPriorUse | None = None
     costs: FrameCosts | None = None
@@ -323,7 +323,7 @@ def _report(
     )
 
 
-def _delay_series(pace: PaceSummary) -> DelaySeries:
+def _delay_series(pace: DelaySummary) -> DelaySeries:
     return DelaySeries(
         arrival_s=[row.arrival_s for row in pace.delays],
         delay_s=[float("nan") if row.delay_s is None else row.delay_s for row in pace.delays],

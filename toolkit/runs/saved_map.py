@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 _INDEX_GAP = 10_000
 
 
-def open_saved_map(settings: RunSettings, dataset: Dataset) -> FinishedRun | None:
+def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> FinishedRun | None:
     """Open the run in the setting `map`, None without one.
 
     Raises:
@@ -55,7 +55,7 @@ def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
         )
 
 
-def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset) -> None:
+def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset | None) -> None:
     labeller = build_run_labeller(settings, dataset)
     taxonomy = None if labeller is None else labeller.taxonomy
     if (taxonomy is None) != (saved.taxonomy is None):

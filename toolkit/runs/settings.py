@@ -61,9 +61,8 @@ class RunSettings:
     poses: Literal["slam", "given"] = "slam"
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
     pace: FramesPerSecond = 0.0
-    """Frames per second at which frames arrive, as from a live camera. Mapping uses the time that
-    remains, and frames are dropped where it is not enough; results are not repeatable. 0 processes
-    all frames completely, as fast as possible."""
+    """Frames that arrive per second. Mapping uses the time that remains; if it is too short, frames
+    are dropped. Results are not repeatable. 0 processes all frames completely."""
     map: Path | None = None
     """Folder of a finished run whose map is localised in and extended. By default, a new map is
     started."""

@@ -1,0 +1,102 @@
+"""`semsplat live --camera replay`: dropped frames, delay and accuracy at ten frames per second.
+
+    SEMSPLAT_DATA=DATA python -m benchmarks.live [--only NAMES]
+
+Run it on an idle machine: the results depend on the time that the machine has for each frame.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.report import Report, ReportOptions
+from benchmarks.tables import Metrics, table_of
+from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.runs.finished import load_run
+
+FPS = 10
+COLUMNS = (
+    "frames",
+    "frames_dropped",
+    "frames_lost",
+    "keyframes",
+    "captured_fps",
+    "delay_median_ms",
+    "delay_p95_ms",
+    "delay_max_ms",
+    "ate_rmse_cm",
+    "ate_processed_rmse_cm",
+    "psnr_db",
+    "recording_mb",
+)
+_LIVE = ("live", "--camera", "replay", "--fps", str(FPS))
+_SEQUENCES = {"room": "room", "RedKitchen": "redkitchen"}
+# Program and options of each row, before those of its sequence; "--record" has no value here.
+ROWS: dict[str, list[str]] = {
+    f"{title}, {how}": [sequence, *words]
+    for title, sequence in _SEQUENCES.items()
+    for how, words in {
+        "live": _LIVE,
+        "live, --pace": (*_LIVE, "--pace", str(FPS)),
+        "live, --pace, --record": (*_LIVE, "--pace", str(FPS), "--record"),
+    }.items()
+}
+DESCRIPTION = f"""\
+Datasets as live cameras: `semsplat live --camera replay --fps {FPS}`. The files `sequences` and
+`pace` have offline runs of the same sequences. The delay is the time from the capture of a frame to
+its pose, without dropped frames. `ate_rmse_cm` scores all frames, dropped ones at the last pose
+before them; `ate_processed_rmse_cm` scores the frames that were processed. Without `--pace`, each
+frame is processed completely, and only the newest one waits; with `--pace`, optimisation is
+deferred to the time between the frames. `--record` writes frames, poses, map and times to a file
+for the viewer of Rerun. RedKitchen and the synthetic room have 320x240 pixels. Live runs depend on
+the speed and the load of the machine and are not repeatable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
+    """Replay sequences as live cameras."""
+
+
+def main() -> None:
+    """Measure one row for each sequence and kind of run."""
+    report = Report("live", "Live cameras", DESCRIPTION, tyro.cli(Options))
+    report.write(table_of(COLUMNS, report.measured(ROWS, measure), "sequence"))
+
+
+def measure(job: list[str], seed: int) -> Metrics:
+    """Run one sequence."""
+    sequence, program, *words = job
+    with tempfile.TemporaryDirectory() as temporary:
+        out, record = Path(temporary) / "run", Path(temporary) / "run.rrd"
+        words += [str(record)] if words[-1:] == ["--record"] else []
+        place = sequence_arguments(sequence)
+        semsplat(program, *place, *words, "--seed", str(seed), "--out", str(out))
+        metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+        metrics["ate_processed_rmse_cm"] = _processed_error_cm(out)
+        metrics["recording_mb"] = record.stat().st_size / 1e6 if record.exists() else None
+    return metrics
+
+
+def _processed_error_cm(out: Path) -> float | None:
+    """ATE of the frames that were processed; None without ground truth."""
+    run = load_run(out)
+    truth = run.open_dataset().ground_truth
+    if truth is None:
+        return None
+    dropped = json.loads((out / "frames.json").read_text(encoding="utf-8")).get("dropped", [])
+    frames = [frame for frame in run.tracked if frame.index not in set(dropped)]
+    times_s = np.array([frame.timestamp_s for frame in frames])
+    estimate = Trajectory(times_s, np.array([frame.T_map_camera for frame in frames]))
+    return 100.0 * absolute_trajectory_error(estimate, truth).rmse_m
+
+
+if __name__ == "__main__":
+    main()

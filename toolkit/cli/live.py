@@ -1,0 +1,62 @@
+"""`semsplat live`: track and map the frames of a camera while they arrive."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from types import FrameType
+
+from toolkit.cli.run import RunArguments, parse_run, progress_observers, with_progress
+from toolkit.live.options import LiveOptions
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveProgram(LiveOptions, RunArguments):
+    """Track and map the frames of a depth camera while they arrive, or of a dataset as if it were
+    one, and write a run folder. Ctrl-C ends the recording and finishes the map."""
+
+    @property
+    def live(self) -> LiveOptions:
+        """The options of the camera."""
+        return LiveOptions(**{f.name: getattr(self, f.name) for f in fields(LiveOptions)})
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run SLAM on a camera.
+
+    Raises:
+        ToolkitError: bad settings, data or output folder, or a camera that was disconnected.
+    """
+    program = parse_run(LiveProgram, list(argv), "live")
+    # Imports torch, which takes seconds; wrong arguments are reported before.
+    from toolkit.live.execution import LiveHooks, run_live
+    from toolkit.live.factory import build_camera
+
+    observers = progress_observers(program)
+    camera = build_camera(program.live, program.settings)
+    hooks = LiveHooks(progress=with_progress, observers=observers)
+    with stopped_by_interrupt(hooks.stop):
+        run_live(program.settings, program.live, camera, program.out, hooks)
+    return 0
+
+
+@contextmanager
+def stopped_by_interrupt(stop: threading.Event) -> Iterator[None]:
+    """Let the first Ctrl-C set an event; the second one interrupts the program."""
+
+    def interrupted(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, before)
+        _log.info("Finishing the map; press Ctrl-C again to stop at once.")
+        stop.set()
+
+    before = signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,38 @@
+"""Selects the camera by its name in the options."""
+
+from __future__ import annotations
+
+from toolkit.datasets.registry import open_dataset
+from toolkit.errors import SettingsError
+from toolkit.live.camera import LiveCamera
+from toolkit.live.execution import check_live_settings
+from toolkit.live.options import LiveOptions
+from toolkit.live.replay import ReplayCamera
+from toolkit.runs.settings import RunSettings
+
+
+def build_camera(options: LiveOptions, settings: RunSettings) -> LiveCamera:
+    """Build the camera of a live run; it is not started.
+
+    Raises:
+        SettingsError: the settings do not work with a live camera.
+        DependencyError: the package of its driver is missing.
+        ToolkitError: the dataset of a replay is missing or inconsistent.
+    """
+    check_live_settings(settings)
+    if options.camera == "realsense":
+        from toolkit.live.realsense import RealSenseCamera
+
+        return RealSenseCamera(options.fps, options.serial)
+    place = settings.dataset
+    if place.path is None:
+        raise SettingsError("--camera replay needs a dataset; add --dataset.path")
+    dataset = open_dataset(
+        place.kind,
+        place.path,
+        settings.image_size,
+        settings.max_frames,
+        fov_deg=place.fov_deg,
+        topics=place.topics,
+    )
+    return ReplayCamera(dataset, options.fps or settings.pace or None)

@@ -1,0 +1,1 @@
+"""Recordings of a run's progress, for viewers."""

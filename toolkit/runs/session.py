@@ -1,0 +1,127 @@
+"""A run in progress: frames are processed, checkpoints saved, observers informed."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from toolkit.evaluation.frame_costs import FrameCostRecorder
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+from toolkit.result import SlamResult
+from toolkit.runs.checkpoint_writer import CheckpointWriter, System
+from toolkit.runs.expected_time import ExpectedTime
+from toolkit.runs.folder import RunFolder
+from toolkit.runs.observers import Observers, RunProgress
+from toolkit.runs.results import FINISH, ONLINE, held_out
+from toolkit.runs.settings import RunSettings
+from toolkit.slam import Slam
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A run from its first frame to its finished map.
+
+    Attributes:
+        name: of the sequence or the camera.
+        camera: intrinsics of the frames.
+        settings: of the run.
+        folder: the run folder.
+        slam: the SLAM system.
+        system: what is given the frames: `slam`, or what paces it.
+        costs: measures the time and memory of frames, and the time of each stage.
+        observers: are informed of the progress.
+    """
+
+    name: str
+    camera: Camera
+    settings: RunSettings
+    folder: RunFolder
+    slam: Slam
+    system: System
+    costs: FrameCostRecorder
+    observers: Observers
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Append the toolkit's log to the run folder, and tell the observers start and end."""
+        with logged_to(self.folder.log):
+            run = RunProgress(self.name, self.camera, self.folder, self.slam, self.costs.recorder)
+            self.observers.started(run)
+            try:
+                yield
+            finally:
+                self.observers.close()
+
+    def process(
+        self,
+        frames: Iterable[Frame],
+        checkpoints: CheckpointWriter,
+        expected: ExpectedTime | None = None,
+    ) -> None:
+        """Process the remaining frames, saving checkpoints on the way.
+
+        Args:
+            frames: in order.
+            checkpoints: saves them.
+            expected: reports the expected duration; None if the number of frames is unknown.
+        """
+        with self.costs.recorder.timed(ONLINE):
+            saved_at, new_keyframes = time.monotonic(), 0
+            for frame in frames:
+                new_keyframes += self._process_frame(frame, expected)
+                if self._checkpoint_due(saved_at, new_keyframes):
+                    checkpoints.save(self.system, frame.index + 1)
+                    saved_at, new_keyframes = time.monotonic(), 0
+
+    def _process_frame(self, frame: Frame, expected: ExpectedTime | None) -> bool:
+        """Process a frame; return whether it became a keyframe."""
+        with self.costs.frame(frame.index):
+            may_map = not held_out(frame.index, self.settings)
+            result = self.system.process_frame(frame, may_map)
+        if result.lost and not result.dropped:
+            reason = result.tracking.reason if result.tracking else "no map exists yet"
+            _log.warning("Frame %d is lost: %s.", frame.index, reason)
+        if expected is not None:
+            expected.frame_processed(result.keyframe)
+        self.observers.frame_processed(frame, result)
+        return result.keyframe
+
+    def _checkpoint_due(self, saved_at: float, new_keyframes: int) -> bool:
+        options = self.settings.checkpoint
+        many = new_keyframes >= options.every_keyframes and self.settings.pace == 0
+        return many or time.monotonic() - saved_at > options.every_s
+
+    def finish(self) -> SlamResult:
+        """Refine the map and return the final result."""
+        keyframes = len(self.slam.result().keyframe_indices)
+        submaps = len(self.slam.atlas)
+        _log.info(
+            "Refining the map over %d keyframes in %s.",
+            keyframes,
+            "one submap" if submaps == 1 else f"{submaps} submaps",
+        )
+        with self.costs.recorder.timed(FINISH):
+            result = self.slam.finish()
+        self.observers.finished(result)
+        return result
+
+
+@contextmanager
+def logged_to(path: Path) -> Iterator[None]:
+    """Append the log of the toolkit to a file."""
+    handler = logging.FileHandler(path)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("toolkit")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        handler.close()
