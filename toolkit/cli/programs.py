@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.cli.map_programs import EditOptions, ExportOptions, VoxelSize
+from toolkit.cli.map_programs import EditOptions, ExportOptions, ViewOptions, VoxelSize
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
@@ -302,6 +302,7 @@ PROGRAMS: dict[str, type] = {
     "render": RenderProgram,
     "compare": CompareOptions,
     "export": ExportOptions,
+    "view": ViewOptions,
     "edit": EditOptions,
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,
