@@ -82,7 +82,7 @@ def _spread(numbers: list[int], count: int) -> list[int]:
     """Return at most `count` evenly spaced numbers of a list."""
     if len(numbers) <= count:
         return numbers
-    places = np.linspace(0, len(numbers) - 1, count).round().astype(int) if count else []
+    places = np.linspace(0, len(numbers) - 1, count).round().astype(int)
     return [numbers[i] for i in places]
 
 

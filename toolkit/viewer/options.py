@@ -12,7 +12,8 @@ class ShownContent:
     """What a viewer shows of a map."""
 
     max_gaussians: PositiveInt = 300_000
-    """Maximum number of Gaussians that are shown; those of the largest visible area are kept."""
+    """Maximum number of Gaussians that are shown, preferably those that look large from the cameras
+    of the run."""
     images: NonNegativeInt = 60
     """Maximum number of keyframes that are shown with their image, evenly spaced."""
     image_width: PositiveInt = 240

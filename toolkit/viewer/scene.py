@@ -6,19 +6,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.viewer.thinning import thin, visibility
 
 # Colours of Gaussians without a class, of measured content and of inferred content.
 UNKNOWN_RGB = (96, 100, 108)
 MEASURED_RGB = (66, 150, 250)
 INFERRED_RGB = (250, 150, 50)
-# Distances to cameras count as at least this, and thinned Gaussians grow by at most this factor.
-_NEAREST_M = 0.3
-_MAX_GROWTH = 1.5
+_NO_CAMERAS = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -69,26 +67,17 @@ class ShownSplats:
         """Select Gaussians by a boolean mask [N] or integer indices [M]."""
         return ShownSplats(**{name: values[index] for name, values in self.columns().items()})
 
-    def thinned(self, count: int, cameras_m: NDArray[np.float64] | None = None) -> ShownSplats:
-        """Return at most `count` Gaussians, the most visible ones, and most visible first.
-
-        Visibility is opacity times area, as seen from the nearest camera; otherwise small objects,
-        which cameras approach, would lose more Gaussians than walls. The remaining Gaussians are
-        enlarged to cover the same area, by at most 1.5.
+    def thinned(self, count: int, cameras_m: NDArray[np.float64] = _NO_CAMERAS) -> ShownSplats:
+        """Return at most `count` Gaussians, the most visible ones first.
 
         Args:
             count: maximum number of Gaussians, >= 1.
-            cameras_m: [M, 3] positions of cameras; without any, all distances are equal.
+            cameras_m: [M, 3] positions of the cameras of the run.
         """
-        areas = self.opacities * self.sigmas_m**2
-        visible = areas
-        if cameras_m is not None and len(cameras_m):
-            distances_m, _ = cKDTree(cameras_m).query(self.means_m)
-            visible = areas / np.maximum(distances_m, _NEAREST_M) ** 2
-        kept = self.select(np.argsort(-visible, kind="stable")[:count])
-        growth = np.sqrt(areas.sum() / max((kept.opacities * kept.sigmas_m**2).sum(), 1e-12))
-        sigmas_m = kept.sigmas_m * np.float32(min(growth, _MAX_GROWTH))
-        return replace(kept, sigmas_m=sigmas_m)
+        visible = visibility(self.means_m, self.sigmas_m, self.opacities, cameras_m)
+        thinning = thin(self.means_m, visible, count)
+        kept = self.select(thinning.index)
+        return replace(kept, sigmas_m=kept.sigmas_m * thinning.growth)
 
     @property
     def submap_numbers(self) -> list[int]:

@@ -2,8 +2,8 @@
 // or by the source of their position.
 
 // Opacity and brightness of Gaussians that are not highlighted.
-const DIMMED_OPACITY = 0.35;
-const DIMMED_BRIGHTNESS = 0.35;
+const DIMMED_OPACITY = 0.07;
+const DIMMED_BRIGHTNESS = 0.6;
 const CONFIDENCE_STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
 /** The kinds of colours that a scene has. */
