@@ -46,7 +46,7 @@ def shown_keyframes(run: FinishedRun, splats: ShownSplats, content: ShownContent
     Without readable submaps, the keyframes have no images.
     """
     poses = {frame.index: frame.T_map_camera for frame in run.tracked}
-    wanted = set(_spread(run.keyframes, content.images))
+    wanted = set(spread(run.keyframes, content.images))
     found: list[ShownKeyframe] = []
     camera = None
     evidence = _DepthEvidence(splats)
@@ -78,7 +78,7 @@ def small_image(rgb: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _spread(numbers: list[int], count: int) -> list[int]:
+def spread(numbers: list[int], count: int) -> list[int]:
     """Return at most `count` evenly spaced numbers of a list."""
     if len(numbers) <= count:
         return numbers

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +67,9 @@ def run_scene(selection: Selection, content: ShownContent) -> ViewerScene:
         path=run.trajectory.T_world_camera,
         keyframes=keyframes.keyframes,
         camera=run.stored_camera or keyframes.camera,
-        loops=_loops(run),
+        loops=loops_between(
+            run.folder.loops, {f.index: f.T_map_camera[:3, 3] for f in run.tracked}
+        ),
     )
 
 
@@ -115,23 +117,27 @@ def _tree_beside(path: Path, labels: SplatLabels | None) -> ShownTree | None:
 def _up(run: FinishedRun) -> NDArray[np.float64]:
     """Return the vertical: the normal of the floor, otherwise that of the upright cameras."""
     ground = ground_of(run)
-    if ground is not None:
-        return ground.up
-    if not run.tracked:
+    return upright(run.trajectory.T_world_camera) if ground is None else ground.up
+
+
+def upright(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean vertical [3] of cameras T_map_camera [M, 4, 4] that are held upright."""
+    if not len(poses):
         return np.array([0.0, -1.0, 0.0])
-    up = -np.mean([frame.T_map_camera[:3, 1] for frame in run.tracked], axis=0)
+    up = -poses[:, :3, 1].mean(axis=0)
     return up / max(float(np.linalg.norm(up)), 1e-9)
 
 
-def _loops(run: FinishedRun) -> tuple[ShownLoop, ...]:
-    """Return the verified loops between tracked frames."""
-    if not run.folder.loops.is_file():
+def loops_between(
+    log: Path, positions_m: Mapping[int, NDArray[np.float64]]
+) -> tuple[ShownLoop, ...]:
+    """Return the verified loops between frames with a position [3], from `loops.jsonl`."""
+    if not log.is_file():
         return ()
-    positions = {frame.index: frame.T_map_camera[:3, 3] for frame in run.tracked}
     loops = []
-    for record in accepted_edges(read_loop_log(run.folder.loops)):
-        first, second = record.get("match"), record.get("query")
-        if first in positions and second in positions:
-            ends_m = np.stack([positions[first], positions[second]])
-            loops.append(ShownLoop(int(first), int(second), ends_m))
+    for record in accepted_edges(read_loop_log(log)):
+        first, second = int(record.get("match", -1)), int(record.get("query", -1))
+        if first in positions_m and second in positions_m:
+            ends_m = np.stack([positions_m[first], positions_m[second]])
+            loops.append(ShownLoop(first, second, ends_m))
     return tuple(loops)

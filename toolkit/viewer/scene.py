@@ -125,8 +125,13 @@ class ShownTree:
     def matching(self, text: str) -> list[int]:
         """Return the nodes whose name or path contains a text, ignoring case.
 
-        Names that equal the text take precedence over names that contain it.
+        Names that equal the text take precedence over names that contain it. Commas separate
+        several texts.
         """
+        found = {node for part in text.split(",") for node in self._matching(part)}
+        return sorted(found)
+
+    def _matching(self, text: str) -> list[int]:
         wanted = text.strip().casefold()
         if not wanted:
             return []

@@ -125,8 +125,13 @@ class Colouring {
   }
 }
 
-/** Nodes with this name, otherwise nodes whose name or path contains the text. */
+/** Nodes that match any of some texts, which commas separate. */
 function matchingNodes(tree, text) {
+  return [...new Set(text.split(",").flatMap((part) => nodesNamed(tree, part)))];
+}
+
+/** Nodes with this name, otherwise nodes whose name or path contains the text. */
+function nodesNamed(tree, text) {
   const wanted = text.trim().toLowerCase();
   if (!tree || !wanted) return [];
   const indices = [...tree.nodes.keys()];
