@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import io
 import logging
 import socket
 from typing import Any
@@ -37,7 +39,9 @@ def start_viser(host: str, port: int) -> Any:
         ) from error
     # viser would silently take the next free port.
     port = _free_port(host, port)
-    return viser.ViserServer(host=host, port=port, label="semsplat", verbose=False)
+    # viser prints its address on stdout even if it is not verbose.
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host=host, port=port, label="semsplat", verbose=False)
 
 
 def _free_port(host: str, port: int) -> int:

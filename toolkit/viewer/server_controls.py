@@ -29,6 +29,7 @@ class Controls:
     def __init__(self, server: Any, view: ServerScene, highlight: str = "") -> None:
         self._view, self._gui = view, server.gui
         self._keyframe: ShownKeyframe | None = None
+        self._layers: dict[str, Any] = {}
         self._add_widgets(highlight)
         view.keyframe_clicked = self._show_keyframe
         server.scene.on_click()(self._clicked)
@@ -78,6 +79,7 @@ class Controls:
     def _add_layer(self, layer: str, name: str) -> None:
         box = self._gui.add_checkbox(name, initial_value=True)
         box.on_update(lambda _event: self._view.show_layer(layer, box.value))
+        self._layers[layer] = box
 
     def _level_moved(self) -> None:
         # The assignment repaints if it changes the value.
@@ -149,6 +151,8 @@ class Controls:
 
     def _view_from_keyframe(self, event: Any) -> None:
         if self._keyframe is not None and event.client is not None:
+            # The images of the neighbouring keyframes would cover the map.
+            self._layers["keyframes"].value = False
             self._view.view_from(self._keyframe, event.client)
 
 
@@ -185,4 +189,4 @@ def _legend_html(rows: list[LegendRow]) -> str:
             f'<span style="flex:1">{escape(row.name)}</span>'
             f"<small>{100.0 * row.fraction:.1f} %</small></div>"
         )
-    return "".join(lines)
+    return f'<div style="max-height:220px;overflow-y:auto">{"".join(lines)}</div>'

@@ -80,16 +80,14 @@ class ServerScene:
             client.camera.look_at = T[:3, 3] + T[:3, 2]
 
     def _set_first_view(self) -> None:
-        """Start at the first keyframe, or outside of a map without cameras."""
-        view, means_m = self.server.initial_camera, self.scene.splats.means_m
-        if self.scene.keyframes:
-            T = self.scene.keyframes[0].T_map_camera
-            view.position, view.look_at = T[:3, 3], T[:3, 3] + 2.0 * T[:3, 2]
-            return
-        centre, size_m = means_m.mean(axis=0), float(np.linalg.norm(np.ptp(means_m, axis=0)))
-        side = np.cross(self.scene.up, [0.3, 0.2, 0.9])
+        """Start outside of the map and above it."""
+        view, means_m, up = self.server.initial_camera, self.scene.splats.means_m, self.scene.up
+        low_m, high_m = np.percentile(means_m, (1.0, 99.0), axis=0)
+        centre_m, size_m = (low_m + high_m) / 2.0, float(np.linalg.norm(high_m - low_m))
+        side = np.cross(up, [0.5, 0.2, 0.8])
         side /= np.linalg.norm(side)
-        view.position, view.look_at = centre + 0.8 * size_m * (side + 0.4 * self.scene.up), centre
+        view.position = centre_m + size_m * (0.6 * side + 0.4 * up)
+        view.look_at = centre_m
 
     def _add_cameras(self) -> None:
         scene = self.scene
