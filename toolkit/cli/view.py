@@ -8,7 +8,7 @@ import time
 from toolkit.cli.map_programs import ViewOptions
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.reading import read_scene
-from toolkit.viewer.server import MapServer, start_viser
+from toolkit.viewer.server import MapServer, start_viser, stop_viser
 
 _log = logging.getLogger(__name__)
 
@@ -43,4 +43,4 @@ def main(options: ViewOptions) -> int:
     except KeyboardInterrupt:
         return 0
     finally:
-        server.stop()
+        stop_viser(server)

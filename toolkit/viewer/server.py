@@ -63,6 +63,12 @@ def _free_port(host: str, port: int) -> int:
         ) from error
 
 
+def stop_viser(server: Any) -> None:
+    """Stop a viser server."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
 class MapServer:
     """Shows a scene to all browsers that connect.
 

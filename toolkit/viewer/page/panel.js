@@ -177,7 +177,7 @@ class Panel {
     if (found.submap !== null) rows.unshift(["submap", String(found.submap)]);
     if (found.inferred !== null) rows.unshift(["depth", found.inferred ? "inferred" : "measured"]);
     if (found.confidence !== null) rows.unshift(["confidence", `${Math.round(100 * found.confidence)} %`]);
-    if (this.scene.levels.length) rows.unshift(["class", found.classPath.join(" › ") || "unknown"]);
+    if (this.scene.levels.length) rows.unshift(["class", found.classPath.join(" > ") || "unknown"]);
     const list = element("dl");
     for (const [name, value] of rows) {
       list.append(element("dt", { textContent: name }), element("dd", { textContent: value }));
