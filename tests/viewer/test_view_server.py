@@ -17,6 +17,8 @@ from painted_scenes import two_panels
 
 from toolkit.cli.main import main
 from toolkit.errors import SettingsError
+from toolkit.viewer.live import LiveRun
+from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ViewerScene
 from toolkit.viewer.server import MapServer, start_viser, stop_viser
 from toolkit.viewer.server_scene import covariances
@@ -126,6 +128,28 @@ def of_another_version(run: Path) -> None:
 def truncated(run: Path) -> None:
     content = (run / "map.ply").read_bytes()
     (run / "map.ply").write_bytes(content[: len(content) // 2])
+
+
+def test_an_unknown_class_is_reported(tiny_run, capsys):
+    assert main(["view", str(tiny_run), "--port", "0", "--highlight", "unicorn"]) != 0
+    assert "--highlight unicorn" in capsys.readouterr().err
+
+
+def test_a_server_follows_a_run_until_it_is_finished(server, tiny_run, tmp_path):
+    """The run has saved its last checkpoint; its results appear while the server waits."""
+    running = tmp_path / "running"
+    shutil.copytree(tiny_run, running)
+    (running / "map.ply").unlink()
+    waits = []
+
+    def wait(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) == 2:
+            shutil.copy(tiny_run / "map.ply", running)
+
+    live = LiveRun(running, ShownContent())
+    MapServer(server).follow(live, wait)
+    assert live.finished and len(waits) == 2
 
 
 @pytest.mark.parametrize(

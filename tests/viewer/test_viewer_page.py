@@ -8,7 +8,9 @@ from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
 from toolkit.cli.main import main
+from toolkit.io.splat_shapes import relative_covariances
 from toolkit.viewer.html import link_from_report, write_page
+from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ViewerScene
 
 # Pixels on the table and on the wall, in the first view.
 TABLE, WALL = (350, 280), (570, 280)
@@ -153,6 +155,38 @@ def test_a_keyframe_shows_its_image(browser, page_file):
     before = settled(watched)
     watched.page.get_by_role("button", name="View from here").click()
     assert (settled(watched)[:, 290:] != before[:, 290:]).any()
+    assert watched.errors == []
+    watched.page.close()
+
+
+def test_anisotropic_gaussians_without_labels(browser, tmp_path):
+    """One ellipsoid that is five times as wide as high, in front of the camera."""
+    scales_m = np.array([[0.5, 0.1, 0.1]])
+    splats = ShownSplats(
+        means_m=np.array([[0.0, 0.0, 3.0]], np.float32),
+        sigmas_m=np.exp(np.log(scales_m).mean(axis=1)).astype(np.float32),
+        opacities=np.ones(1, np.float32),
+        rgb=np.full((1, 3), 255, np.uint8),
+        shapes=relative_covariances(scales_m, np.array([[1.0, 0.0, 0.0, 0.0]])),
+    )
+    keyframe = ShownKeyframe(0, np.eye(4))
+    file = tmp_path / "one.html"
+    write_page(file, ViewerScene("one", splats, 1, keyframes=(keyframe,)))
+    watched = WatchedPage(browser)
+    watched.page.goto(file.as_uri())
+    drawn(watched)
+    for name in ("#level", "#class-search", "#legend-section", "#modes"):
+        assert watched.page.locator(name).is_hidden()
+    watched.page.mouse.click(450, 250)
+    assert "class" not in watched.page.inner_text("#picked")
+    watched.page.uncheck("#layer-keyframes")
+    bright = settled(watched).max(axis=2) > 128
+    bright[:, :290] = False
+    rows, columns = np.nonzero(bright)
+    # Over the dark background, half brightness is at 1.22 standard deviations; the focal length is
+    # 480 pixels. The panel covers the left end.
+    assert np.ptp(rows) == pytest.approx(2 * 1.22 * 0.1 * 480 / 3, abs=3)
+    assert columns.max() - 450 == pytest.approx(1.22 * 0.5 * 480 / 3, abs=3)
     assert watched.errors == []
     watched.page.close()
 

@@ -40,6 +40,7 @@ _OPTIONAL = {
     "rosbags": ("rosbags", "bags of ROS and RealSense"),
     "lzfse": ("lzfse", "depth of Record3D"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
+    "viser": ("viser", "semsplat view"),
 }
 
 # Shared library that Open3D loads: Debian package.

@@ -6,6 +6,7 @@ import logging
 import time
 
 from toolkit.cli.map_programs import ViewOptions
+from toolkit.errors import SettingsError
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.reading import read_scene
 from toolkit.viewer.server import MapServer, start_viser, stop_viser
@@ -26,11 +27,17 @@ def main(options: ViewOptions) -> int:
     """
     live = LiveRun(options.map, options.viewer) if options.live else None
     scene = None if options.live else read_scene(options.map, options.viewer)
+    text = ", ".join(options.highlight)
+    if text and scene is not None and (scene.tree is None or not scene.tree.matching(text)):
+        raise SettingsError(
+            f"{options.map} has no class of --highlight {text}; list its classes with: "
+            "semsplat query RUN --list"
+        )
     server = start_viser(options.host, options.port)
     try:
         if options.host not in _LOCAL:
             _log.warning("Everyone who reaches %s can see this map.", options.host)
-        shown = MapServer(server, ", ".join(options.highlight))
+        shown = MapServer(server, text)
         # The address is the program's result; other programs read it.
         print(f"http://{options.host}:{server.get_port()}", flush=True)
         if scene is not None:

@@ -38,8 +38,9 @@ class LiveRun:
         if self.finished:
             return None
         if self._reader.finished:
+            scene = read_scene(self._path, self._content)
             self.finished = True
-            return read_scene(self._path, self._content)
+            return scene
         progress = self._reader.read()
         return None if progress is None else self._scene(progress)
 

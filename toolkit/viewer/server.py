@@ -7,6 +7,7 @@ import errno
 import io
 import logging
 import socket
+from collections.abc import Callable
 from typing import Any
 
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
@@ -92,27 +93,33 @@ class MapServer:
             self._view.replace(scene)
             self._controls.replaced()
 
-    def follow(self, run: LiveRun, wait: Any) -> None:
+    def follow(self, run: LiveRun, wait: Callable[[float], object]) -> None:
         """Show a run in progress until it is finished.
 
         Args:
             run: the run.
             wait: called with the seconds between two looks at the run.
+
+        Raises:
+            ToolkitError: the first state cannot be read. Later ones are only reported, because the
+                run may be stopped and started anew while it is followed.
         """
-        announced = False
+        message = ""
         while not run.finished:
             try:
-                scene = run.poll()
+                scene, news = run.poll(), ""
             except ToolkitError as error:
-                # The run may be stopped and started anew while it is followed.
-                _log.warning("The run cannot be read at the moment: %s", error)
-                scene = None
+                if self._view is None:
+                    raise
+                scene, news = None, f"The run cannot be read at the moment: {error}"
             if scene is not None and len(scene.splats):
                 self.show(scene)
-                _log.info("Show %s: %s.", scene.title, scene)
-            elif self._view is None and not announced:
-                _log.info("Waiting for the first checkpoint of the run.")
-                announced = True
+                news = f"Show {scene.title}: {scene}."
+            elif self._view is None:
+                news = "Waiting for the first checkpoint of the run."
+            if news and news != message:
+                _log.info(news)
+                message = news
             if not run.finished:
                 wait(_POLL_S)
         _log.info("The run is finished.")

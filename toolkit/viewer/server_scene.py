@@ -58,12 +58,10 @@ class ServerScene:
 
     def paint(self, mode: str, level: int, highlighted: list[int] | None) -> None:
         """Set colours and opacities of the Gaussians; arguments as of `appearance`."""
-        look = appearance(self.scene, mode, level, highlighted)
+        scene = self.scene  # may be replaced meanwhile, by the thread that follows a run
+        look = appearance(scene, mode, level, highlighted)
         self._splats.set_gaussians(
-            self.scene.splats.means_m,
-            covariances(self.scene),
-            look.rgb,
-            look.opacities[:, None],
+            scene.splats.means_m, covariances(scene), look.rgb, look.opacities[:, None]
         )
 
     def show_layer(self, name: str, shown: bool) -> None:
