@@ -52,8 +52,8 @@ three classes; every Gaussian covers its share of the surface. The window has 12
 until drawn starts with opening the page and ends with a screenshot in which the room is visible;
 that of the local server includes the transfer to the browser, but not the start of Python. A turned
 view includes sorting and a screenshot, a change of the level the new colours, legend and a
-screenshot. Medians of the repetitions; the server is measured once. Software rendering (SwiftShader) on the processor; graphics
-processors are much faster."""
+screenshot. Medians of the repetitions; the server is measured once. Software rendering
+(SwiftShader) on the processor."""
 
 
 @dataclass(frozen=True)
