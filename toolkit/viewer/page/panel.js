@@ -183,6 +183,7 @@ class Panel {
       list.append(element("dt", { textContent: name }), element("dd", { textContent: value }));
     }
     section.replaceChildren(list);
+    section.scrollIntoView({ block: "nearest" });
   }
 
   showKeyframe(keyframe) {
@@ -197,6 +198,7 @@ class Panel {
       ? element("img", { src: keyframe.image, alt: `image of keyframe ${keyframe.index}` })
       : element("p", { className: "soft", textContent: "The image is not part of this page." });
     section.replaceChildren(row, image);
+    section.scrollIntoView({ block: "nearest" });
   }
 }
 
