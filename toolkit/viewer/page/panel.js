@@ -197,6 +197,8 @@ class Panel {
     const image = keyframe.image
       ? element("img", { src: keyframe.image, alt: `image of keyframe ${keyframe.index}` })
       : element("p", { className: "soft", textContent: "The image is not part of this page." });
+    // Known before the image is decoded, so that all of it is scrolled into view.
+    if (keyframe.image) image.style.aspectRatio = `${this.scene.camera.width} / ${this.scene.camera.height}`;
     section.replaceChildren(row, image);
     section.scrollIntoView({ block: "nearest" });
   }
