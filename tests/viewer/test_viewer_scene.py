@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from painted_scenes import node, tree, two_panels
+import torch
+from painted_scenes import CAMERA, node, tree, two_panels
 
 from toolkit.errors import ToolkitError
+from toolkit.exposure import IDENTITY
 from toolkit.io.splat_shapes import relative_covariances
+from toolkit.keyframe import Keyframe
 from toolkit.viewer.colouring import (
     CLASSES,
     COLOUR,
@@ -21,6 +25,7 @@ from toolkit.viewer.colouring import (
     colour_modes,
     legend,
 )
+from toolkit.viewer.keyframes import DepthEvidence
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.packing import pack
 from toolkit.viewer.picking import pick
@@ -155,6 +160,33 @@ def test_the_binary_form_keeps_positions_sizes_and_nodes():
     smallest, span = packed.header["logSigma"]
     sigmas_m = np.exp(smallest + array("sigmas") / 255.0 * span)
     assert sigmas_m == pytest.approx(scene.splats.sigmas_m, rel=0.05)
+
+
+def test_inferred_gaussians_are_those_that_no_keyframe_measured():
+    """In the first keyframe, the depth of the left half follows from a prior."""
+    splats = replace(two_panels().splats, submap=None, inferred=None)
+    left = splats.means_m[:, 0] < 0.0
+    inferred = torch.zeros((60, 80), dtype=torch.bool)
+    inferred[:, :40] = True
+    keyframe = Keyframe(
+        index=0,
+        timestamp_s=0.0,
+        T_map_camera=np.eye(4),
+        rgb=torch.zeros((3, 60, 80), dtype=torch.uint8),
+        depth_m=torch.full((60, 80), 2.0),
+        camera=CAMERA,
+        exposure=IDENTITY,
+        points=np.zeros((0, 3), np.float32),
+        inferred=inferred,
+    )
+    evidence = DepthEvidence(splats)
+    assert evidence.inferred() is None
+    evidence.add(keyframe, np.eye(4), 0)
+    # Gaussians above and below the image are observed by nothing.
+    seen = np.abs(splats.means_m[:, 1]) < 0.7
+    assert (evidence.inferred()[seen] == left[seen]).all()
+    evidence.add(replace(keyframe, inferred=None), np.eye(4), 0)
+    assert evidence.inferred() is None, "a sensor has measured all of them by now"
 
 
 def test_shapes_of_anisotropic_splats():

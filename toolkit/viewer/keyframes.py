@@ -49,7 +49,7 @@ def shown_keyframes(run: FinishedRun, splats: ShownSplats, content: ShownContent
     wanted = set(spread(run.keyframes, content.images))
     found: list[ShownKeyframe] = []
     camera = None
-    evidence = _DepthEvidence(splats)
+    evidence = DepthEvidence(splats)
     with_priors = run.settings.depth_prior.kind != "none"
     for submap in _submaps(run):
         for keyframe in submap.keyframes:
@@ -102,8 +102,12 @@ def _submaps(run: FinishedRun) -> Iterator[Submap]:
         yield submap
 
 
-class _DepthEvidence:
-    """Collects which Gaussians a sensor measured, and which follow from depth priors only."""
+class DepthEvidence:
+    """Collects which Gaussians a sensor measured, and which follow from depth priors only.
+
+    Args:
+        splats: the Gaussians.
+    """
 
     def __init__(self, splats: ShownSplats) -> None:
         self._splats = splats
