@@ -47,7 +47,7 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
 # One thread per worker, since two workers share the processor.
-test: ready .stamps/emulator .stamps/vulkan
+test: ready .stamps/emulator .stamps/vulkan .stamps/chromium
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
@@ -122,6 +122,13 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 		( $(call apt,libvulkan1 mesa-vulkan-drivers,the Vulkan driver for off-screen rendering is) ) || true; \
 	fi
 	@if PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libvulkan.so.1; then touch $@; fi
+
+# The pages of the viewers are tested in Debian's Chromium; without it, these tests are skipped.
+.stamps/chromium: | .stamps
+	@if ! command -v chromium >/dev/null; then \
+		( $(call apt,chromium,the browser for tests of the viewers is) ) || true; \
+	fi
+	@if command -v chromium >/dev/null; then touch $@; fi
 
 clean:
 	rm -rf .stamps build site *.egg-info toolkit/native/variants

@@ -44,6 +44,7 @@ _OPTIONAL = {
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
     "fastapi": ("fastapi", "semsplat serve"),
     "uvicorn": ("uvicorn", "semsplat serve"),
+    "viser": ("viser", "semsplat view"),
 }
 
 # Shared library that Open3D loads: Debian package.

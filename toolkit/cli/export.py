@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 from toolkit.cli.map_programs import ExportOptions
@@ -14,6 +15,10 @@ from toolkit.exports.views import ViewOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
 from toolkit.io.splats import export_splats
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
+from toolkit.viewer.html import link_from_report, write_page
+from toolkit.viewer.reading import run_scene
+
+_log = logging.getLogger(__name__)
 
 
 def main(options: ExportOptions) -> int:
@@ -82,6 +87,14 @@ def _floor_plan(options: ExportOptions, selection: Selection) -> str:
     return f"a floor plan with {len(plan.areas)} classes"
 
 
+def _viewer(options: ExportOptions, selection: Selection) -> str:
+    scene = run_scene(selection, options.viewer)
+    size = write_page(options.to, scene)
+    if link_from_report(options.to, selection.run.folder.report):
+        _log.info("Linked it from %s.", selection.run.folder.report)
+    return f"a page of {size / 1e6:.1f} MB with {scene}"
+
+
 def _mesh_options(options: ExportOptions) -> MeshOptions:
     return MeshOptions(options.voxel_m, options.max_depth_m, options.every)
 
@@ -102,4 +115,5 @@ _WRITERS: dict[str, Callable[[ExportOptions, Selection], str]] = {
     "occupancy-grid": _occupancy_grid,
     "scene-graph": _scene_graph,
     "floor-plan": _floor_plan,
+    "viewer": _viewer,
 }

@@ -24,6 +24,7 @@ JOBS = {
     "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG, or a video"),
     "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
+    "view": ("view", "show a map in the browser"),
     "edit": ("edit", "remove, keep, move or recolour classes of a labelled map"),
     "compare": ("compare", "compare runs on one HTML page"),
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),

@@ -11,6 +11,7 @@ from tyro.conf import Positional
 from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
 from toolkit.options import Fraction, PositiveFloat, PositiveInt, Range
 from toolkit.serving.options import ServiceLimits
+from toolkit.viewer.options import ShownContent
 
 # A mesh of a room with smaller voxels does not fit in memory.
 VoxelSize = Annotated[float, Range(ge=0.001)]
@@ -27,8 +28,8 @@ class ExportOptions:
     """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
     format: ExportFormat | None = None
     """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
-    .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz) or
-    occupancy-grid (.yaml)."""
+    .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz),
+    occupancy-grid (.yaml) or viewer (.html)."""
     mesh: bool = False
     """Short for --format mesh."""
     points: bool = False
@@ -54,6 +55,7 @@ class ExportOptions:
     ground, rug and carpet that the taxonomy contains."""
     grid: GridOptions = GridOptions()
     objects: ObjectGraphOptions = ObjectGraphOptions()
+    viewer: ShownContent = ShownContent()
 
     @property
     def kind(self) -> ExportFormat:
@@ -75,7 +77,26 @@ _FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
     ".las": "labelled-points",
     ".laz": "labelled-points",
     ".yaml": "occupancy-grid",
+    ".html": "viewer",
 }
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """Show a map in the browser, with cameras, classes, submaps and loops; Ctrl-C stops."""
+
+    map: Positional[Path]
+    """Run folder, or a splat file (.ply, .splat, .spz)."""
+    live: bool = False
+    """Follow a run in progress, from its checkpoints."""
+    host: str = "127.0.0.1"
+    """Address to listen on. Other computers can connect only if another address is given; there is
+    no password."""
+    port: Annotated[int, Range(ge=0, le=65535)] = 8080
+    """Port to listen on; 0 takes any free port."""
+    highlight: tuple[str, ...] = ()
+    """Classes and groups that are highlighted at the start."""
+    viewer: ShownContent = ShownContent()
 
 
 @dataclass(frozen=True)

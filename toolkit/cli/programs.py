@@ -12,7 +12,13 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.cli.map_programs import EditOptions, ExportOptions, ServeOptions, VoxelSize
+from toolkit.cli.map_programs import (
+    EditOptions,
+    ExportOptions,
+    ServeOptions,
+    ViewOptions,
+    VoxelSize,
+)
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
@@ -302,6 +308,7 @@ PROGRAMS: dict[str, type] = {
     "render": RenderProgram,
     "compare": CompareOptions,
     "export": ExportOptions,
+    "view": ViewOptions,
     "edit": EditOptions,
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,

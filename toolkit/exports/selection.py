@@ -37,12 +37,14 @@ class Selection:
         gaussians: N selected Gaussians.
         labels: their labels, or None.
         partial: whether Gaussians were excluded.
+        submap: [N] number of the submap of each Gaussian, or None.
     """
 
     run: FinishedRun
     gaussians: GaussianCloud
     labels: SplatLabels | None
     partial: bool = False
+    submap: NDArray[np.int32] | None = None
 
     @property
     def means_m(self) -> NDArray[np.float64]:
@@ -68,7 +70,8 @@ class Selection:
                 f"{MIN_OPACITY}"
             )
         labels = None if self.labels is None else self.labels.select(mask.numpy())
-        return Selection(self.run, self.gaussians.select(mask), labels, self.partial)
+        submap = None if self.submap is None else self.submap[mask.numpy()]
+        return Selection(self.run, self.gaussians.select(mask), labels, self.partial, submap)
 
     def labelled(self) -> LabelledMap:
         """Return the Gaussians with their labels.
@@ -115,14 +118,18 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
     """
     if not keep and not drop:
         finished = load_run(run)
-        return Selection(finished, finished.gaussians, read_splats(finished.folder.map).labels)
+        splats = read_splats(finished.folder.map)
+        submap = splats.extra.get("submap")
+        return Selection(finished, finished.gaussians, splats.labels, submap=submap)
     labelled = load_labelled_run(run)
     mask = labelled.select(keep) if keep else np.ones(len(labelled.map), bool)
     mask &= ~labelled.map.selected(drop)
     if not mask.any():
         raise ToolkitError(f"--keep and --drop exclude all Gaussians of {run}")
     gaussians = labelled.run.gaussians.select(torch.from_numpy(mask))
-    return Selection(labelled.run, gaussians, labelled.map.labels.select(mask), True)
+    submap = read_splats(labelled.run.folder.map).extra.get("submap")
+    submap = None if submap is None else submap[mask]
+    return Selection(labelled.run, gaussians, labelled.map.labels.select(mask), True, submap)
 
 
 def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:

@@ -10,7 +10,7 @@ import os
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,8 +84,12 @@ def write_array_tree(
             shutil.rmtree(temporary, ignore_errors=True)
 
 
-def read_array_tree(folder: PathLike) -> ArrayTree:
+def read_array_tree(folder: PathLike, wanted: Callable[[str], bool] | None = None) -> ArrayTree:
     """Read a folder written by `write_array_tree` and verify its checksums.
+
+    Args:
+        folder: the folder.
+        wanted: whether to read the array of a name; all are read by default.
 
     Raises:
         RunFolderError: the folder or one of its files is missing.
@@ -94,7 +98,7 @@ def read_array_tree(folder: PathLike) -> ArrayTree:
     folder = Path(folder)
     try:
         metadata = json.loads((folder / _METADATA).read_text(encoding="utf-8"))
-        arrays = _read_arrays(folder / _ARRAYS)
+        arrays = _read_arrays(folder / _ARRAYS, wanted)
     except OSError as error:
         raise RunFolderError(
             f"cannot read {folder}: {error.strerror or error}; use an older checkpoint, "
@@ -119,9 +123,10 @@ def _write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
     sync(path)
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray]:
+def _read_arrays(path: Path, wanted: Callable[[str], bool] | None) -> dict[str, NDArray]:
     with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+        names = filter(wanted, archive.files) if wanted else archive.files
+        return {name: archive[name] for name in names}
 
 
 def _put_in_place(temporary: Path, folder: Path) -> None:

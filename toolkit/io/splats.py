@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
+from toolkit.io.splat_shapes import relative_covariances
 
 PathLike = str | os.PathLike[str]
 
@@ -126,7 +127,7 @@ class SplatLabels:
 
 @dataclass(frozen=True)
 class Splats:
-    """Isotropic splats read from a file.
+    """Splats read from a file, as isotropic Gaussians.
 
     Attributes:
         means: [N, 3] float32, metres.
@@ -134,6 +135,8 @@ class Splats:
         opacity_logits: [N] float32.
         colours: [N, 3] float32, RGB.
         extra: additional columns [N] by name, such as `submap` (int32) or those of `labels`.
+        shapes: [N, 6] float32 covariances of anisotropic splats relative to the squared radius, as
+            in `relative_covariances`; None if all splats are isotropic.
     """
 
     means: NDArray[np.float32]
@@ -141,6 +144,7 @@ class Splats:
     opacity_logits: NDArray[np.float32]
     colours: NDArray[np.float32]
     extra: dict[str, NDArray] = field(default_factory=dict)
+    shapes: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.means)
@@ -234,8 +238,14 @@ def read_splats(path: PathLike) -> Splats:
                 f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
             )
     log_scales = np.log(columns["scale"])
-    if (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
-        _log.warning("%s: anisotropic splats are converted to spheres of the same volume", path)
+    shapes = None
+    if "rot" in columns and (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
+        shapes = relative_covariances(columns["scale"], columns["rot"])
+        _log.warning(
+            "%s: anisotropic splats are converted to spheres of the same volume, except in the "
+            "viewer",
+            path,
+        )
     # Every array is copied: if one of Open3D's own still exists at the end of the process, Open3D
     # prints statistics of its memory and changes the exit status to 1.
     return Splats(
@@ -248,6 +258,7 @@ def read_splats(path: PathLike) -> Splats:
             for name, column in columns.items()
             if name not in _OWN_ATTRIBUTES and column.shape[1:] == (1,)
         },
+        shapes=shapes,
     )
 
 

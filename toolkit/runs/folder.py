@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 
 _SLOTS = ("0", "1")
 # To be incremented when the state of any part of a run changes its layout.
-_CHECKPOINT_FORMAT = 1
+CHECKPOINT_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class RunFolder:
         Raises:
             RunFolderError: the disk is full or not writable.
         """
-        saved = self._saved_checkpoints()
+        saved = self.saved_checkpoints()
         serial = saved[0][1] + 1 if saved else 0
         target = self.checkpoints / _SLOTS[serial % 2]
         metadata = {
@@ -153,7 +153,7 @@ class RunFolder:
             "next_frame": next_frame,
             "threads": torch.get_num_threads(),
             "version": __version__,
-            "format": _CHECKPOINT_FORMAT,
+            "format": CHECKPOINT_FORMAT,
             "values": values,
         }
         write_array_tree(target, arrays, metadata)
@@ -167,7 +167,7 @@ class RunFolder:
                 would differ by rounding.
         """
         damaged = []
-        for path, _ in self._saved_checkpoints():
+        for path, _ in self.saved_checkpoints():
             try:
                 tree = read_array_tree(path)
             except (FormatError, RunFolderError) as error:
@@ -182,10 +182,10 @@ class RunFolder:
                 damaged.append(path)
                 continue
             saved_format = tree.metadata.get("format", 0)
-            if saved_format != _CHECKPOINT_FORMAT:
+            if saved_format != CHECKPOINT_FORMAT:
                 raise RunFolderError(
                     f"{path} has checkpoint format {saved_format}, this version of semsplat reads "
-                    f"format {_CHECKPOINT_FORMAT}; resume with the version that started the run, "
+                    f"format {CHECKPOINT_FORMAT}; resume with the version that started the run, "
                     "or start a new run"
                 )
             if threads != torch.get_num_threads():
@@ -203,9 +203,9 @@ class RunFolder:
     @property
     def has_checkpoint(self) -> bool:
         """Whether there is a checkpoint, readable or damaged."""
-        return bool(self._saved_checkpoints())
+        return bool(self.saved_checkpoints())
 
-    def _saved_checkpoints(self) -> list[tuple[Path, int]]:
+    def saved_checkpoints(self) -> list[tuple[Path, int]]:
         """Return (folder, serial number) of the checkpoints, newest first."""
         found = []
         for name in _SLOTS:

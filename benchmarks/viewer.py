@@ -1,0 +1,202 @@
+"""Times the viewers in headless Chromium with software WebGL.
+
+    python -m benchmarks.viewer [--counts 100000 300000 500000] [--repeats 3]
+
+Needs chromium (apt-get install chromium), and playwright and viser from pip.
+"""
+
+from __future__ import annotations
+
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from playwright.sync_api import sync_playwright
+
+from benchmarks.report import publish
+from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.tables import Table, Target, target_table
+from toolkit.geometry.camera import Camera
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.viewer.html import write_page
+from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene
+from toolkit.viewer.server import MapServer, start_viser, stop_viser
+
+MEASURES = ("toolkit/viewer",)
+FLAGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+)
+SIZE = {"width": 1280, "height": 720}
+TARGET_COUNT, TARGET_S = 500_000, 10.0
+# A picture is drawn when this share of its middle is brighter than the background, but not white as
+# an empty page.
+DRAWN_SHARE, BACKGROUND, WHITE = 0.25, 40, 250
+# viser draws continuously, and a screenshot waits for a picture.
+TIMEOUT_MS = 180_000
+DESCRIPTION = """\
+A room of 6 x 3 x 5 m, seen from inside, whose six sides are covered by isotropic Gaussians with
+three classes; every Gaussian covers its share of the surface. The window has 1280x720 pixels. Time
+until drawn starts with opening the page and ends with a screenshot in which the room is visible;
+that of the local server includes the transfer to the browser, but not the start of Python. A turned
+view includes sorting and a screenshot, a change of the level the new colours, legend and a
+screenshot. Medians of the repetitions; the server is measured once. Software rendering
+(SwiftShader) on the processor."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Time the viewers."""
+
+    counts: tuple[int, ...] = (100_000, 300_000, TARGET_COUNT)
+    """Numbers of Gaussians."""
+    repeats: int = 3
+    """Repetitions of each measurement."""
+    out: Path = RESULTS
+    """Folder of the results file."""
+
+
+def main() -> int:
+    """Measure all numbers of Gaussians."""
+    options = tyro.cli(Options)
+    header = current_header([0], MEASURES)
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        print("chromium is missing; run: apt-get install chromium", file=sys.stderr)
+        return 2
+    rows, drawn_s = [], {}
+    with sync_playwright() as session:
+        browser = session.chromium.launch(executable_path=chromium, args=list(FLAGS))
+        for count in options.counts:
+            times = [_measure(browser, room(count)) for _ in range(options.repeats)]
+            median = {key: statistics.median(t[key] for t in times) for key in times[0]}
+            median["server drawn s"] = _server_drawn_s(browser, room(count))
+            drawn_s[count] = median["page drawn s"]
+            cells = tuple(f"{value:.2f}" for value in median.values())
+            rows.append((f"{count:,}", *cells))
+        browser.close()
+    columns = ("Gaussians", *median)
+    target = Target(
+        f"page of {TARGET_COUNT:,} Gaussians drawn (s)",
+        drawn_s.get(TARGET_COUNT),
+        at_most=TARGET_S,
+    )
+    tables = (Table(columns, tuple(rows)), target_table([target]))
+    publish(Results("viewer", "Viewers in the browser", DESCRIPTION, header, tables), options.out)
+    return 0
+
+
+def room(count: int) -> ViewerScene:
+    """Return a room whose sides are covered by Gaussians, with three classes."""
+    rng = np.random.default_rng(0)
+    size_m = np.array([6.0, 3.0, 5.0])
+    areas = np.repeat([size_m[1] * size_m[2], size_m[0] * size_m[2], size_m[0] * size_m[1]], 2)
+    side = rng.choice(6, count, p=areas / areas.sum())
+    means_m = (rng.random((count, 3)) - 0.5) * size_m
+    axis = side // 2
+    means_m[np.arange(count), axis] = np.where(side % 2, 0.5, -0.5) * size_m[axis]
+    stripes = 128 + 100 * np.sin(8.0 * means_m + axis[:, None])
+    taxonomy = Taxonomy.from_json(
+        {
+            "name": "room",
+            "levels": ["group", "class"],
+            "classes": ["wall", "floor", "front"],
+            "tree": {"structure": ["wall", "floor"], "other": ["front"]},
+        }
+    )
+    splats = ShownSplats(
+        means_m=means_m.astype(np.float32),
+        sigmas_m=np.full(count, np.sqrt(areas.sum() / count), np.float32),
+        opacities=rng.uniform(0.5, 0.95, count).astype(np.float32),
+        rgb=np.clip(stripes, 60, 255).astype(np.uint8),
+        levels=taxonomy.node_ids[axis].astype(np.int32),
+        confidence=rng.random(count).astype(np.float32),
+    )
+    keyframe = ShownKeyframe(0, np.eye(4))
+    camera = Camera(256.0, 256.0, 159.5, 119.5, 320, 240)
+    tree = ShownTree.from_taxonomy(taxonomy)
+    return ViewerScene("room", splats, count, tree=tree, keyframes=(keyframe,), camera=camera)
+
+
+def _measure(browser: Any, scene: ViewerScene) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "viewer.html"
+        written_s = _seconds(lambda: write_page(file, scene))
+        page = browser.new_page(viewport=SIZE, bypass_csp=True)
+        drawn_s = _seconds(lambda: _open(page, file.as_uri()))
+        turned_s = _seconds(lambda: _turn(page))
+        level_s = _seconds(lambda: _change_level(page))
+        page.close()
+        size_mb = file.stat().st_size / 1e6
+    return {
+        "file MB": size_mb,
+        "written s": written_s,
+        "page drawn s": drawn_s,
+        "turned s": turned_s,
+        "level s": level_s,
+    }
+
+
+def _server_drawn_s(browser: Any, scene: ViewerScene) -> float:
+    server = start_viser("127.0.0.1", 0)
+    MapServer(server).show(scene)
+    page = browser.new_page(viewport=SIZE)
+    page.set_default_timeout(TIMEOUT_MS)
+    try:
+        return _seconds(lambda: _open(page, f"http://127.0.0.1:{server.get_port()}"))
+    finally:
+        page.close()
+        stop_viser(server)
+
+
+def _open(page: Any, url: str) -> None:
+    page.goto(url)
+    while not _is_drawn(_picture(page)):
+        page.wait_for_timeout(20)
+
+
+def _turn(page: Any) -> None:
+    frames = int(page.get_attribute("#view", "data-frames"))
+    page.evaluate("semsplatViewer.camera.turn(0.4, 0, true); semsplatViewer.moved()")
+    page.wait_for_selector(f"#view:not([data-frames='{frames}'])")
+    _picture(page)
+
+
+def _change_level(page: Any) -> None:
+    page.locator("#level-slider").fill("0")
+    _picture(page)
+
+
+def _picture(page: Any) -> NDArray[np.uint8]:
+    content = np.frombuffer(page.screenshot(type="jpeg"), np.uint8)
+    picture: NDArray[np.uint8] = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    return picture
+
+
+def _is_drawn(picture: NDArray[np.uint8]) -> bool:
+    # Beside the panels of both viewers.
+    middle = picture[200:, 320:900]
+    shown = (middle.max(axis=2) > BACKGROUND) & (middle.min(axis=2) < WHITE)
+    return float(shown.mean()) > DRAWN_SHARE
+
+
+def _seconds(step: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    step()
+    return time.perf_counter() - begin
+
+
+if __name__ == "__main__":
+    sys.exit(main())

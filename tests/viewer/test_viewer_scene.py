@@ -1,0 +1,199 @@
+"""What the viewers show: thinning, names, colours, picking and the binary form."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from painted_scenes import CAMERA, node, tree, two_panels
+
+from toolkit.errors import ToolkitError
+from toolkit.exposure import IDENTITY
+from toolkit.io.splat_shapes import relative_covariances
+from toolkit.keyframe import Keyframe
+from toolkit.viewer.colouring import (
+    CLASSES,
+    COLOUR,
+    CONFIDENCE,
+    SOURCE,
+    SUBMAPS,
+    appearance,
+    colour_modes,
+    legend,
+)
+from toolkit.viewer.keyframes import DepthEvidence
+from toolkit.viewer.options import ShownContent
+from toolkit.viewer.packing import pack
+from toolkit.viewer.picking import pick
+from toolkit.viewer.reading import read_scene
+from toolkit.viewer.scene import ShownSplats
+from toolkit.viewer.thinning import thin
+
+
+def test_a_run_is_described_with_classes_cameras_and_images(tiny_run):
+    scene = read_scene(tiny_run, ShownContent(max_gaussians=500, images=2, image_width=32))
+    assert len(scene.splats) == 500 < scene.total
+    assert scene.tree is not None
+    assert scene.splats.levels.shape == (500, len(scene.tree.levels))
+    assert scene.class_path(0) == scene.tree.nodes[scene.splats.levels[0, -1]].path
+    assert scene.path.shape == (6, 4, 4)
+    images = [k.image for k in scene.keyframes if k.image is not None]
+    assert 1 <= len(images) <= 2
+    assert images[0].shape == (24, 32, 3)
+    assert scene.splats.inferred is None, "a run with a depth sensor has measured content only"
+    assert np.isclose(np.linalg.norm(scene.up), 1.0)
+
+
+def test_a_splat_file_is_described_without_cameras(tiny_run, tmp_path):
+    copy = tmp_path / "map.ply"
+    shutil.copy(tiny_run / "map.ply", copy)
+    alone = read_scene(copy, ShownContent())
+    assert alone.tree is None and alone.splats.levels is None and not alone.keyframes
+    in_run = read_scene(tiny_run / "map.ply", ShownContent())
+    assert in_run.tree is not None, "the taxonomy lies beside this file"
+
+
+@pytest.mark.parametrize("name", ["missing", "empty", "unfinished"])
+def test_a_folder_without_a_map_is_reported(tiny_run, tmp_path, name):
+    path = tmp_path / name
+    if name == "empty":
+        path.mkdir()
+    if name == "unfinished":
+        shutil.copytree(tiny_run, path)
+        (path / "frames.json").unlink()
+    with pytest.raises(ToolkitError, match=name):
+        read_scene(path, ShownContent())
+
+
+def test_thinning_leaves_no_holes():
+    """Small Gaussians on the right half represent its surface, though the left ones are larger."""
+    rng = np.random.default_rng(1)
+    means_m = rng.uniform(0.0, 1.0, (4000, 3)).astype(np.float32)
+    visible = np.where(means_m[:, 0] < 0.5, 1.0, 0.2)
+    result = thin(means_m, visible, 1000)
+    assert len(result.index) == 1000 and len(np.unique(result.index)) == 1000
+    right = (means_m[result.index, 0] > 0.5).sum()
+    assert 100 < right < 250
+    assert (result.growth >= 1.0).all() and result.growth.max() > result.growth.min()
+    assert (np.diff(visible[result.index]) <= 0.0).all(), "the most visible come first"
+    again = thin(means_m, visible, 1000)
+    assert (again.index == result.index).all()
+
+
+def test_a_small_map_is_not_thinned():
+    splats = two_panels(20).splats
+    kept = splats.thinned(20)
+    assert len(kept) == 20 and (kept.sigmas_m == splats.sigmas_m[0]).all()
+
+
+def test_names_are_found():
+    shown = tree()
+    names = {text: [shown.nodes[i].path[-1] for i in shown.matching(text)] for text in (
+        "Chair", "ture", "table, wall", "furniture > t", "sofa", " "
+    )}  # fmt: skip
+    assert names["Chair"] == ["chair"]
+    assert set(names["ture"]) == {"furniture", "structure"}
+    assert set(names["table, wall"]) == {"table", "wall"}
+    assert names["furniture > t"] == ["table"]
+    assert names["sofa"] == names[" "] == []
+
+
+def test_colours_of_every_kind():
+    scene = two_panels()
+    assert colour_modes(scene) == [COLOUR, CLASSES, SUBMAPS, CONFIDENCE, SOURCE]
+    assert (appearance(scene, COLOUR, 0).rgb == scene.splats.rgb).all()
+    for mode in (CLASSES, SUBMAPS, CONFIDENCE, SOURCE):
+        rgb = appearance(scene, mode, 1).rgb
+        assert (rgb[0] != rgb[1]).any() and (rgb[0] == rgb[2]).all(), mode
+    rows = legend(scene, CLASSES, 0)
+    assert {row.name: row.fraction for row in rows} == {"furniture": 0.5, "structure": 0.5}
+    assert [row.name for row in legend(scene, SUBMAPS, 0)] == ["submap 0", "submap 1"]
+    assert legend(scene, COLOUR, 0) == []
+
+
+def test_highlighting_dims_the_others():
+    scene = two_panels()
+    look = appearance(scene, CLASSES, 1, [node(scene.tree, "table")])
+    assert look.opacities[0] == pytest.approx(0.95)
+    assert look.opacities[1] < 0.1
+    assert len(set(look.rgb[1])) == 1, "Gaussians that are not highlighted are grey"
+
+
+def test_picking_returns_the_nearest_opaque_gaussian():
+    scene = two_panels()
+    for x, name in ((-0.5, "table"), (0.5, "wall")):
+        found = pick(scene.splats, np.zeros(3), np.array([x, 0.0, 2.0]))
+        assert scene.class_path(found)[-1] == name
+    assert pick(scene.splats, np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
+    assert pick(scene.splats, np.zeros(3), np.array([3.0, 0.0, 2.0])) is None
+
+
+def test_picking_skips_transparent_gaussians():
+    splats = ShownSplats(
+        means_m=np.array([[0, 0, 1], [0, 0, 2]], np.float32),
+        sigmas_m=np.full(2, 0.1, np.float32),
+        opacities=np.array([0.2, 0.9], np.float32),
+        rgb=np.zeros((2, 3), np.uint8),
+    )
+    assert pick(splats, np.zeros(3), np.array([0.0, 0.0, 1.0])) == 1
+
+
+def test_the_binary_form_keeps_positions_sizes_and_nodes():
+    scene = two_panels()
+    packed = pack(scene)
+    json.dumps(packed.header, allow_nan=False)
+
+    def array(name):
+        place = packed.header["arrays"][name]
+        return np.frombuffer(
+            bytes(packed.data), place["type"], place["length"], place["offset"]
+        ).astype(float)
+
+    low, extent = np.array(packed.header["low"]), np.array(packed.header["extent"])
+    means_m = low + array("means").reshape(-1, 3) / 65535.0 * extent
+    assert np.abs(means_m - scene.splats.means_m).max() < extent.max() / 65000.0
+    assert (scene.splats.levels == array("levels").reshape(2, -1).T).all()
+    smallest, span = packed.header["logSigma"]
+    sigmas_m = np.exp(smallest + array("sigmas") / 255.0 * span)
+    assert sigmas_m == pytest.approx(scene.splats.sigmas_m, rel=0.05)
+
+
+def test_inferred_gaussians_are_those_that_no_keyframe_measured():
+    """In the first keyframe, the depth of the left half follows from a prior."""
+    splats = replace(two_panels().splats, submap=None, inferred=None)
+    left = splats.means_m[:, 0] < 0.0
+    inferred = torch.zeros((60, 80), dtype=torch.bool)
+    inferred[:, :40] = True
+    keyframe = Keyframe(
+        index=0,
+        timestamp_s=0.0,
+        T_map_camera=np.eye(4),
+        rgb=torch.zeros((3, 60, 80), dtype=torch.uint8),
+        depth_m=torch.full((60, 80), 2.0),
+        camera=CAMERA,
+        exposure=IDENTITY,
+        points=np.zeros((0, 3), np.float32),
+        inferred=inferred,
+    )
+    evidence = DepthEvidence(splats)
+    assert evidence.inferred() is None
+    evidence.add(keyframe, np.eye(4), 0)
+    # Gaussians above and below the image are observed by nothing.
+    seen = np.abs(splats.means_m[:, 1]) < 0.7
+    assert (evidence.inferred()[seen] == left[seen]).all()
+    evidence.add(replace(keyframe, inferred=None), np.eye(4), 0)
+    assert evidence.inferred() is None, "a sensor has measured all of them by now"
+
+
+def test_shapes_of_anisotropic_splats():
+    """A quarter turn about z swaps the x and y axes of an ellipsoid."""
+    scales_m = np.array([[0.2, 0.1, 0.05]])
+    half = np.sqrt(0.5)
+    turned = relative_covariances(scales_m, np.array([[half, 0.0, 0.0, half]]))
+    upright = relative_covariances(scales_m, np.array([[2.0, 0.0, 0.0, 0.0]]))
+    assert upright[0] == pytest.approx([4.0, 0.0, 0.0, 1.0, 0.0, 0.25])
+    assert turned[0] == pytest.approx([1.0, 0.0, 0.0, 4.0, 0.0, 0.25], abs=1e-6)

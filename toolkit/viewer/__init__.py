@@ -1,0 +1,1 @@
+"""Interactive views of maps: an offline page and a local server."""

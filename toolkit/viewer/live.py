@@ -1,0 +1,99 @@
+"""Follow a run in progress."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from toolkit.runs.progress import MapPart, ProgressReader, RunProgress
+from toolkit.viewer.keyframes import small_image, spread
+from toolkit.viewer.options import ShownContent
+from toolkit.viewer.reading import loops_between, read_scene, upright
+from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene
+
+
+class LiveRun:
+    """The scene of a run in progress, and of the finished run in the end.
+
+    Args:
+        path: the run folder.
+        content: what is shown.
+
+    Raises:
+        RunFolderError: the folder contains no run.
+    """
+
+    def __init__(self, path: Path, content: ShownContent) -> None:
+        self._reader = ProgressReader(path)
+        self._path, self._content = path, content
+        self.finished = False
+
+    def poll(self) -> ViewerScene | None:
+        """Return the scene if there is a new one since the last call.
+
+        Raises:
+            ToolkitError: the folder was written by another version, or is damaged.
+        """
+        if self.finished:
+            return None
+        if self._reader.finished:
+            scene = read_scene(self._path, self._content)
+            self.finished = True
+            return scene
+        progress = self._reader.read()
+        return None if progress is None else self._scene(progress)
+
+    def _scene(self, progress: RunProgress) -> ViewerScene:
+        parts = [_splats(part, progress) for part in progress.parts if len(part.gaussians)]
+        poses = progress.T_world_camera
+        splats = _concatenated(parts)
+        wanted = set(spread([k.index for k in progress.keyframes], self._content.images))
+        keyframes = tuple(
+            ShownKeyframe(
+                k.index,
+                k.T_world_camera,
+                k.submap,
+                small_image(k.rgb, self._content.image_width)
+                if k.rgb is not None and k.index in wanted
+                else None,
+            )
+            for k in progress.keyframes
+        )
+        return ViewerScene(
+            title=f"{self._path.resolve().name}, frame {progress.next_frame}",
+            splats=splats.thinned(self._content.max_gaussians, poses[:, :3, 3]),
+            total=len(splats),
+            up=upright(poses),
+            tree=None if progress.taxonomy is None else ShownTree.from_taxonomy(progress.taxonomy),
+            path=poses,
+            keyframes=keyframes,
+            camera=progress.camera,
+            loops=loops_between(
+                self._reader.folder.loops,
+                {i: T[:3, 3] for i, T in zip(progress.indices, poses, strict=True)},
+            ),
+        )
+
+
+def _splats(part: MapPart, progress: RunProgress) -> ShownSplats:
+    gaussians, T = part.gaussians, part.T_world_submap
+    labels = None if progress.decode is None else progress.decode(gaussians)
+    means_m = gaussians.means.numpy() @ T[:3, :3].T + T[:3, 3]
+    return ShownSplats(
+        means_m=means_m.astype(np.float32),
+        sigmas_m=gaussians.radii_m.numpy(),
+        opacities=gaussians.opacities.numpy(),
+        rgb=np.rint(255.0 * gaussians.colours.clamp(0.0, 1.0).numpy()).astype(np.uint8),
+        levels=None if labels is None else labels.levels,
+        confidence=None if labels is None else labels.confidence,
+        submap=np.full(len(gaussians), part.number, np.int32),
+    )
+
+
+def _concatenated(parts: list[ShownSplats]) -> ShownSplats:
+    if not parts:
+        none = np.zeros(0, np.float32)
+        return ShownSplats(np.zeros((0, 3), np.float32), none, none, np.zeros((0, 3), np.uint8))
+    names = parts[0].columns()
+    return ShownSplats(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})

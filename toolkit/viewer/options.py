@@ -1,0 +1,20 @@
+"""Options of the viewers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from toolkit.options import NonNegativeInt, PositiveInt
+
+
+@dataclass(frozen=True)
+class ShownContent:
+    """What a viewer shows of a map."""
+
+    max_gaussians: PositiveInt = 300_000
+    """Maximum number of Gaussians that are shown, preferably those that look large from the cameras
+    of the run."""
+    images: NonNegativeInt = 60
+    """Maximum number of keyframes that are shown with their image, evenly spaced."""
+    image_width: PositiveInt = 240
+    """Maximum width of keyframe images, in pixels."""

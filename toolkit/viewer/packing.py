@@ -1,0 +1,139 @@
+"""Compact binary form of a scene for the offline page.
+
+Positions are stored as 16-bit fractions of the bounding box, sizes as 8-bit fractions of the range
+of their logarithms, colours and opacities with 8 bits.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.viewer.scene import (
+    INFERRED_RGB,
+    MEASURED_RGB,
+    UNKNOWN_RGB,
+    ShownKeyframe,
+    ShownSplats,
+    ViewerScene,
+)
+
+_JPEG_QUALITY = 72
+# Stored shapes are this fraction of the largest value of int16.
+_SHAPE_SCALE = 32767.0
+# Index of unknown nodes in the page.
+_NO_NODE = 65535
+
+
+@dataclass
+class PackedScene:
+    """A scene as JSON and bytes.
+
+    Attributes:
+        header: JSON values, with the position of every array in `data`.
+        data: arrays one after the other, each aligned to 4 bytes.
+    """
+
+    header: dict[str, Any]
+    data: bytearray = field(default_factory=bytearray)
+
+    def add(self, name: str, array: NDArray) -> None:
+        """Append an array."""
+        self.data += bytes(-len(self.data) % 4)
+        array = np.ascontiguousarray(array)
+        self.header["arrays"][name] = {
+            "offset": len(self.data),
+            "length": array.size,
+            "type": array.dtype.name,
+        }
+        self.data += array.tobytes()
+
+
+def pack(scene: ViewerScene) -> PackedScene:
+    """Pack a scene for the page."""
+    packed = PackedScene({"arrays": {}} | _header(scene))
+    _pack_splats(packed, scene.splats)
+    packed.add("path", scene.path[:, :3, 3].astype(np.float32))
+    return packed
+
+
+def _header(scene: ViewerScene) -> dict[str, Any]:
+    camera = scene.camera
+    return {
+        "title": scene.title,
+        "total": scene.total,
+        "up": [float(v) for v in scene.up],
+        "tree": None
+        if scene.tree is None
+        else {
+            "levels": list(scene.tree.levels),
+            "nodes": [
+                {"path": list(node.path), "level": node.level, "rgb": list(node.rgb)}
+                for node in scene.tree.nodes
+            ],
+        },
+        "camera": None
+        if camera is None
+        else {k: float(getattr(camera, k)) for k in ("fx", "fy", "cx", "cy", "width", "height")},
+        "keyframes": [_keyframe(keyframe) for keyframe in scene.keyframes],
+        "loops": [
+            {"first": loop.first, "second": loop.second, "ends": loop.ends_m.ravel().tolist()}
+            for loop in scene.loops
+        ],
+        "palette": {
+            "unknown": UNKNOWN_RGB,
+            "measured": MEASURED_RGB,
+            "inferred": INFERRED_RGB,
+        },
+    }
+
+
+def _keyframe(keyframe: ShownKeyframe) -> dict[str, Any]:
+    return {
+        "index": keyframe.index,
+        "submap": keyframe.submap,
+        "pose": [round(float(v), 6) for v in keyframe.T_map_camera[:3].ravel()],
+        "image": None if keyframe.image is None else jpeg_url(keyframe.image),
+    }
+
+
+def jpeg_url(rgb: NDArray[np.uint8]) -> str:
+    """Return an image [h, w, 3] as a data URL."""
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    _, content = cv2.imencode(".jpg", rgb[..., ::-1], quality)
+    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()
+
+
+def _pack_splats(packed: PackedScene, splats: ShownSplats) -> None:
+    header = packed.header
+    low, high = splats.means_m.min(axis=0), splats.means_m.max(axis=0)
+    extent = np.maximum(high - low, 1e-6)
+    header["count"] = len(splats)
+    header["low"], header["extent"] = low.tolist(), extent.tolist()
+    packed.add("means", np.rint((splats.means_m - low) / extent * 65535.0).astype(np.uint16))
+
+    logs = np.log(np.maximum(splats.sigmas_m, 1e-6))
+    smallest, span = float(logs.min()), max(float(np.ptp(logs)), 1e-6)
+    header["logSigma"] = [smallest, span]
+    packed.add("sigmas", np.rint((logs - smallest) / span * 255.0).astype(np.uint8))
+
+    opacities = np.rint(255.0 * splats.opacities).astype(np.uint8)
+    packed.add("rgba", np.concatenate([splats.rgb, opacities[:, None]], axis=1))
+    if splats.shapes is not None:
+        largest = max(float(np.abs(splats.shapes).max()), 1e-6)
+        header["shapeScale"] = largest / _SHAPE_SCALE
+        packed.add("shapes", np.rint(splats.shapes / header["shapeScale"]).astype(np.int16))
+    if splats.levels is not None:
+        nodes = np.where(splats.levels < 0, _NO_NODE, splats.levels).astype(np.uint16)
+        packed.add("levels", nodes.T)
+    if splats.confidence is not None:
+        packed.add("confidence", np.rint(255.0 * splats.confidence).astype(np.uint8))
+    if splats.submap is not None:
+        packed.add("submap", splats.submap.astype(np.int32))
+    if splats.inferred is not None:
+        packed.add("inferred", splats.inferred.astype(np.uint8))

@@ -1,0 +1,162 @@
+// Colours of the Gaussians: as observed, by class at a level of the tree, by submap, by confidence,
+// or by the source of their position.
+
+// Opacity and brightness of Gaussians that are not highlighted.
+const DIMMED_OPACITY = 0.07;
+const DIMMED_BRIGHTNESS = 0.6;
+const CONFIDENCE_STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+
+/** The kinds of colours that a scene has. */
+function colourModes(scene) {
+  const modes = [["colour", "Colour"]];
+  if (scene.levels.length) modes.push(["classes", "Classes"]);
+  if (scene.submap && new Set(scene.submap).size > 1) modes.push(["submaps", "Submaps"]);
+  if (scene.confidence) modes.push(["confidence", "Confidence"]);
+  if (scene.inferred) modes.push(["source", "Source"]);
+  return modes;
+}
+
+class Colouring {
+  constructor(scene) {
+    this.scene = scene;
+    this.mode = "colour";
+    this.level = Math.max(scene.levels.length - 1, 0);
+    this.highlighted = null; // { matches(i), keys }
+  }
+
+  /** Value of a Gaussian in the legend: node, submap, or source; null in other modes. */
+  keyOf(i) {
+    const { scene } = this;
+    if (this.mode === "classes") return scene.levels[this.level][i];
+    if (this.mode === "submaps") return scene.submap[i];
+    if (this.mode === "source") return scene.inferred[i];
+    return null;
+  }
+
+  colourOf(key) {
+    const { palette, tree } = this.scene;
+    if (this.mode === "classes") return key === NO_NODE ? palette.unknown : tree.nodes[key].rgb;
+    if (this.mode === "submaps") return submapColour(key);
+    return key ? palette.inferred : palette.measured;
+  }
+
+  nameOf(key) {
+    if (this.mode === "classes") {
+      return key === NO_NODE ? "no class" : this.scene.tree.nodes[key].path.at(-1);
+    }
+    if (this.mode === "submaps") return `submap ${key}`;
+    return key ? "inferred (depth prior)" : "measured";
+  }
+
+  /** Entries of the legend, most frequent first. */
+  legend() {
+    const { count } = this.scene;
+    if (this.keyOf(0) === null) return [];
+    const counts = new Map();
+    for (let i = 0; i < count; i++) {
+      const key = this.keyOf(i);
+      counts.set(key, (counts.get(key) ?? 0) + 1);
+    }
+    const entries = [...counts].map(([key, number]) => ({
+      key, name: this.nameOf(key), rgb: this.colourOf(key), fraction: number / count,
+    }));
+    if (this.mode === "submaps") return entries.sort((a, b) => a.key - b.key);
+    return entries.sort((a, b) => (a.key === NO_NODE) - (b.key === NO_NODE) || b.fraction - a.fraction);
+  }
+
+  /** Colours [4 N] of all Gaussians. */
+  rgba() {
+    const { scene, highlighted } = this;
+    const result = new Uint8Array(4 * scene.count);
+    const known = new Map();
+    for (let i = 0; i < scene.count; i++) {
+      const observed = scene.rgba.subarray(4 * i, 4 * i + 4);
+      let rgb = observed;
+      if (this.mode === "confidence") rgb = confidenceColour(scene.confidence[i]);
+      else if (this.mode !== "colour") {
+        const key = this.keyOf(i);
+        if (!known.has(key)) known.set(key, this.colourOf(key));
+        rgb = known.get(key);
+      }
+      const light = brightness(observed) / 255;
+      // Some of the observed brightness remains, or objects of one class have no visible shape.
+      let shade = this.mode === "colour" ? 1 : 0.65 + 0.45 * light;
+      let opacity = 1;
+      const match = !highlighted || highlighted.matches(i);
+      if (match && highlighted?.rgb) rgb = highlighted.rgb(i);
+      if (!match) {
+        const grey = 255 * light;
+        rgb = [grey, grey, grey];
+        shade = DIMMED_BRIGHTNESS;
+        opacity = DIMMED_OPACITY;
+      }
+      for (let c = 0; c < 3; c++) result[4 * i + c] = Math.min(shade * rgb[c], 255);
+      result[4 * i + 3] = opacity * observed[3];
+    }
+    return result;
+  }
+
+  /** Highlight Gaussians whose legend entry is one of these keys. */
+  highlightKeys(keys) {
+    this.highlighted = keys.size ? { keys, matches: (i) => keys.has(this.keyOf(i)) } : null;
+  }
+
+  /** Highlight the classes and groups whose name contains a text; returns their nodes. */
+  highlightText(text) {
+    const nodes = matchingNodes(this.scene.tree, text);
+    const byLevel = this.scene.levels.map((_, level) =>
+      new Set(nodes.filter((node) => this.scene.tree.nodes[node].level === level)));
+    this.highlighted = text.trim() ? {
+      keys: new Set(byLevel[this.level]),
+      matches: (i) => byLevel.some((set, level) => set.has(this.scene.levels[level][i])),
+      rgb: (i) => {
+        const level = byLevel.findIndex((set, l) => set.has(this.scene.levels[l][i]));
+        return this.scene.tree.nodes[this.scene.levels[level][i]].rgb;
+      },
+    } : null;
+    return nodes;
+  }
+
+  /** Number of highlighted Gaussians. */
+  highlightedCount() {
+    let number = 0;
+    for (let i = 0; i < this.scene.count; i++) number += this.highlighted.matches(i) ? 1 : 0;
+    return number;
+  }
+}
+
+/** Nodes that match any of some texts, which commas separate. */
+function matchingNodes(tree, text) {
+  return [...new Set(text.split(",").flatMap((part) => nodesNamed(tree, part)))];
+}
+
+/** Nodes with this name, otherwise nodes whose name or path contains the text. */
+function nodesNamed(tree, text) {
+  const wanted = text.trim().toLowerCase();
+  if (!tree || !wanted) return [];
+  const indices = [...tree.nodes.keys()];
+  const name = (i) => tree.nodes[i].path.at(-1).toLowerCase();
+  const exact = indices.filter((i) => name(i) === wanted);
+  if (exact.length) return exact;
+  const path = (i) => tree.nodes[i].path.join(" > ").toLowerCase();
+  return indices.filter((i) => name(i).includes(wanted) || (wanted.includes(">") && path(i).includes(wanted)));
+}
+
+const brightness = ([r, g, b]) => 0.299 * r + 0.587 * g + 0.114 * b;
+
+function confidenceColour(value) {
+  const place = (value / 255) * (CONFIDENCE_STOPS.length - 1);
+  const lower = Math.min(Math.floor(place), CONFIDENCE_STOPS.length - 2);
+  return [0, 1, 2].map((c) => CONFIDENCE_STOPS[lower][c]
+    + (place - lower) * (CONFIDENCE_STOPS[lower + 1][c] - CONFIDENCE_STOPS[lower][c]));
+}
+
+/** Well separated colours: the hue advances by the golden angle. */
+function submapColour(number) {
+  const hue = (number * 0.61803399 + 0.58) % 1;
+  const channel = (shift) => {
+    const k = (shift + hue * 12) % 12;
+    return 255 * (0.58 - 0.32 * Math.max(-1, Math.min(k - 3, 9 - k, 1)));
+  };
+  return [channel(0), channel(8), channel(4)].map(Math.round);
+}

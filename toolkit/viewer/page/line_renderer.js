@@ -1,0 +1,93 @@
+// Draws the camera path, the frusta of the keyframes and the loops, over the Gaussians.
+
+const PATH_RGB = [0.96, 0.97, 0.99];
+const LOOP_RGB = [1.0, 0.36, 0.32];
+const FRUSTUM_RGB = [0.36, 0.62, 1.0];
+const CHOSEN_RGB = [1.0, 0.8, 0.2];
+const LINE_PIXELS = { path: 2.2, keyframes: 1.1, loops: 2.6 };
+
+class LineRenderer {
+  constructor(gl, scene) {
+    this.gl = gl;
+    Object.assign(this, buildProgram(gl, LINE_VERTEX, LINE_FRAGMENT));
+    this.shown = { path: true, keyframes: true, loops: true };
+    this.groups = {
+      path: this.group(pathSegments(scene.path)),
+      loops: this.group(loopSegments(scene.loops)),
+    };
+    this.scene = scene;
+    this.choose(null);
+  }
+
+  /** Highlight the frustum of a keyframe. */
+  choose(chosen) {
+    this.groups.keyframes = this.group(frustumSegments(this.scene, chosen));
+  }
+
+  /** Upload segments: 10 numbers each, both ends and the colour. */
+  group(segments) {
+    const { gl } = this;
+    const array = quadArray(gl);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(segments.flat()), gl.STATIC_DRAW);
+    [[1, 3, 0], [2, 3, 12], [3, 4, 24]].forEach(([location, size, offset]) => {
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribPointer(location, size, gl.FLOAT, false, 40, offset);
+      gl.vertexAttribDivisor(location, 1);
+    });
+    gl.bindVertexArray(null);
+    return { array, count: segments.length };
+  }
+
+  draw(camera, pixelRatio) {
+    const { gl, uniforms } = this;
+    gl.useProgram(this.program);
+    setView(gl, uniforms, camera);
+    for (const [name, { array, count }] of Object.entries(this.groups)) {
+      if (!this.shown[name] || !count) continue;
+      gl.uniform1f(uniforms.halfWidth, (LINE_PIXELS[name] * pixelRatio) / 2);
+      gl.bindVertexArray(array);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+    }
+    gl.bindVertexArray(null);
+  }
+}
+
+function pathSegments(path) {
+  const segments = [];
+  for (let i = 0; i + 5 < path.length; i += 3) {
+    segments.push([...path.subarray(i, i + 6), ...PATH_RGB, 0.9]);
+  }
+  return segments;
+}
+
+function loopSegments(loops) {
+  return loops.map(({ ends }) => [...ends, ...LOOP_RGB, 0.95]);
+}
+
+/** Length of the frusta in metres: small beside the room. */
+function frustumDepth(scene) {
+  return clamp(0.009 * norm(scene.extent), 0.03, 0.3);
+}
+
+function frustumSegments(scene, chosen) {
+  const { camera, keyframes } = scene;
+  if (!camera) return [];
+  const segments = [];
+  keyframes.forEach((keyframe, number) => {
+    const depth = frustumDepth(scene) * (number === chosen ? 1.6 : 1);
+    const rgb = number === chosen ? CHOSEN_RGB : FRUSTUM_RGB;
+    const corners = [[-0.5, -0.5], [1, 0], [1, 1], [0, 1]].map(([u, v], i) => {
+      const x = i === 1 || i === 2 ? camera.width - 0.5 : -0.5;
+      const y = i >= 2 ? camera.height - 0.5 : -0.5;
+      return fromCamera(keyframe.pose,
+        [(depth * (x - camera.cx)) / camera.fx, (depth * (y - camera.cy)) / camera.fy, depth]);
+    });
+    const centre = poseColumn(keyframe.pose, 3);
+    corners.forEach((corner, i) => {
+      segments.push([...centre, ...corner, ...rgb, 0.55]);
+      segments.push([...corner, ...corners[(i + 1) % 4], ...rgb, 0.55]);
+    });
+  });
+  return segments;
+}

@@ -1,0 +1,58 @@
+// What lies under a pixel.
+
+const FRUSTUM_PICK_PIXELS = 14;
+
+/**
+ * The Gaussian at a pixel of the canvas: the one at which the light has lost half of its strength,
+ * from near to far; null if the pixel shows background.
+ */
+function pickSplat(scene, camera, x, y) {
+  const { rows: [right, down, forward], eye } = camera.view;
+  const { focal } = camera;
+  const u = (x - camera.width / 2) / focal, v = (y - camera.height / 2) / focal;
+  const hits = [];
+  for (let i = 0; i < scene.count; i++) {
+    const p = [scene.means[3 * i] - eye[0], scene.means[3 * i + 1] - eye[1], scene.means[3 * i + 2] - eye[2]];
+    const depth = dot(forward, p);
+    if (depth < NEAR_M) continue;
+    const dx = dot(right, p) / depth - u, dy = dot(down, p) / depth - v;
+    const variance = (scene.sigmas[i] / depth) ** 2 + 0.3 / focal ** 2;
+    const distance = (dx * dx + dy * dy) / variance;
+    if (distance > 11) continue;
+    const alpha = (scene.rgba[4 * i + 3] / 255) * Math.exp(-0.5 * distance);
+    if (alpha >= 1 / 255) hits.push([depth, alpha, i]);
+  }
+  hits.sort((a, b) => a[0] - b[0]);
+  let light = 1;
+  for (const [, alpha, i] of hits) {
+    light *= 1 - alpha;
+    if (light < 0.5) return i;
+  }
+  return null;
+}
+
+/** The keyframe whose camera lies near a pixel and nearest to the viewer, or null. */
+function pickKeyframe(scene, camera, x, y, pixelRatio) {
+  const reach = FRUSTUM_PICK_PIXELS * pixelRatio;
+  let best = null, nearest = Infinity;
+  scene.keyframes.forEach(({ pose }, number) => {
+    // The middle of the frustum, which is larger on the screen than its tip.
+    const middle = fromCamera(pose, [0, 0, frustumDepth(scene) / 2]);
+    const [px, py, depth] = camera.project(middle);
+    const far = Math.hypot(px - x, py - y);
+    if (depth > 2 * NEAR_M && far < reach && depth < nearest) [best, nearest] = [number, depth];
+  });
+  return best;
+}
+
+/** What is known about a Gaussian. */
+function describeSplat(scene, i) {
+  const nodes = scene.levels.map((column) => column[i]).filter((node) => node !== NO_NODE);
+  return {
+    classPath: nodes.length ? scene.tree.nodes[nodes.at(-1)].path : [],
+    confidence: scene.confidence ? scene.confidence[i] / 255 : null,
+    submap: scene.submap ? scene.submap[i] : null,
+    inferred: scene.inferred ? Boolean(scene.inferred[i]) : null,
+    position: [0, 1, 2].map((axis) => scene.means[3 * i + axis]),
+  };
+}

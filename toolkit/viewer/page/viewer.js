@@ -1,0 +1,110 @@
+// Connects scene, view and controls. Pictures are drawn only when something has changed.
+
+const NO_WEBGL = "This browser offers no WebGL2, which the viewer needs. Use a current version of "
+  + "Chrome, Edge, Firefox or Safari, and enable hardware acceleration.";
+
+class Viewer {
+  constructor(canvas, gl, scene) {
+    Object.assign(this, { canvas, gl, scene });
+    this.camera = new ViewCamera(scene);
+    this.frames = 0; // drawn with the order of their own view
+    this.dirty = false;
+    this.lines = new LineRenderer(gl, scene);
+    this.splats = new SplatRenderer(gl, scene, (current) => this.redraw(current));
+    this.colouring = new Colouring(scene);
+    this.panel = new Panel(scene, this.colouring, this.actions());
+    this.navigation = new Navigation(
+      canvas, this.camera, () => this.moved(), (x, y) => this.click(x, y));
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+  }
+
+  actions() {
+    return {
+      colours: () => { this.splats.setColours(this.colouring.rgba()); this.redraw(true); },
+      layer: (name, shown) => { this.lines.shown[name] = shown; this.redraw(true); },
+      reset: () => { this.camera.reset(this.scene); this.moved(); },
+      overview: () => { this.camera.showAll(this.scene); this.moved(); },
+      navigation: () => {
+        this.navigation.flying = !this.navigation.flying;
+        this.panel.setNavigation(this.navigation.flying);
+      },
+      viewFrom: (keyframe) => { this.camera.setPose(keyframe.pose); this.moved(); },
+    };
+  }
+
+  get pixelRatio() { return Math.min(devicePixelRatio || 1, 2); }
+
+  resize() {
+    const { canvas, camera } = this;
+    camera.width = canvas.width = Math.max(1, Math.round(canvas.clientWidth * this.pixelRatio));
+    camera.height = canvas.height = Math.max(1, Math.round(canvas.clientHeight * this.pixelRatio));
+    this.moved();
+  }
+
+  moved() {
+    this.splats.sort(this.camera);
+    this.redraw(false);
+  }
+
+  /** Draw soon; `current` says that the order of the Gaussians belongs to this view. */
+  redraw(current) {
+    this.current = current && !this.splats.busy;
+    if (this.dirty) return;
+    this.dirty = true;
+    requestAnimationFrame((time) => this.draw(time));
+  }
+
+  draw(time) {
+    this.dirty = false;
+    const held = this.navigation?.step((time - (this.lastTime ?? time)) / 1000);
+    this.lastTime = this.navigation?.keys.size ? time : undefined;
+    const { gl, camera } = this;
+    gl.viewport(0, 0, camera.width, camera.height);
+    gl.clearColor(0.05, 0.062, 0.082, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    this.splats.draw(camera);
+    this.lines.draw(camera, this.pixelRatio);
+    if (this.current && this.splats.visible) this.canvas.dataset.frames = ++this.frames;
+    if (held) this.moved();
+    else if (this.navigation?.keys.size) this.redraw(false);
+  }
+
+  /** Show what lies at a pixel of the page; returns it. */
+  click(x, y) {
+    const box = this.canvas.getBoundingClientRect();
+    const pixel = [(x - box.left) * this.pixelRatio, (y - box.top) * this.pixelRatio];
+    const number = this.lines.shown.keyframes
+      ? pickKeyframe(this.scene, this.camera, ...pixel, this.pixelRatio) : null;
+    const keyframe = number === null ? null : this.scene.keyframes[number];
+    this.lines.choose(number);
+    this.panel.showKeyframe(keyframe);
+    const splat = keyframe ? null : pickSplat(this.scene, this.camera, ...pixel);
+    const found = splat === null ? null : describeSplat(this.scene, splat);
+    this.panel.showSplat(found);
+    this.redraw(true);
+    return keyframe ?? found;
+  }
+}
+
+function showMessage(text) {
+  byId("message").textContent = text;
+  byId("message").hidden = false;
+  byId("panel").hidden = true;
+}
+
+function start() {
+  const canvas = byId("view");
+  const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
+  if (!gl) {
+    showMessage(NO_WEBGL);
+    return;
+  }
+  canvas.addEventListener("webglcontextlost", () =>
+    showMessage("The graphics driver has stopped the 3D view. Reload the page."));
+  window.semsplatViewer = new Viewer(canvas, gl, readScene());
+}
+
+start();

@@ -1,0 +1,143 @@
+"""Describe finished runs and splat files for the viewers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import FormatError, RunFolderError
+from toolkit.evaluation.run_loops import accepted_edges
+from toolkit.exports.selection import Selection, ground_of, select
+from toolkit.io.splats import SplatLabels, Splats, read_splats
+from toolkit.loops.log import read_loop_log
+from toolkit.runs.finished import FinishedRun
+from toolkit.semantics.query import check_labels
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.viewer.keyframes import shown_keyframes
+from toolkit.viewer.options import ShownContent
+from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene
+
+
+def read_scene(
+    path: Path, content: ShownContent, keep: Sequence[str] = (), drop: Sequence[str] = ()
+) -> ViewerScene:
+    """Describe what a viewer shows of a finished run or of a splat file.
+
+    Args:
+        path: run folder, or a splat file (.ply, .splat, .spz).
+        content: what is shown.
+        keep, drop: classes and groups that are kept or excluded; of run folders only.
+
+    Raises:
+        ToolkitError: there is no finished run, the file is not a splat file, or a name is unknown.
+    """
+    if path.is_dir():
+        return run_scene(select(path, keep, drop), content)
+    if not path.exists():
+        raise RunFolderError(f"{path} does not exist; give a run folder or a splat file")
+    return file_scene(path, content)
+
+
+def run_scene(selection: Selection, content: ShownContent) -> ViewerScene:
+    """Describe the selected Gaussians of a finished run, with its cameras and loops."""
+    run, gaussians = selection.run, selection.gaussians
+    labels = selection.labels
+    tree = None
+    if labels is not None:
+        tree = ShownTree.from_taxonomy(selection.labelled().taxonomy)
+    splats = ShownSplats(
+        means_m=gaussians.means.numpy(),
+        sigmas_m=gaussians.radii_m.numpy(),
+        opacities=gaussians.opacities.numpy(),
+        rgb=selection.rgb,
+        levels=None if labels is None else labels.levels,
+        confidence=None if labels is None else labels.confidence,
+        submap=None if selection.submap is None else selection.submap.astype(np.int32),
+    ).thinned(content.max_gaussians, run.trajectory.positions_m)
+    keyframes = shown_keyframes(run, splats, content)
+    return ViewerScene(
+        title=run.folder.path.resolve().name,
+        splats=keyframes.splats,
+        total=len(gaussians),
+        up=_up(run),
+        tree=tree,
+        path=run.trajectory.T_world_camera,
+        keyframes=keyframes.keyframes,
+        camera=run.stored_camera or keyframes.camera,
+        loops=loops_between(
+            run.folder.loops, {f.index: f.T_map_camera[:3, 3] for f in run.tracked}
+        ),
+    )
+
+
+def file_scene(path: Path, content: ShownContent) -> ViewerScene:
+    """Describe a splat file, with classes if a taxonomy lies beside it."""
+    splats = read_splats(path)
+    shown = _file_splats(splats)
+    tree = _tree_beside(path, splats.labels)
+    if tree is None:
+        shown = ShownSplats(
+            **{k: v for k, v in shown.columns().items() if k not in ("levels", "confidence")}
+        )
+    return ViewerScene(path.name, shown.thinned(content.max_gaussians), len(splats), tree=tree)
+
+
+def _file_splats(splats: Splats) -> ShownSplats:
+    labels, submap = splats.labels, splats.extra.get("submap")
+    with np.errstate(over="ignore"):
+        opacities = 1.0 / (1.0 + np.exp(-splats.opacity_logits))
+    return ShownSplats(
+        means_m=splats.means,
+        sigmas_m=np.exp(splats.log_radii),
+        opacities=opacities.astype(np.float32),
+        rgb=np.rint(255.0 * np.clip(splats.colours, 0.0, 1.0)).astype(np.uint8),
+        shapes=splats.shapes,
+        levels=None if labels is None else labels.levels,
+        confidence=None if labels is None else labels.confidence,
+        submap=None if submap is None else submap.astype(np.int32),
+    )
+
+
+def _tree_beside(path: Path, labels: SplatLabels | None) -> ShownTree | None:
+    """Return the class tree of the run folder that a splat file lies in, or None."""
+    file = path.resolve().parent / "taxonomy.yaml"
+    if labels is None or not file.is_file():
+        return None
+    taxonomy = Taxonomy.load(file)
+    try:
+        check_labels(labels, taxonomy)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
+    return ShownTree.from_taxonomy(taxonomy)
+
+
+def _up(run: FinishedRun) -> NDArray[np.float64]:
+    """Return the vertical: the normal of the floor, otherwise that of the upright cameras."""
+    ground = ground_of(run)
+    return upright(run.trajectory.T_world_camera) if ground is None else ground.up
+
+
+def upright(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean vertical [3] of cameras T_map_camera [M, 4, 4] that are held upright."""
+    if not len(poses):
+        return np.array([0.0, -1.0, 0.0])
+    up = -poses[:, :3, 1].mean(axis=0)
+    return up / max(float(np.linalg.norm(up)), 1e-9)
+
+
+def loops_between(
+    log: Path, positions_m: Mapping[int, NDArray[np.float64]]
+) -> tuple[ShownLoop, ...]:
+    """Return the verified loops between frames with a position [3], from `loops.jsonl`."""
+    if not log.is_file():
+        return ()
+    loops = []
+    for record in accepted_edges(read_loop_log(log)):
+        first, second = int(record.get("match", -1)), int(record.get("query", -1))
+        if first in positions_m and second in positions_m:
+            ends_m = np.stack([positions_m[first], positions_m[second]])
+            loops.append(ShownLoop(first, second, ends_m))
+    return tuple(loops)

@@ -1,0 +1,213 @@
+"""Description of what the viewers show of a map; the offline page and the server share it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry.camera import Camera
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.viewer.thinning import thin, visibility
+
+# Colours of Gaussians without a class, of measured content and of inferred content.
+UNKNOWN_RGB = (96, 100, 108)
+MEASURED_RGB = (66, 150, 250)
+INFERRED_RGB = (250, 150, 50)
+_NO_CAMERAS = np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class ShownSplats:
+    """The Gaussians that are shown, the most visible first.
+
+    Attributes:
+        means_m: [N, 3] float32, in the frame of the map.
+        sigmas_m: [N] float32 standard deviations; of anisotropic Gaussians, the geometric mean of
+            the three axes.
+        opacities: [N] float32 in [0, 1].
+        rgb: [N, 3] uint8.
+        shapes: [N, 6] float32 covariances relative to the squared sigma, as xx, xy, xz, yy, yz, zz;
+            None if all Gaussians are isotropic.
+        levels: [N, L] int32 node at each level of the class tree, -1 if unknown; or None.
+        confidence: [N] float32 in [0, 1], or None.
+        submap: [N] int32, or None.
+        inferred: [N] bool, whether the position follows from a depth prior only; None if all is
+            measured, or if the map does not store it.
+
+    Raises:
+        ValueError: shapes do not match.
+    """
+
+    means_m: NDArray[np.float32]
+    sigmas_m: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    shapes: NDArray[np.float32] | None = None
+    levels: NDArray[np.int32] | None = None
+    confidence: NDArray[np.float32] | None = None
+    submap: NDArray[np.int32] | None = None
+    inferred: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        for name, values in self.columns().items():
+            if len(values) != len(self.means_m):
+                raise ValueError(f"{name} has {len(values)} rows, expected {len(self.means_m)}")
+
+    def __len__(self) -> int:
+        return len(self.means_m)
+
+    def columns(self) -> dict[str, NDArray]:
+        """Return the arrays by name, without absent ones."""
+        return {name: a for name, a in vars(self).items() if a is not None}
+
+    def select(self, index: NDArray) -> ShownSplats:
+        """Select Gaussians by a boolean mask [N] or integer indices [M]."""
+        return ShownSplats(**{name: values[index] for name, values in self.columns().items()})
+
+    def thinned(self, count: int, cameras_m: NDArray[np.float64] = _NO_CAMERAS) -> ShownSplats:
+        """Return at most `count` Gaussians, the most visible ones first.
+
+        Args:
+            count: maximum number of Gaussians, >= 1.
+            cameras_m: [M, 3] positions of the cameras of the run.
+        """
+        visible = visibility(self.means_m, self.sigmas_m, self.opacities, cameras_m)
+        thinning = thin(self.means_m, visible, count)
+        kept = self.select(thinning.index)
+        return replace(kept, sigmas_m=kept.sigmas_m * thinning.growth)
+
+    @property
+    def submap_numbers(self) -> list[int]:
+        """Numbers of the submaps, ascending; empty if they are unknown."""
+        return [] if self.submap is None else [int(n) for n in np.unique(self.submap)]
+
+
+@dataclass(frozen=True)
+class ShownNode:
+    """A class or group.
+
+    Attributes:
+        path: names from the root.
+        level: index of its level.
+        rgb: its colour.
+    """
+
+    path: tuple[str, ...]
+    level: int
+    rgb: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class ShownTree:
+    """The class tree with the colours of the palette.
+
+    Attributes:
+        levels: names of the levels, coarsest first.
+        nodes: the nodes that `ShownSplats.levels` refers to.
+    """
+
+    levels: tuple[str, ...]
+    nodes: tuple[ShownNode, ...]
+
+    @classmethod
+    def from_taxonomy(cls, taxonomy: Taxonomy) -> ShownTree:
+        """Describe a taxonomy with the colours of all other pictures of it."""
+        colours = Palette(taxonomy).nodes.tolist()
+        nodes = tuple(
+            ShownNode(node.path, node.level, (r, g, b))
+            for node, (r, g, b) in zip(taxonomy.nodes, colours, strict=True)
+        )
+        return cls(tuple(taxonomy.levels), nodes)
+
+    def matching(self, text: str) -> list[int]:
+        """Return the nodes whose name or path contains a text, ignoring case.
+
+        Names that equal the text take precedence over names that contain it. Commas separate
+        several texts.
+        """
+        found = {node for part in text.split(",") for node in self._matching(part)}
+        return sorted(found)
+
+    def _matching(self, text: str) -> list[int]:
+        wanted = text.strip().casefold()
+        if not wanted:
+            return []
+        names = [node.path[-1].casefold() for node in self.nodes]
+        exact = [i for i, name in enumerate(names) if name == wanted]
+        paths = [" > ".join(node.path).casefold() for node in self.nodes]
+        return exact or [
+            i
+            for i, (name, path) in enumerate(zip(names, paths, strict=True))
+            if wanted in name or (">" in wanted and wanted in path)
+        ]
+
+
+@dataclass(frozen=True)
+class ShownKeyframe:
+    """A keyframe of the run.
+
+    Attributes:
+        index: frame index.
+        T_map_camera: [4, 4] float64.
+        submap: number of its submap, or None.
+        image: [h, w, 3] uint8, or None.
+    """
+
+    index: int
+    T_map_camera: NDArray[np.float64]
+    submap: int | None = None
+    image: NDArray[np.uint8] | None = None
+
+
+@dataclass(frozen=True)
+class ShownLoop:
+    """A verified loop between two frames.
+
+    Attributes:
+        first, second: frame indices.
+        ends_m: [2, 3] positions of both cameras.
+    """
+
+    first: int
+    second: int
+    ends_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ViewerScene:
+    """All that a viewer shows.
+
+    Attributes:
+        title: name of the map.
+        splats: the Gaussians, thinned.
+        total: number of Gaussians of the map before thinning.
+        up: [3] float64 unit vector, the vertical in the frame of the map.
+        tree: class tree; None for a map without labels.
+        path: [M, 4, 4] float64 poses T_map_camera of the tracked frames.
+        keyframes: keyframes.
+        camera: intrinsics of the keyframes, for their frusta; None for a splat file.
+        loops: verified loops.
+    """
+
+    title: str
+    splats: ShownSplats
+    total: int
+    up: NDArray[np.float64] = field(default_factory=lambda: np.array([0.0, -1.0, 0.0]))
+    tree: ShownTree | None = None
+    path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    keyframes: tuple[ShownKeyframe, ...] = ()
+    camera: Camera | None = None
+    loops: tuple[ShownLoop, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{len(self.splats)} of {self.total} Gaussians, {len(self.keyframes)} keyframes"
+
+    def class_path(self, splat: int) -> tuple[str, ...]:
+        """Return the names from the root to the most specific known node of a Gaussian."""
+        if self.tree is None or self.splats.levels is None:
+            return ()
+        known = [int(i) for i in self.splats.levels[splat] if i >= 0]
+        return self.tree.nodes[known[-1]].path if known else ()
