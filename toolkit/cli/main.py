@@ -20,6 +20,7 @@ from toolkit.cli.errors import one_line_errors
 # Job: module of this package, description.
 JOBS = {
     "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
+    "run-many": ("run_many", "execute many runs (sequences x settings x seeds) of a plan"),
     "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG, or a video"),
     "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),
