@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.cli.batch_programs import RunManyOptions
+from toolkit.cli.batch_programs import RefineOptions, RunManyOptions
 from toolkit.cli.map_programs import EditOptions, ExportOptions, VoxelSize
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
@@ -300,6 +300,7 @@ class BuildTaxonomyOptions:
 
 PROGRAMS: dict[str, type] = {
     "run-many": RunManyOptions,
+    "refine": RefineOptions,
     "evaluate": EvaluateOptions,
     "render": RenderProgram,
     "compare": CompareOptions,

@@ -17,6 +17,9 @@ Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 _LOCALHOST = "127.0.0.1"
+# Ray replaces the address of localhost by that of the network, unless it may not form clusters of
+# several nodes on this machine.
+_LOCAL_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 # Ray does not start with less.
 _MIN_OBJECT_STORE_MB = 80
 
@@ -140,7 +143,7 @@ def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
         DependencyError: ray is not installed.
         SettingsError: there is no cluster at the address.
     """
-    os.environ.update(_VARIABLES)
+    os.environ.update(_VARIABLES if options.address else _VARIABLES | _LOCAL_ONLY)
     try:
         ray: Any = importlib.import_module("ray")
     except ModuleNotFoundError as error:

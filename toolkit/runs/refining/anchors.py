@@ -1,0 +1,110 @@
+"""Poses of submaps from the registrations of overlapping pairs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.closing.options import ClosingOptions
+from toolkit.geometry import se3
+from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.pose_graph.correction import PoseCorrection, submap_graph
+from toolkit.pose_graph.graph import PoseEdge, information_of
+from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.options import PoseGraphOptions
+from toolkit.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.runs.refining.tasks import Extent, PairResult
+
+Array = NDArray[np.float64]
+Pair = tuple[int, int]
+
+# Information of the end of an odometry edge: the alignment of its last frame is as accurate as an
+# alignment can be, because earlier loop closures have corrected the poses.
+_ALIGNED = 1e12 * np.eye(6)
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Corrected poses.
+
+    Attributes:
+        T_world_submap: [4, 4] by number.
+        used: registrations that the poses agree with.
+        largest_m: largest translation of a submap, metres.
+    """
+
+    T_world_submap: Mapping[int, Array]
+    used: frozenset[Pair]
+    largest_m: float
+
+
+def possible_pairs(extents: Mapping[int, Extent]) -> list[Pair]:
+    """Return the pairs of submaps whose boxes intersect, as ascending numbers."""
+    numbers = sorted(extents)
+    low = np.array([extents[n].low for n in numbers])
+    high = np.array([extents[n].high for n in numbers])
+    pairs = []
+    for k in range(1, len(numbers)):
+        meets = ((low[:k] <= high[k]) & (high[:k] >= low[k])).all(axis=1)
+        pairs += [(numbers[i], numbers[k]) for i in np.flatnonzero(meets)]
+    return sorted(pairs)
+
+
+def chosen_pairs(overlaps: Mapping[Pair, float], options: ClosingOptions) -> list[Pair]:
+    """Choose the pairs to register by descending overlap, as at the end of a run.
+
+    A pair is chosen while one of its submaps has fewer than `max_partners` partners.
+    """
+    chosen: list[Pair] = []
+    partners: Counter[int] = Counter()
+    for pair in sorted(overlaps, key=lambda pair: (-overlaps[pair], pair)):
+        fewest = min(partners[number] for number in pair)
+        if overlaps[pair] >= options.min_visible and fewest < options.max_partners:
+            chosen.append(pair)
+            partners.update(pair)
+    return sorted(chosen)
+
+
+def corrected_anchors(
+    anchors: Mapping[int, Array],
+    extents: Mapping[int, Extent],
+    results: Sequence[PairResult],
+    options: PoseGraphOptions,
+) -> Anchors:
+    """Optimise the poses of submaps over odometry and verified registrations."""
+    numbers = sorted(anchors)
+    index = {number: k for k, number in enumerate(numbers)}
+    noise = OdometryNoise(options.odometry)
+    links = []
+    for a, b in pairwise(numbers):
+        covariance = noise.covariance(_ALIGNED, extents[a].path_m, extents[a].path_rad)
+        T = se3.orthonormalise(se3.inverse(anchors[a]) @ anchors[b])
+        links.append(PoseEdge(index[a], index[b], T, information_of(covariance)))
+    loop_noise = LoopNoise(options.loops)
+    accepted = [result for result in results if not result.reason]
+    loops = [
+        loop_noise.edge(
+            index[r.first], index[r.second], r.result.T_target_source, r.result.information
+        )
+        for r in accepted
+    ]
+    kept = consistent_loops(OdometryChain(links), loops, options.consistency).kept if loops else []
+    loops = [loops[k] for k in kept]
+    if not loops:
+        return Anchors(dict(anchors), frozenset(), 0.0)
+    graph = submap_graph({index[n]: T for n, T in anchors.items()}, links, loops)
+    solution = PoseGraphOptimiser(options.solver, options.retraction).optimise(graph)
+    retracted = [graph.edges[k] for k in solution.retracted]
+    correction = PoseCorrection.of(graph, solution)
+    used = frozenset(
+        (numbers[loop.first], numbers[loop.second])
+        for loop in loops
+        if not any(loop is edge for edge in retracted)
+    )
+    T_new = {n: np.array(correction.T_new[index[n]]) for n in numbers}
+    return Anchors(T_new, used, correction.largest_m)
