@@ -25,9 +25,12 @@ def main(options: RefineOptions) -> int:
     source, out = _absolute(options.run), _absolute(options.out)
     with _tasks(options) as tasks:
         refined = refine_map(source, out, tasks, options.threads, options.iterations)
+    moved = f"submaps moved by up to {100.0 * refined.largest_m:.2f} cm"
+    if not refined.largest_m:
+        moved = "they agree with the poses of the run, which stay"
     print(
-        f"{refined.submaps} submaps refined, {refined.pairs} pairs registered, {refined.used} "
-        f"used; submaps moved by up to {100.0 * refined.largest_m:.2f} cm"
+        f"{refined.submaps} submaps refined; {refined.pairs} pairs registered, {refined.verified} "
+        f"verified: {moved}"
     )
     print(f"wrote {refined.gaussians} Gaussians to {out}; metrics: semsplat evaluate {out}")
     return 0

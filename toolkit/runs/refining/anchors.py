@@ -10,13 +10,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.closing.options import ClosingOptions
+from toolkit.closing.options import ClosingOptions, LoopClosureOptions
 from toolkit.geometry import se3
+from toolkit.pose_graph.chi_square import quantile
 from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import PoseCorrection, submap_graph
 from toolkit.pose_graph.graph import PoseEdge, information_of
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
-from toolkit.pose_graph.options import PoseGraphOptions
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.runs.refining.tasks import Extent, PairResult
 
@@ -74,18 +74,23 @@ def corrected_anchors(
     anchors: Mapping[int, Array],
     extents: Mapping[int, Extent],
     results: Sequence[PairResult],
-    options: PoseGraphOptions,
+    options: LoopClosureOptions,
 ) -> Anchors:
-    """Optimise the poses of submaps over odometry and verified registrations."""
+    """Optimise the poses of submaps over odometry and verified registrations.
+
+    Poses stay as they are unless a registration contradicts them: those of a run that closed its
+    loops are more accurate than a single registration.
+    """
+    pose_graph = options.pose_graph
     numbers = sorted(anchors)
     index = {number: k for k, number in enumerate(numbers)}
-    noise = OdometryNoise(options.odometry)
+    noise = OdometryNoise(pose_graph.odometry)
     links = []
     for a, b in pairwise(numbers):
         covariance = noise.covariance(_ALIGNED, extents[a].path_m, extents[a].path_rad)
-        T = se3.orthonormalise(se3.inverse(anchors[a]) @ anchors[b])
-        links.append(PoseEdge(index[a], index[b], T, information_of(covariance)))
-    loop_noise = LoopNoise(options.loops)
+        T_a_b = se3.orthonormalise(se3.inverse(anchors[a]) @ anchors[b])
+        links.append(PoseEdge(index[a], index[b], T_a_b, information_of(covariance)))
+    loop_noise = LoopNoise(pose_graph.loops)
     accepted = [result for result in results if not result.reason]
     loops = [
         loop_noise.edge(
@@ -93,12 +98,16 @@ def corrected_anchors(
         )
         for r in accepted
     ]
-    kept = consistent_loops(OdometryChain(links), loops, options.consistency).kept if loops else []
+    kept = (
+        consistent_loops(OdometryChain(links), loops, pose_graph.consistency).kept if loops else []
+    )
     loops = [loops[k] for k in kept]
-    if not loops:
+    bound = quantile(options.closing.drift_confidence, 6)
+    T = [anchors[number] for number in numbers]
+    if all(loop.chi2(T[loop.first], T[loop.second]) <= bound for loop in loops):
         return Anchors(dict(anchors), frozenset(), 0.0)
     graph = submap_graph({index[n]: T for n, T in anchors.items()}, links, loops)
-    solution = PoseGraphOptimiser(options.solver, options.retraction).optimise(graph)
+    solution = PoseGraphOptimiser(pose_graph.solver, pose_graph.retraction).optimise(graph)
     retracted = [graph.edges[k] for k in solution.retracted]
     correction = PoseCorrection.of(graph, solution)
     used = frozenset(

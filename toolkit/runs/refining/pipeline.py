@@ -47,14 +47,15 @@ class Refined:
     Attributes:
         submaps: number of submaps.
         pairs: number of registered pairs.
-        used: number of registrations that the poses agree with.
-        largest_m: largest translation of a submap, metres.
+        verified: number of registrations that passed verification.
+        largest_m: largest translation of a submap, metres; 0 if the registrations agree with the
+            poses of the run.
         gaussians: number of Gaussians.
     """
 
     submaps: int
     pairs: int
-    used: int
+    verified: int
     largest_m: float
     gaussians: int
 
@@ -86,16 +87,14 @@ def refine_map(
     pairs = _pairs(work, extents, tasks)
     _log.info("Registering %d pairs of %d submaps.", len(pairs), len(numbers))
     results = tasks.map(register_submap_pair, [PairTask(work, *pair) for pair in pairs])
-    options = source.settings.loops.pose_graph
-    anchors = corrected_anchors(source.anchors, extents, results, options)
+    anchors = corrected_anchors(source.anchors, extents, results, source.settings.loops)
     _log.info("Refining %d submaps.", len(numbers))
     tasks.map(refine_submap, [SubmapTask(work, n) for n in numbers])
     (assembled,) = tasks.map(assemble, [AssemblyTask(work, dict(anchors.T_world_submap))])
     _write(work, frames, anchors, assembled, results)
     storage.remove_folder(work.scratch)
-    return Refined(
-        len(numbers), len(pairs), len(anchors.used), anchors.largest_m, assembled.gaussians
-    )
+    verified = sum(not result.reason for result in results)
+    return Refined(len(numbers), len(pairs), verified, anchors.largest_m, assembled.gaussians)
 
 
 def _pairs(work: Work, extents: dict[int, Extent], tasks: Tasks) -> list[Pair]:
