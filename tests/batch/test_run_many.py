@@ -77,7 +77,7 @@ def is_running(pid: int) -> bool:
     ("words", "message"),
     [
         (("nothing.yaml",), "cannot read the plan nothing.yaml"),
-        ((), "plan"),
+        ((), "Missing"),
         (("p.yaml", "--ray.cpus", "0"), "--ray.cpus"),
     ],
 )

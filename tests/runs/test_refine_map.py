@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from toolkit.cli.main import main
-from toolkit.closing.options import ClosingOptions
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.closing.options import ClosingOptions, LoopClosureOptions
+from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 from toolkit.io import storage
 from toolkit.io.trajectories import read_tum
+from toolkit.registration.result import failed
 from toolkit.runs.finished import load_run
-from toolkit.runs.refining.anchors import chosen_pairs, possible_pairs
+from toolkit.runs.refining.anchors import chosen_pairs, corrected_anchors, possible_pairs
 from toolkit.runs.refining.pipeline import refine_map
-from toolkit.runs.refining.tasks import Extent, InThisProcess
+from toolkit.runs.refining.tasks import Extent, InThisProcess, PairResult
 from toolkit.runs.refining.trajectory import moved_frames
 
 
@@ -43,24 +45,57 @@ def test_a_refined_run_is_a_finished_run(submaps_run, refined):
     assert "scratch" not in {path.name for path in refined.iterdir()}
 
 
-def test_displaced_submaps_return_with_their_frames(submaps_run, tmp_path):
-    run = shutil.copytree(submaps_run, tmp_path / "run")
-    frames = json.loads(read(run, "frames.json"))
-    true = {row["number"]: np.array(row["T_world_submap"]) for row in frames["submaps"]}
-    shift = se3.exp(np.array([0.035, -0.02, 0.035, 0.0, 0.0, 0.0]))
+@pytest.mark.parametrize("compared", [60, 0])
+@pytest.mark.parametrize("shift_m", [0.15, 0.005])
+def test_only_registrations_that_contradict_the_poses_move_submaps(shift_m, compared, monkeypatch):
+    # Large graphs are solved without comparing all pairs.
+    monkeypatch.setattr("toolkit.runs.refining.anchors._MAX_COMPARED", compared)
+    true = {n: se3.exp(np.array([n, 0.0, 0.0, 0.0, 0.1 * n, 0.0])) for n in (0, 2, 5)}
+    shift = se3.exp(np.array([0.0, 0.0, shift_m, 0.0, 0.0, 0.0]))
     moved = {n: T if n == 0 else shift @ T for n, T in true.items()}
-    text = (run / "trajectory.txt").read_bytes()
-    text, frames = moved_frames(text, frames, true, moved, dict.fromkeys(true, IDENTITY))
-    (run / "trajectory.txt").write_bytes(text)
-    (run / "frames.json").write_text(json.dumps(frames))
+    corner = np.zeros(3)
+    # After five metres the odometry has drifted by several centimetres.
+    extents = {n: Extent(corner, corner, 5.0, 2.0, 9) for n in true}
+    accepted = failed("fine", "")
+    results = [
+        PairResult(
+            a,
+            b,
+            replace(
+                accepted,
+                T_target_source=se3.inverse(true[a]) @ true[b],
+                information=1e8 * np.eye(6),
+            ),
+            reason,
+        )
+        for a, b, reason in ((0, 2, ""), (0, 5, ""), (2, 5, ""))
+    ]
+    wrong = replace(accepted, T_target_source=shift @ shift, information=1e8 * np.eye(6))
+    results.append(PairResult(0, 5, wrong, "too little overlap"))
+    after = corrected_anchors(moved, extents, results, LoopClosureOptions())
+    errors = [np.abs(after.T_world_submap[n] - true[n]).max() for n in true]
+    if shift_m > 0.1:
+        assert max(errors) < 0.2 * shift_m and after.largest_m == pytest.approx(shift_m, rel=0.2)
+        assert after.used == {(0, 2), (0, 5), (2, 5)}
+    else:
+        assert after.largest_m == 0.0
+        assert all(np.array_equal(after.T_world_submap[n], moved[n]) for n in true)
 
-    refine_map(str(run), str(tmp_path / "out"), InThisProcess(), iterations=1)
-    after = load_run(tmp_path / "out")
-    errors = [np.linalg.norm(after.anchors[n][:3, 3] - true[n][:3, 3]) for n in true]
-    # Of 5.3 cm, which the odometry between the submaps still allows.
-    assert max(errors) < 0.025, errors
-    old, new = (read_tum(p / "trajectory.txt") for p in (submaps_run, tmp_path / "out"))
-    assert np.linalg.norm(old.positions_m - new.positions_m, axis=1).max() < 0.025
+
+def test_frames_move_with_their_submap(submaps_run):
+    frames = json.loads(read(submaps_run, "frames.json"))
+    T_old = {row["number"]: np.array(row["T_world_submap"]) for row in frames["submaps"]}
+    shift = se3.exp(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    T_new = {n: shift @ T if n == 2 else T for n, T in T_old.items()}
+    text = (submaps_run / "trajectory.txt").read_bytes()
+    text, after = moved_frames(text, frames, T_old, T_new, {})
+    lines = [np.array(t.split()[1:4], float) for t in text.decode().splitlines() if t[0] != "#"]
+    old = read_tum(submaps_run / "trajectory.txt").positions_m
+    first, last = (frames["submaps"][n]["keyframes"][0] for n in (2, 3))
+    for row, before, now in zip(frames["frames"], old, lines, strict=True):
+        inside = first <= row["index"] < last
+        assert now - before == pytest.approx([0.1 * inside, 0.0, 0.0], abs=1e-6)
+    assert np.array_equal(after["submaps"][2]["T_world_submap"], T_new[2])
 
 
 def test_shared_storage_gives_the_same_map(submaps_run, refined):

@@ -17,8 +17,14 @@ from toolkit.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.pose_graph.correction import PoseCorrection, submap_graph
 from toolkit.pose_graph.graph import PoseEdge, information_of
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.pose_graph.options import PoseGraphOptions
 from toolkit.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.pose_graph.solver import solve
 from toolkit.runs.refining.tasks import Extent, PairResult
+
+# Of more loops, each is compared with the odometry and with the robust solution of all. Comparing
+# every pair and solving once without each takes 19 s for 77 loops, and grows with the square.
+_MAX_COMPARED = 60
 
 Array = NDArray[np.float64]
 Pair = tuple[int, int]
@@ -98,22 +104,40 @@ def corrected_anchors(
         )
         for r in accepted
     ]
-    kept = (
-        consistent_loops(OdometryChain(links), loops, pose_graph.consistency).kept if loops else []
-    )
-    loops = [loops[k] for k in kept]
     bound = quantile(options.closing.drift_confidence, 6)
     T = [anchors[number] for number in numbers]
     if all(loop.chi2(T[loop.first], T[loop.second]) <= bound for loop in loops):
         return Anchors(dict(anchors), frozenset(), 0.0)
-    graph = submap_graph({index[n]: T for n, T in anchors.items()}, links, loops)
-    solution = PoseGraphOptimiser(pose_graph.solver, pose_graph.retraction).optimise(graph)
-    retracted = [graph.edges[k] for k in solution.retracted]
-    correction = PoseCorrection.of(graph, solution)
-    used = frozenset(
-        (numbers[loop.first], numbers[loop.second])
-        for loop in loops
-        if not any(loop is edge for edge in retracted)
-    )
+    poses = {index[n]: T for n, T in anchors.items()}
+    correction, kept = _corrected(poses, links, loops, pose_graph)
+    used = frozenset((numbers[loop.first], numbers[loop.second]) for loop in kept)
     T_new = {n: np.array(correction.T_new[index[n]]) for n in numbers}
     return Anchors(T_new, used, correction.largest_m)
+
+
+def _corrected(
+    poses: Mapping[int, Array],
+    links: Sequence[PoseEdge],
+    loops: Sequence[PoseEdge],
+    options: PoseGraphOptions,
+) -> tuple[PoseCorrection, list[PoseEdge]]:
+    """Optimise the graph; return the correction and the loops that it agrees with."""
+    chain = OdometryChain(links)
+    if len(loops) <= _MAX_COMPARED:
+        kept = [loops[k] for k in consistent_loops(chain, loops, options.consistency).kept]
+        graph = submap_graph(poses, links, kept)
+        solution = PoseGraphOptimiser(options.solver, options.retraction).optimise(graph)
+        retracted = [graph.edges[k] for k in solution.retracted]
+        kept = [loop for loop in kept if not any(loop is edge for edge in retracted)]
+        return PoseCorrection.of(graph, solution), kept
+    bound = quantile(options.consistency.odometry_confidence, 6)
+    kept = [loop for loop in loops if chain.loop_chi2(loop) <= bound]
+    bound = quantile(options.retraction.confidence, 6)
+    while True:
+        graph = submap_graph(poses, links, kept)
+        solution = solve(graph, options.solver, covariances=False)
+        T = solution.T_world_node
+        agreeing = [loop for loop in kept if loop.chi2(T[loop.first], T[loop.second]) <= bound]
+        if len(agreeing) == len(kept):
+            return PoseCorrection.of(graph, solution), kept
+        kept = agreeing
