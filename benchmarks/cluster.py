@@ -71,8 +71,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         runs, run_s = measure_runs(options, folder)
-        refinements, inputs = measure_refinement(options, folder)
-    inputs = CostInputs(run_s, options.frames, **inputs)
+        refinements, measured = measure_refinement(options, folder)
+    inputs = CostInputs(run_s, options.frames, **measured)
     tables = (runs, refinements, task_table(inputs), cost_table(inputs), driver_table())
     publish(Results("cluster", "Runs on a cluster", DESCRIPTION, header, tables), options.out)
     return (

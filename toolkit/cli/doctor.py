@@ -39,6 +39,8 @@ _OPTIONAL = {
     "openai": ("openai", "building a taxonomy with a language model"),
     "rosbags": ("rosbags", "bags of ROS and RealSense"),
     "lzfse": ("lzfse", "depth of Record3D"),
+    "ray": ("ray", "many runs on a cluster"),
+    "fsspec": ("fsspec", "maps in shared storage"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +16,9 @@ from toolkit.errors import DependencyError, SettingsError, ToolkitError
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
+
+# Maximum time until a node of an existing cluster answers, seconds.
+_PATIENCE_S = 10.0
 
 _LOCALHOST = "127.0.0.1"
 # Ray replaces the address of localhost by that of the network, unless it may not form clusters of
@@ -161,8 +165,9 @@ def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
                 **common,
             )
         else:
+            _check_reachable(options.address)
             ray.init(address=options.address, **common)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         if options.address is None:
             raise
         raise SettingsError(
@@ -172,6 +177,18 @@ def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
         yield RayCluster(ray)
     finally:
         ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """Connect once to HOST:PORT, because Ray retries for minutes.
+
+    Raises:
+        OSError: nothing listens there.
+        ValueError: the port is not a number.
+    """
+    host, separator, port = address.rpartition(":")
+    if separator and "://" not in address:
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
 
 
 def _out_of_memory(resources: TaskResources) -> str:

@@ -103,7 +103,7 @@ def _pairs(work: Work, extents: dict[int, Extent], tasks: Tasks) -> list[Pair]:
     for first, second in possible_pairs(extents):
         others.setdefault(second, []).append(first)
     items = [SubmapTask(work, n, tuple(found)) for n, found in sorted(others.items())]
-    overlaps = {}
+    overlaps: dict[Pair, float] = {}
     for item, measured in zip(items, tasks.map(measure_overlaps, items), strict=True):
         overlaps |= {(other, item.number): value for other, value in measured.items()}
     return chosen_pairs(overlaps, work.source.settings.loops.closing)
