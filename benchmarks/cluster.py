@@ -29,6 +29,7 @@ from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.runs.refining.pipeline import refine_map
+from toolkit.runs.settings import PresetName
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -47,7 +48,6 @@ the last table shows, nor the start of workers and slow storage."""
 
 SAME = ("trajectory.txt", "map.ply", "loops.jsonl")
 WORKERS = (1, 2)
-_ALLOCATION = {"max_keyframes": 12, "min_keyframes": 6}
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,10 @@ class Options:
     """Frames of each run."""
     map_frames: int = 450
     """Frames of the run whose map is refined."""
+    submap_keyframes: int = 12
+    """Maximum number of keyframes of its submaps."""
+    preset: PresetName = "default"
+    """Settings of all runs."""
     out: Path = RESULTS
     """Folder of the results file."""
 
@@ -119,7 +123,12 @@ def _plan(options: Options, path: Path) -> Path:
     place["path"] = str(Path(place["path"]).absolute())
     content = {
         "sequences": {"ring": {"dataset": place, "options": {"max_frames": options.frames}}},
-        "settings": {"default": {"options": {"checkpoint": {"every_s": 1.0}}}},
+        "settings": {
+            "default": {
+                "preset": options.preset,
+                "options": {"checkpoint": {"every_keyframes": 1}},
+            }
+        },
         "seeds": list(range(options.runs)),
         "resources": {"threads": 1, "memory_gb": 1.5},
     }
@@ -188,11 +197,11 @@ def measure_refinement(options: Options, folder: Path) -> tuple[Table, dict[str,
     """Refine one map in this process and on one and two workers."""
     run = folder / "map"
     allocation = [
-        f"--submaps.allocation.{key.replace('_', '-')}={value}"
-        for key, value in _ALLOCATION.items()
+        *("--submaps.allocation.max-keyframes", str(options.submap_keyframes)),
+        *("--submaps.allocation.min-keyframes", str(max(2, options.submap_keyframes // 2))),
     ]
     sequence = sequence_arguments("ring-small")
-    frames = ["--max-frames", str(options.map_frames)]
+    frames = ["--preset", options.preset, "--max-frames", str(options.map_frames)]
     semsplat("run", *sequence, *allocation, *frames, "--out", str(run))
     timed = TimedTasks()
     begin = time.monotonic()

@@ -12,6 +12,7 @@ from toolkit.batch.locking import locked
 from toolkit.batch.plan import PlannedRun
 from toolkit.batch.report import write_batch_report
 from toolkit.batch.table import run_row, table_csv, table_markdown
+from toolkit.cli.run_many import running_text
 from toolkit.errors import RunFolderError
 from toolkit.runs.settings import RunSettings
 
@@ -64,3 +65,11 @@ def test_a_run_has_one_writer(tmp_path):
         pass
     with locked(folder, patience_s=0.0):
         pass
+
+
+def test_progress_names_three_running_runs():
+    assert running_text({}) == "none"
+    assert running_text({"a/x/seed0": 12}) == "a/x/seed0 frame 12"
+    frames = {f"a/x/seed{n}": n for n in range(5)}
+    expected = "a/x/seed0 frame 0, a/x/seed1 frame 1, a/x/seed2 frame 2, 2 more"
+    assert running_text(frames) == expected

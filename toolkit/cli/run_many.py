@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from tqdm import tqdm
@@ -12,11 +13,14 @@ from tqdm import tqdm
 from toolkit.batch.execution import Executor, Sequential, execute_plan, is_due, job_of
 from toolkit.batch.plan import PlannedRun, PlannedRuns, load_plan
 from toolkit.batch.process import RunOutcome
-from toolkit.batch.state import run_state
+from toolkit.batch.state import checkpoint_frame, run_state
 from toolkit.batch.table import RunRow, run_row
 from toolkit.cli.batch_programs import RunManyOptions
 
 _FAILED = 1
+# Seconds between reports of progress, on a terminal and in a log, and the number of runs in them.
+_BAR_INTERVAL_S, _LINE_INTERVAL_S = 2.0, 60.0
+_SHOWN = 3
 
 
 def main(options: RunManyOptions) -> int:
@@ -85,26 +89,58 @@ def _executor(options: RunManyOptions, planned: PlannedRuns) -> Iterator[Executo
 
 
 class _Progress:
-    """Prints one line per ended run, and a bar on a terminal."""
+    """Prints a line per ended run and, on the way, the frames that the running ones have saved."""
 
     def __init__(self, planned: PlannedRuns, due: int) -> None:
         self._runs = {run.name: run for run in planned.runs}
-        self._bar = tqdm(total=due, unit="run", file=sys.stderr, disable=not sys.stderr.isatty())
-        self._due, self._ended = due, 0
+        self._jobs = {run.name: job_of(run, planned) for run in planned.runs}
+        # Attempts before this call, so that runs that have not begun yet are told apart.
+        self._before = {name: job.attempts for name, job in self._jobs.items()}
+        terminal = sys.stderr.isatty()
+        self._bar = tqdm(total=due, unit="run", file=sys.stderr, disable=not terminal)
+        self._interval_s = _BAR_INTERVAL_S if terminal else _LINE_INTERVAL_S
+        self._due, self._ended = due, set[str]()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
 
     def __enter__(self) -> _Progress:
-        self._bar.refresh()
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
         self._bar.close()
 
     def ended(self, outcome: RunOutcome) -> None:
         """Report the end of a run."""
-        self._ended += 1
+        self._ended.add(outcome.name)
         text = _summary(self._runs[outcome.name], outcome)
-        tqdm.write(f"[{self._ended}/{self._due}] {outcome.name}: {text}", file=sys.stderr)
+        tqdm.write(f"[{len(self._ended)}/{self._due}] {outcome.name}: {text}", file=sys.stderr)
         self._bar.update()
+
+    def _watch(self) -> None:
+        while not self._stop.wait(self._interval_s):
+            text = running_text(self._running())
+            if self._bar.disable:
+                print(f"running: {text}", file=sys.stderr, flush=True)
+            else:
+                self._bar.set_postfix_str(text)
+
+    def _running(self) -> dict[str, int]:
+        """Frames saved so far of the runs that have begun and not ended, by name."""
+        return {
+            name: checkpoint_frame(job.folder) or 0
+            for name, job in self._jobs.items()
+            if name not in self._ended and job.attempts > self._before[name]
+        }
+
+
+def running_text(frames: Mapping[str, int]) -> str:
+    """Return the progress of running runs, at most three by name."""
+    shown = [f"{name} frame {frame}" for name, frame in list(frames.items())[:_SHOWN]]
+    more = len(frames) - len(shown)
+    return ", ".join([*shown, *([f"{more} more"] if more > 0 else [])]) or "none"
 
 
 def _summary(run: PlannedRun, outcome: RunOutcome) -> str:
