@@ -93,6 +93,17 @@ class RayCluster:
             max_retries=resources.retries,
         )(function)
         waiting = {task.remote(item): index for index, item in enumerate(items)}
+        try:
+            yield from self._results(waiting, resources)
+        finally:
+            for pending in waiting:  # of a caller that gave up
+                ray.cancel(pending, force=True)
+
+    def _results(
+        self, waiting: dict[Any, int], resources: TaskResources
+    ) -> Iterator[TaskResult[Any]]:
+        """Yield results as tasks end, and remove the tasks from those that are waited for."""
+        ray = self._ray
         while waiting:
             ready, _ = ray.wait(list(waiting), num_returns=1)
             index = waiting.pop(ready[0])

@@ -78,9 +78,21 @@ def refine_map(
     source, frames = open_stored_map(place)
     if storage.names_in(out):
         raise RunFolderError(f"{out} is not an empty folder; choose another --out")
-    source = store_decoder(source, out)
     rounds = source.settings.mapping.final_iterations if iterations is None else iterations
-    work = Work(source, out, threads, rounds)
+    try:
+        work = Work(store_decoder(source, out), out, threads, rounds)
+        refined = _refine(work, frames, tasks)
+    except BaseException:
+        # Half a map is of no use, and would be in the way of the next attempt.
+        storage.remove_folder(out)
+        raise
+    storage.remove_folder(work.scratch)
+    return refined
+
+
+def _refine(work: Work, frames: dict[str, Any], tasks: Tasks) -> Refined:
+    """Execute all tasks, and write all files."""
+    source = work.source
     numbers = sorted(source.anchors)
     measured = tasks.map(measure_extent, [SubmapTask(work, n) for n in numbers])
     extents = dict(zip(numbers, measured, strict=True))
@@ -92,7 +104,6 @@ def refine_map(
     tasks.map(refine_submap, [SubmapTask(work, n) for n in numbers])
     (assembled,) = tasks.map(assemble, [AssemblyTask(work, dict(anchors.T_world_submap))])
     _write(work, frames, anchors, assembled, results)
-    storage.remove_folder(work.scratch)
     verified = sum(not result.reason for result in results)
     return Refined(len(numbers), len(pairs), verified, anchors.largest_m, assembled.gaussians)
 
