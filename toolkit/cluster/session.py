@@ -168,7 +168,9 @@ def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
     common = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": False}
     try:
         if options.address is None:
+            # Without "local", Ray would join a cluster that someone else has started here.
             ray.init(
+                address="local",
                 num_cpus=options.cpus,
                 object_store_memory=max(options.object_store_mb, _MIN_OBJECT_STORE_MB) * 1_000_000,
                 include_dashboard=False,
