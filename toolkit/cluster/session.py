@@ -184,7 +184,8 @@ def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
         if options.address is None:
             raise
         raise SettingsError(
-            f"--ray.address {options.address}: there is no cluster ({' '.join(str(error).split())})"
+            f"--ray.address {options.address}: there is no cluster, or it refuses connections "
+            f"({' '.join(str(error).split())}); if it requires a token, set RAY_AUTH_MODE=token"
         ) from error
     try:
         yield RayCluster(ray)
