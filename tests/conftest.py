@@ -71,3 +71,25 @@ def tiny_run(tiny_recording: Path) -> Path:
     words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording)]
     assert main(["run", *words, "--out", str(out)]) == 0
     return out
+
+
+@pytest.fixture(scope="session")
+def submaps_run(tmp_path_factory) -> Path:
+    """The folder of a finished run of several submaps. Read only: copy it to change it."""
+    from toolkit.cli.main import main
+    from toolkit.datasets.synthetic import tiny_room
+    from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
+
+    folder = tmp_path_factory.mktemp("submaps")
+    frames, truth = tiny_room(14, 96, 72)
+    prepare_folder(folder / "room")
+    write_sequence(folder / "room", frames, frames[0].camera, truth.T_world_camera)
+    words = [
+        *("--dataset.kind", "synthetic", "--dataset.path", str(folder / "room")),
+        *("--mapping.first-iterations", "8", "--mapping.iterations", "3"),
+        *("--mapping.final-iterations", "1", "--mapping.keyframes.interval", "1"),
+        *("--submaps.allocation.min-keyframes", "3", "--submaps.allocation.max-keyframes", "5"),
+        *("--loops.candidates.min-gap-frames", "100", "--out", str(folder / "run")),
+    ]
+    assert main(["run", *words]) == 0
+    return folder / "run"

@@ -17,7 +17,7 @@ from toolkit.geometry import se3
 from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
-from toolkit.runs import execution as program
+from toolkit.runs import session as program
 from toolkit.runs.finished import load_run
 
 

@@ -41,6 +41,8 @@ _OPTIONAL = {
     "lzfse": ("lzfse", "depth of Record3D"),
     "pyrealsense2": ("pyrealsense2", "RealSense cameras"),
     "rerun": ("rerun-sdk", "recordings for Rerun (--record)"),
+    "ray": ("ray", "many runs on a cluster"),
+    "fsspec": ("fsspec", "maps in shared storage"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
     "fastapi": ("fastapi", "semsplat serve"),
     "uvicorn": ("uvicorn", "semsplat serve"),

@@ -21,6 +21,8 @@ from toolkit.cli.errors import one_line_errors
 JOBS = {
     "run": ("run", "track and map a dataset, evaluate the result and write a run folder"),
     "live": ("live", "track and map the frames of a depth camera while they arrive"),
+    "run-many": ("run_many", "execute many runs (sequences x settings x seeds) of a plan"),
+    "refine": ("refine", "refine the map of a finished run, here or on a cluster"),
     "evaluate": ("evaluate", "evaluate a finished run again"),
     "render": ("render", "render views of a map to PNG, or a video"),
     "export": ("export", "write a map for other programs: splats, mesh, points, COLMAP, grid, ..."),

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
+from toolkit.cli.batch_programs import RefineOptions, RunManyOptions
 from toolkit.cli.map_programs import (
     EditOptions,
     ExportOptions,
@@ -304,6 +305,8 @@ class BuildTaxonomyOptions:
 
 
 PROGRAMS: dict[str, type] = {
+    "run-many": RunManyOptions,
+    "refine": RefineOptions,
     "evaluate": EvaluateOptions,
     "render": RenderProgram,
     "compare": CompareOptions,

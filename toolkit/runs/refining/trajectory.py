@@ -1,0 +1,71 @@
+"""Move the frames of a run with their submaps."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.exposure import Exposure
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.trajectories import read_tum, write_tum
+
+Array = NDArray[np.float64]
+
+
+def moved_frames(
+    trajectory: bytes,
+    frames: dict[str, Any],
+    T_old: Mapping[int, Array],
+    T_new: Mapping[int, Array],
+    exposures: Mapping[int, Exposure],
+) -> tuple[bytes, dict[str, Any]]:
+    """Move poses and exposures of all frames with the submap that each was tracked in.
+
+    Args:
+        trajectory: content of trajectory.txt.
+        frames: content of frames.json.
+        T_old, T_new: T_world_submap [4, 4] before and after, by number.
+        exposures: exposure of the old map relative to the new one, by submap.
+
+    Returns:
+        The new content of both files.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "trajectory.txt"
+        path.write_bytes(trajectory)
+        old = read_tum(path)
+        submaps = [submap_of(frames, row["index"]) for row in frames["frames"]]
+        moves = {n: T_new[n] @ se3.inverse(T_old[n]) for n in T_new}
+        unmoved = {n for n in T_new if np.array_equal(T_new[n], T_old[n])}
+        poses = [
+            T if n not in moves or n in unmoved else se3.orthonormalise(moves[n] @ T)
+            for n, T in zip(submaps, old.T_world_camera, strict=True)
+        ]
+        poses_array = np.array(poses).reshape(-1, 4, 4)
+        write_tum(path, Trajectory(old.timestamps_s, poses_array))
+        text = path.read_bytes()
+    rows = []
+    for row, number in zip(frames["frames"], submaps, strict=True):
+        exposure = Exposure(row["gain"], row["bias"])
+        if number in exposures:
+            exposure = exposures[number].after(exposure)
+        rows.append(row | {"gain": exposure.gain, "bias": exposure.bias})
+    anchored = [
+        row | {"T_world_submap": T_new[row["number"]].tolist()} if row["number"] in T_new else row
+        for row in frames["submaps"]
+    ]
+    return text, frames | {"frames": rows, "submaps": anchored}
+
+
+def submap_of(frames: dict[str, Any], index: int) -> int:
+    """Return the submap that a frame was tracked in: the newest one that had begun."""
+    begun = sorted((row["keyframes"][0], row["number"]) for row in frames["submaps"])
+    place = bisect.bisect_right(begun, (index, float("inf"))) - 1
+    return int(begun[max(place, 0)][1])
