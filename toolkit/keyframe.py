@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -72,6 +72,8 @@ class Keyframe:
         inferred: [H, W] bool, where the depth follows from a depth prior, or None.
         prior_m: [H, W] float32 depth whose scale and shift are optimised with the map, or None.
         depth_moments: [7] float64 scale, shift and the state of their optimiser, or None.
+        log_balance: [3] float64 estimated white balance, logarithms of gains with the sum 0; None
+            is neutral. `exposure.balance` is neutral for small ones.
     """
 
     index: int
@@ -87,10 +89,11 @@ class Keyframe:
     inferred: Tensor | None = None
     prior_m: Tensor | None = None
     depth_moments: NDArray[np.float64] | None = None
+    log_balance: NDArray[np.float64] | None = None
 
     ARRAYS: ClassVar = (
         *("T_map_camera", "rgb", "depth_m", "points", "class_ids", "pose_moments"),
-        *("inferred", "prior_m", "depth_moments"),
+        *("inferred", "prior_m", "depth_moments", "log_balance"),
     )
 
     def arrays(self) -> dict[str, NDArray]:
@@ -111,6 +114,7 @@ class Keyframe:
     def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Keyframe:
         """Restore a keyframe from its `arrays` and `values`."""
         moments, adjusted = arrays.get("pose_moments"), arrays.get("depth_moments")
+        log_balance = arrays.get("log_balance")
         return cls(
             index=int(values["index"]),
             timestamp_s=float(values["timestamp_s"]),
@@ -118,13 +122,14 @@ class Keyframe:
             rgb=torch.from_numpy(np.array(arrays["rgb"])),
             depth_m=torch.from_numpy(np.array(arrays["depth_m"])),
             camera=Camera(**values["camera"]),
-            exposure=Exposure(float(values["gain"]), float(values["bias"])),
+            exposure=Exposure.from_values(values),
             points=np.array(arrays["points"]),
             class_ids=_tensor(arrays.get("class_ids")),
             pose_moments=None if moments is None else np.array(moments),
             inferred=_tensor(arrays.get("inferred")),
             prior_m=_tensor(arrays.get("prior_m")),
             depth_moments=None if adjusted is None else np.array(adjusted),
+            log_balance=None if log_balance is None else np.array(log_balance),
         )
 
     @classmethod
@@ -168,8 +173,11 @@ class Keyframe:
             images: the keyframe's images on another device; on the CPU by default.
         """
         rgb = self.rgb if images is None else images.rgb
-        gain, bias = self.exposure.gain, self.exposure.bias
-        return rgb.to(torch.float32).mul_(gain / 255.0).add_(bias).clamp_(0.0, 1.0)
+        gain, bias, balance = self.exposure.gain, self.exposure.bias, self.exposure.balance
+        colours = rgb.to(torch.float32).mul_(gain / 255.0).add_(bias)
+        if balance != NEUTRAL:
+            colours.mul_(colours.new_tensor(balance)[:, None, None])
+        return colours.clamp_(0.0, 1.0)
 
     def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Colour, depth and labels in the form that the losses expect.

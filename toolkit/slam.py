@@ -231,7 +231,7 @@ class Slam:
         return SlamResult(
             trajectory=path.trajectory(atlas),
             frame_indices=path.indices,
-            exposures=path.exposures({} if fused is None else fused.exposures),
+            exposures=path.exposures(atlas, {} if fused is None else fused.exposures),
             lost_frames=list(path.lost_frames),
             keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
             submaps=submaps,

@@ -268,7 +268,8 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: flo
     result = tracker.locate(frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
-    return replace(view, T_map_camera=result.T_map_camera, exposure=result.exposure)
+    exposure = result.exposure.with_balance(view.exposure.balance)
+    return replace(view, T_map_camera=result.T_map_camera, exposure=exposure)
 
 
 def _quality(
