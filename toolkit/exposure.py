@@ -7,7 +7,7 @@ factor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 # Colours or intensities in [0, 1].
-Image = TypeVar("Image", Tensor, NDArray[np.float32])
+Image = TypeVar("Image", Tensor, NDArray[np.float32], NDArray[np.float64])
 Balance = tuple[float, float, float]
 
 NEUTRAL: Balance = (1.0, 1.0, 1.0)
@@ -34,7 +34,7 @@ class Exposure:
 
     gain: float = 1.0
     bias: float = 0.0
-    balance: Balance = NEUTRAL
+    balance: Balance = field(default=NEUTRAL, kw_only=True)
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Exposure:
@@ -43,7 +43,7 @@ class Exposure:
         Files of older versions have no balance.
         """
         red, green, blue = (float(value) for value in values.get("balance", NEUTRAL))
-        return cls(float(values["gain"]), float(values["bias"]), (red, green, blue))
+        return cls(float(values["gain"]), float(values["bias"]), balance=(red, green, blue))
 
     def apply(self, image: Image) -> Image:
         """Convert colours [..., 3] to the exposure of the reference."""
@@ -62,14 +62,13 @@ class Exposure:
         With different gains of the channels, the small bias of this exposure is approximate.
         """
         gain, bias = self.gain * inner.gain, self.gain * inner.bias + self.bias
-        return Exposure(gain, bias, _product(self.balance, inner.balance))
+        return Exposure(gain, bias, balance=_product(self.balance, inner.balance))
 
     def inverse(self) -> Exposure:
         """The exposure of the reference against the image; the bias is approximate as above."""
         red, green, blue = self.balance
-        return Exposure(
-            1.0 / self.gain, -self.bias / self.gain, (1.0 / red, 1.0 / green, 1.0 / blue)
-        )
+        balance = (1.0 / red, 1.0 / green, 1.0 / blue)
+        return Exposure(1.0 / self.gain, -self.bias / self.gain, balance=balance)
 
     def with_balance(self, balance: Balance) -> Exposure:
         """The same gain and bias with another white balance."""

@@ -119,8 +119,8 @@ def test_checkpoints_of_older_versions_are_neutral():
 def test_exposures_are_undone_composed_and_inverted():
     rng = np.random.default_rng(0)
     image = rng.uniform(0.2, 0.6, (4, 5, 3)).astype(np.float32)
-    first = Exposure(1.3, 0.02, (1.1, 1.0, 0.8))
-    second = Exposure(0.9, 0.0, (0.9, 1.0, 1.2))
+    first = Exposure(1.3, 0.02, balance=(1.1, 1.0, 0.8))
+    second = Exposure(0.9, 0.0, balance=(0.9, 1.0, 1.2))
     np.testing.assert_allclose(first.undo(first.apply(image)), image, atol=1e-6)
     both = second.after(first)
     np.testing.assert_allclose(both.apply(image), second.apply(first.apply(image)), atol=1e-6)

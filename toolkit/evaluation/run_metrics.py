@@ -19,6 +19,7 @@ from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.free_space import free_space_metrics
+from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import (
     IMAGE_CONVENTIONS,
@@ -31,7 +32,7 @@ from toolkit.evaluation.metrics import (
 from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores
 from toolkit.evaluation.trajectory import Alignment, AlignmentKind, absolute_trajectory_error
 from toolkit.evaluation.walls import wall_thickness
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
@@ -194,7 +195,10 @@ def _view_conventions(options: MeasureOptions) -> Metrics:
             "where the ray meets the surface through the weighted mean of centres; "
             f"pixels with silhouette at least {_MIN_SILHOUETTE}"
         ),
-        "exposure_convention": "renders are brought to each view's exposure as tracking found it",
+        "exposure_convention": (
+            "renders are brought to each view's exposure, one gain and one bias, as tracking found "
+            "it; to its white balance only where stated"
+        ),
     }
 
 
@@ -286,10 +290,15 @@ def _quality(
     rendered = render_surface(renderer, gaussians, camera, T_camera_map, render_options)
     scores.add(view.frame, rendered)
     # Apply the exposure to the rendered image, so that the observed image is not changed.
-    colour = view.exposure.undo(rendered.output.colour.numpy())
-    return view_quality(
+    reference, exposure = rendered.output.colour.numpy(), view.exposure
+    colour, balanced = (
+        one.undo(reference).clip(0.0, 1.0).astype(np.float32)
+        for one in (exposure.with_balance(NEUTRAL), exposure)
+    )
+    quality = view_quality(
         view.frame.index,
-        (colour.clip(0.0, 1.0).astype(np.float32), np.float32(scale) * rendered.depth_m.numpy()),
+        (colour, np.float32(scale) * rendered.depth_m.numpy()),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,
     )
+    return replace(quality, psnr_white_balanced_db=psnr_db(balanced, view.frame.rgb))

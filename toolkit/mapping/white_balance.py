@@ -38,6 +38,8 @@ _SATURATED = 250
 _SAME_SURFACE = 0.05
 # Minimum fraction of a keyframe's points that an earlier one shows.
 _MIN_OVERLAP = 0.3
+# Maximum number of earlier keyframes whose overlap is computed; limits time in large maps.
+_MAX_CANDIDATES = 64
 _CACHED = 64
 # The white balance of a camera changes slowly.
 _UNCHANGED = BalanceDifference(np.zeros(3), 0.01)
@@ -129,13 +131,16 @@ class WhiteBalance:
 
         The others close loops within a map, which bounds the drift there.
         """
-        if not others:
+        newest = max(len(others) - self.options.recent, 0)
+        candidates = [*_spread(others[:newest], _MAX_CANDIDATES), *others[newest:]]
+        if not candidates:
             return []
-        overlaps = new.fractions_seen_by(np.array([k.T_map_camera for k in others]))
-        near = np.flatnonzero(overlaps >= _MIN_OVERLAP)
-        recent, older = near[-self.options.recent :], near[: -self.options.recent]
-        spread = np.linspace(0, len(older) - 1, min(len(older), self.options.older))
-        return [others[i] for i in (*older[spread.round().astype(int)], *recent)]
+        overlaps = new.fractions_seen_by(np.array([k.T_map_camera for k in candidates]))
+        near = [
+            k for k, overlap in zip(candidates, overlaps, strict=True) if overlap >= _MIN_OVERLAP
+        ]
+        recent = self.options.recent
+        return [*_spread(near[:-recent], self.options.older), *near[-recent:]]
 
     def _links(
         self, chosen: Sequence[Keyframe], new: Keyframe, number: int, numbers: Sequence[int]
@@ -182,6 +187,12 @@ class WhiteBalance:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]
+
+
+def _spread(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:
+    """At most a number of keyframes, evenly spaced."""
+    places = np.linspace(0, len(keyframes) - 1, min(len(keyframes), count)).round().astype(int)
+    return [keyframes[place] for place in places]
 
 
 def _log_balance(keyframe: Keyframe) -> Array:
