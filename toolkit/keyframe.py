@@ -176,7 +176,9 @@ class Keyframe:
         gain, bias, balance = self.exposure.gain, self.exposure.bias, self.exposure.balance
         colours = rgb.to(torch.float32).mul_(gain / 255.0).add_(bias)
         if balance != NEUTRAL:
-            colours.mul_(colours.new_tensor(balance)[:, None, None])
+            # By numbers: copying a tensor to a GPU would wait for it.
+            for channel, factor in zip(colours, balance, strict=True):
+                channel.mul_(factor)
         return colours.clamp_(0.0, 1.0)
 
     def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:

@@ -14,6 +14,7 @@ from toolkit.evaluation.images import psnr_db
 from toolkit.exposure import NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import WhiteBalanceOptions
 from toolkit.rendering import render
@@ -75,6 +76,22 @@ def test_constant_white_balance_changes_nothing():
     assert np.array_equal(estimated.gaussians.colours, off.gaussians.colours)
     assert estimated.exposures == off.exposures
     assert all(exposure.balance == NEUTRAL for exposure in estimated.exposures)
+
+
+def test_submaps_share_the_reference_of_the_first():
+    slam = Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(0)))
+    for frame in FRAMES:
+        slam.process_frame(drifting(frame))
+    atlas, last = slam.atlas, slam.mapper.keyframes[-1]
+    frame, T_submap_camera = drifting(FRAMES[last.index]), last.T_map_camera
+    balance = last.exposure.balance
+    # A submap that starts at the last keyframe, and one where the camera is relocalised.
+    atlas.start_next()
+    assert slam.mapper.keyframes[0].exposure.balance == balance
+    anchor = Keyframe.from_frame(frame, np.eye(4), last.exposure.with_balance(NEUTRAL))
+    atlas.start_at(anchor, 0, T_submap_camera)
+    np.testing.assert_allclose(slam.mapper.keyframes[0].exposure.balance, balance, rtol=0.01)
+    assert atlas.keyframe_balances(0)[last.index] == balance
 
 
 def test_checkpoints_of_older_versions_are_neutral():
