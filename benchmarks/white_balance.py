@@ -105,8 +105,10 @@ def main() -> None:
         for use in (False, True)
     }
     rows = report.measured(jobs, measure)
-    clean = [median_of(rows)(f"{name}, with", "psnr_clean_db") for name in (CONSTANT, DRIFT)]
-    loss = None if None in clean else clean[0] - clean[1]
+    constant, drift = (
+        median_of(rows)(f"{name}, with", "psnr_clean_db") for name in (CONSTANT, DRIFT)
+    )
+    loss = None if constant is None or drift is None else constant - drift
     target = Target("loss of the room by drift in dB", loss, at_most=1.5)
     report.write(table_of(COLUMNS, rows, "sequence"), target_table([target]))
 
@@ -139,7 +141,7 @@ def _opened(job: dict[str, Any]) -> tuple[Dataset, dict[str, Any]]:
     else:
         recording = RECORDINGS[job["sequence"]]
         kind, path, size = recording.kind, recording.path, recording.image_size
-    settings = {
+    settings: dict[str, Any] = {
         "dataset": {"kind": kind, "path": str(path)},
         "image_size": size,
         "max_frames": job["max_frames"],

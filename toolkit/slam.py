@@ -284,7 +284,11 @@ class Slam:
     ) -> MappingResult:
         """Create a keyframe, refine its pose, and extend the map with it."""
         frame = self._labelled(frame, T_map_camera)
-        keyframe = Keyframe.from_frame(frame, T_map_camera, exposure_of(tracking))
+        exposure = exposure_of(tracking)
+        if self.mapper.keyframes:
+            # Until the mapper estimates that of the new keyframe.
+            exposure = exposure.with_balance(self.mapper.keyframes[-1].exposure.balance)
+        keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
         if self._correction is not None:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
