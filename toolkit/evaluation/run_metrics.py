@@ -268,11 +268,13 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: flo
     gaussians = scene.visible_from(view.frame.camera, view.T_map_camera)
     # The map's file does not store this flag; evaluate as after loading.
     gaussians = replace(gaussians, centred_colours=False)
-    frame = replace(view.frame, depth_m=view.frame.depth_m / np.float32(scale))
+    balance = view.exposure.balance
+    rgb = IDENTITY.with_balance(balance).apply(view.frame.rgb)
+    frame = replace(view.frame, rgb=rgb, depth_m=view.frame.depth_m / np.float32(scale))
     result = tracker.locate(frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
-    exposure = result.exposure.with_balance(view.exposure.balance)
+    exposure = result.exposure.with_balance(balance)
     return replace(view, T_map_camera=result.T_map_camera, exposure=exposure)
 
 
