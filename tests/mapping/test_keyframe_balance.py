@@ -80,6 +80,19 @@ def test_a_red_wall_does_not_turn_the_balance():
     np.testing.assert_allclose(views[-1].log_balance, views[-2].log_balance, rtol=0.02)
 
 
+def test_the_other_side_of_a_thin_wall_is_another_surface():
+    """The second camera faces the first one, at the same wall of another colour."""
+    opposite = np.diag([-1.0, 1.0, -1.0, 1.0])
+    opposite[2, 3] = 4.0
+    rng, views = np.random.default_rng(0), []
+    for number, (T, hue) in enumerate([(np.eye(4), [0.5, 0.5, 0.5]), (opposite, [0.6, 0.5, 0.4])]):
+        rgb = (rng.uniform(0.8, 1.2, (120, 160, 1)) * hue).astype(np.float32)
+        depth_m = np.full((120, 160), 2.0, np.float32)
+        frame = replace(FRAMES[0], index=number, rgb=rgb, depth_m=depth_m)
+        views.append(Keyframe.from_frame(frame, T))
+    assert estimated(views)[1].exposure.balance == NEUTRAL
+
+
 @pytest.mark.parametrize("brightness", [0.05, 4.0])
 def test_dark_and_saturated_images_stay_neutral(brightness):
     gains = np.tile([1.0, 1.0, 0.8], (len(FRAMES), 1)) * brightness

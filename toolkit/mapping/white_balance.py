@@ -36,10 +36,13 @@ _CELLS_PER_ROW = 80
 _SATURATED = 250
 # Maximum difference of the depths of a surface in two keyframes, as a fraction of depth.
 _SAME_SURFACE = 0.05
-# Minimum fraction of a keyframe's points that an earlier one shows.
-_MIN_OVERLAP = 0.3
+# Minimum cosine of the angle at which two keyframes see a point. The two sides of a thin wall differ
+# in colour, and shiny surfaces look different from elsewhere.
+_MIN_COSINE = 0.5
+# Minimum fraction of a keyframe's points that an earlier one measured.
+_MIN_OVERLAP = 0.2
 # Maximum number of earlier keyframes whose overlap is computed; limits time in large maps.
-_MAX_CANDIDATES = 64
+_MAX_CANDIDATES = 32
 _CACHED = 64
 # The white balance of a camera changes slowly.
 _UNCHANGED = BalanceDifference(np.zeros(3), 0.01)
@@ -135,9 +138,12 @@ class WhiteBalance:
         candidates = [*_spread(others[:newest], _MAX_CANDIDATES), *others[newest:]]
         if not candidates:
             return []
-        overlaps = new.fractions_seen_by(np.array([k.T_map_camera for k in candidates]))
+        shown = new.fractions_seen_by(np.array([k.T_map_camera for k in candidates]))
+        points = new.points_in_map()
         near = [
-            k for k, overlap in zip(candidates, overlaps, strict=True) if overlap >= _MIN_OVERLAP
+            keyframe
+            for keyframe, fraction in zip(candidates, shown, strict=True)
+            if fraction >= _MIN_OVERLAP and keyframe.fraction_observed(points) >= _MIN_OVERLAP
         ]
         recent = self.options.recent
         return [*_spread(near[:-recent], self.options.older), *near[-recent:]]
@@ -169,6 +175,7 @@ class WhiteBalance:
         at = np.rint(uv).astype(np.intp)
         depth_m = old.measured_m.numpy()[at[:, 1], at[:, 0]]
         same = np.abs(z - depth_m) < _SAME_SURFACE * depth_m
+        same &= _cosines(points[inside], T_old_new[:3, 3]) > _MIN_COSINE
         # No interpolation, which would smooth one of the images: the pair would not be symmetric.
         colours = cells.colours[row[same], column[same]]
         return balance_difference(colours, own.of_points[inside][same])
@@ -187,6 +194,13 @@ class WhiteBalance:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]
+
+
+def _cosines(points: Array, centre: Array) -> Array:
+    """Cosines [P] of the angles at which the origin and another centre [3] see points [P, 3]."""
+    others = points - centre
+    lengths = np.linalg.norm(points, axis=1) * np.linalg.norm(others, axis=1)
+    return np.asarray((points * others).sum(axis=1) / np.maximum(lengths, 1e-9))
 
 
 def _spread(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:
