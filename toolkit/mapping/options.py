@@ -99,8 +99,8 @@ class WhiteBalanceOptions:
 
     use: bool = True
     """Estimate gains of the colour channels of each keyframe."""
-    # Where it is constant, the estimates change by 0.1 % in a room with sensor noise, and by 0.5 % in
-    # a ring of rooms.
+    # Where it is constant, the estimates change by 0.1 % in a room with sensor noise, and by 0.5 %
+    # in a ring of rooms.
     min_change: NonNegativeFloat = 0.01
     """Minimum change of a channel's gain that is applied, as a fraction."""
     recent: PositiveInt = 3

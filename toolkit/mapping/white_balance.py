@@ -36,8 +36,8 @@ _CELLS_PER_ROW = 80
 _SATURATED = 250
 # Maximum difference of the depths of a surface in two keyframes, as a fraction of depth.
 _SAME_SURFACE = 0.05
-# Minimum cosine of the angle at which two keyframes see a point. The two sides of a thin wall differ
-# in colour, and shiny surfaces look different from elsewhere.
+# Minimum cosine of the angle at which two keyframes see a point. The two sides of a thin wall
+# differ in colour, and shiny surfaces look different from elsewhere.
 _MIN_COSINE = 0.5
 # Minimum fraction of a keyframe's points that an earlier one measured.
 _MIN_OVERLAP = 0.2
