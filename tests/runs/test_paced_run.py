@@ -97,6 +97,7 @@ def test_a_resumed_run_keeps_its_record(paced_run: Path, tmp_path: Path):
     copy = shutil.copytree(paced_run, tmp_path / "run")
     before = read_json(copy / "metrics.json")
     (copy / "metrics.json").unlink()
+    shutil.rmtree(copy / "renders")
     words = ["run", "--config", str(copy / "config.yaml"), "--out", str(copy), "--resume"]
     assert main(words) == 0
     after = read_json(copy / "metrics.json")

@@ -271,6 +271,8 @@ def _render_views(
 ) -> list[ReportView]:
     """Render evenly spaced views: images in `renders/`, and the views of the report."""
     views = []
+    # A user may have removed the folder of an interrupted run.
+    folder.renders.mkdir(exist_ok=True)
     palette = None if final.taxonomy is None else Palette(final.taxonomy)
     count = min(_NUM_VIEWS, len(tracked))
     for position in np.linspace(0, len(tracked) - 1, count).round().astype(int):
