@@ -196,8 +196,8 @@ def _view_conventions(options: MeasureOptions) -> Metrics:
             f"pixels with silhouette at least {_MIN_SILHOUETTE}"
         ),
         "exposure_convention": (
-            "renders are brought to each view's exposure, one gain and one bias, as tracking found "
-            "it; to its white balance only where stated"
+            "renders are brought to each view's exposure, a gain and a bias, as tracking found it, "
+            "and to its white balance, as the run estimated it"
         ),
     }
 
@@ -293,9 +293,9 @@ def _quality(
     scores.add(view.frame, rendered)
     # Apply the exposure to the rendered image, so that the observed image is not changed.
     reference, exposure = rendered.output.colour.numpy(), view.exposure
-    colour, balanced = (
+    colour, one_gain = (
         one.undo(reference).clip(0.0, 1.0).astype(np.float32)
-        for one in (exposure.with_balance(NEUTRAL), exposure)
+        for one in (exposure, exposure.with_balance(NEUTRAL))
     )
     quality = view_quality(
         view.frame.index,
@@ -303,4 +303,4 @@ def _quality(
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,
     )
-    return replace(quality, psnr_white_balanced_db=psnr_db(balanced, view.frame.rgb))
+    return replace(quality, psnr_one_gain_db=psnr_db(one_gain, view.frame.rgb))
