@@ -116,6 +116,18 @@ def test_a_wrong_pose_hides_nothing():
     assert all(k.transient is None for k in mapped(EMPTY, poses=poses).keyframes)
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_an_object_that_was_just_hidden_needs_less_evidence(known: bool):
+    mapper = mapped([EMPTY[0], with_panel(EMPTY[1], 20)])
+    last = mapper.keyframes[-1]
+    assert last.transient is None  # one keyframe does not suffice
+    if known:
+        last.hide(last.depth_m == PANEL_M)
+    frame = with_panel(EMPTY[2], 30)
+    mapper.add_keyframe(Keyframe.from_frame(frame, T_MAP_CAMERA[2]))
+    assert (mapper.keyframes[-1].transient is not None) == known
+
+
 def test_an_object_that_stays_is_mapped():
     frames = [*EMPTY[:8], *(with_panel(frame, 30) for frame in EMPTY[8:])]
     frames = [replace(frame, timestamp_s=float(frame.index)) for frame in frames]

@@ -37,6 +37,9 @@ _MIN_CONTRADICTED = 0.5
 # A region is tested at about this many of its pixels, against this many of the keyframes that show
 # at least half of them.
 _SAMPLES, _MAX_VIEWS = 400, 8
+# A fraction of the evidence suffices for an object that was hidden in a keyframe of the last second
+# and is within this distance of its former place, at this speed.
+_KNOWN_EVIDENCE, _KNOWN_S, _KNOWN_M, _KNOWN_M_S = 0.25, 1.0, 0.3, 2.0
 # Regions are enlarged by this fraction of the image's width: edges, blur, and limbs beside them.
 _BORDER = 0.015
 
@@ -122,11 +125,30 @@ def _has_moved(
     means = torch.from_numpy(points_map.astype(np.float32))
     views = (DepthView.of(showing[i]) for i in sorted(spread))
     evidence = Evidence.of(means, views, whole_map=False)
-    empty = (evidence.through >= options.min_through) & (evidence.through > evidence.support)
+    known = _was_hidden(points_map, keyframe, others)
+    min_through = options.min_through * (_KNOWN_EVIDENCE if known else 1.0)
+    empty = (evidence.through >= min_through) & (evidence.through > evidence.support)
     if float(empty.float().mean()) < _MIN_CONTRADICTED:
         return False
     held_s = _held_s(means, keyframe, showing, 2.0 * options.max_still_s)
     return float(np.median(held_s)) < options.max_still_s
+
+
+def _was_hidden(
+    points_map: NDArray[np.float64], keyframe: Keyframe, others: Sequence[Keyframe]
+) -> bool:
+    """Whether the object at points [N, 3] was hidden in the last keyframe that hides any."""
+    for other in reversed(others):
+        age_s = keyframe.timestamp_s - other.timestamp_s
+        if age_s > _KNOWN_S:
+            break
+        if other.transient is not None and other.observed_m is not None:
+            hidden_m = other.observed_m.masked_fill(~other.transient, 0.0).numpy()
+            hidden = other.camera.unproject(hidden_m)[hidden_m > 0]
+            before = se3.transform_points(other.T_map_camera, np.median(hidden, axis=0)[None])
+            moved_m = np.linalg.norm(np.median(points_map, axis=0) - before[0])
+            return bool(moved_m < _KNOWN_M + _KNOWN_M_S * age_s)
+    return False
 
 
 def _held_s(
