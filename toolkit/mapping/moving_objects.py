@@ -39,7 +39,7 @@ _MIN_CONTRADICTED = 0.5
 _SAMPLES, _MAX_VIEWS = 400, 8
 # A fraction of the evidence suffices for an object that was hidden in a keyframe of the last second
 # and is within this distance of its former place, at this speed.
-_KNOWN_EVIDENCE, _KNOWN_S, _KNOWN_M, _KNOWN_M_S = 0.25, 1.0, 0.3, 2.0
+_KNOWN_EVIDENCE, _KNOWN_S, _KNOWN_M, _KNOWN_M_S = 0.25, 1.0, 0.2, 2.0
 # Regions are enlarged by this fraction of the image's width: edges, blur, and limbs beside them.
 _BORDER = 0.015
 
@@ -61,7 +61,10 @@ def hide_moving_objects(
     # Depth from priors and from neighbouring keyframes is least certain where objects move.
     if not options.use or not others or keyframe.prior_m is not None:
         return
-    nearer = _nearer_than_map(keyframe.measured_m.to(view.depth_m), view, options, min_silhouette)
+    measured_m = keyframe.measured_m
+    covered = (measured_m > 0) & (view.output.silhouette >= min_silhouette).cpu()
+    behind_m = view.depth_m.cpu() - measured_m
+    nearer = _nearer_than_map(measured_m, behind_m, covered, options)
     if nearer is None:
         return
     difference = _colour_difference(keyframe, view)
@@ -70,28 +73,31 @@ def hide_moving_objects(
     mask = np.zeros(nearer.shape, bool)
     for region in _regions(nearer, options.min_area):
         if np.median(difference[region]) > limit and _has_moved(region, keyframe, others, options):
-            mask |= region
-    if not mask.any():
-        return
-    radius = max(1, round(_BORDER * mask.shape[1]))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    keyframe.hide(torch.from_numpy(cv2.dilate(mask.astype(np.uint8), kernel) > 0))
+            mask |= _continued(region, nearer)
+    if mask.any():
+        mask = _dilated(mask)
+        # Its outline, where depth is missing or flies.
+        mask |= _dilated(mask) & (nearer | (measured_m.numpy() == 0))
+        keyframe.hide(torch.from_numpy(mask))
 
 
 def _nearer_than_map(
-    depth_m: Tensor, view: SurfaceView, options: MovingObjectOptions, min_silhouette: float
+    depth_m: Tensor, behind_m: Tensor, covered: Tensor, options: MovingObjectOptions
 ) -> _Mask | None:
-    """Mask [H, W] of the pixels measured in front of the map; None if too few or too many are."""
-    covered = (depth_m > 0) & (view.output.silhouette >= min_silhouette)
-    behind = torch.where(covered, view.depth_m - depth_m, torch.zeros_like(depth_m))
+    """Mask [H, W] of the pixels measured in front of the map; None if too few or too many are.
+
+    Args:
+        depth_m: [H, W] measured depth. behind_m: [H, W] depth of the map less the measured one.
+        covered: [H, W] the pixels with both.
+    """
     floor = (FREE_SPACE * depth_m).clamp(min=FREE_SPACE_M)
-    if int((behind > floor).sum()) < options.min_area * depth_m.numel():
+    if int((covered & (behind_m > floor)).sum()) < options.min_area * depth_m.numel():
         return None
-    median = float(behind.abs()[covered].median())
-    nearer = behind > floor.clamp(min=_DEPTH_FACTOR * median)
+    median = float(behind_m[covered].abs().median())
+    nearer = covered & (behind_m > floor.clamp(min=_DEPTH_FACTOR * median))
     if int(nearer.sum()) > options.max_area * int(covered.sum()):
         return None
-    return np.asarray(nearer.cpu().numpy())
+    return np.asarray(nearer.numpy())
 
 
 def _colour_difference(keyframe: Keyframe, view: SurfaceView) -> NDArray[np.float32]:
@@ -101,12 +107,27 @@ def _colour_difference(keyframe: Keyframe, view: SurfaceView) -> NDArray[np.floa
 
 
 def _regions(mask: _Mask, min_area: float) -> list[_Mask]:
-    """Connected regions of a mask [H, W] with at least a fraction of its pixels."""
+    """Regions of a mask [H, W] with at least a fraction of its pixels, narrow gaps included."""
     # Bands along depth edges are thin.
     solid = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    count, numbers, statistics, _ = cv2.connectedComponentsWithStats(solid)
-    areas = statistics[:, cv2.CC_STAT_AREA]
-    return [numbers == n for n in range(1, count) if areas[n] >= min_area * mask.size]
+    # Limbs are separated by pixels without depth along their edges.
+    count, numbers = cv2.connectedComponents(_dilated(solid > 0).astype(np.uint8))
+    regions = ((numbers == number) & (solid > 0) for number in range(1, count))
+    return [region for region in regions if region.sum() >= min_area * mask.size]
+
+
+def _dilated(mask: _Mask) -> _Mask:
+    """A mask [H, W] enlarged by the border of moving objects."""
+    radius = max(1, round(_BORDER * mask.shape[1]))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)
+
+
+def _continued(region: _Mask, nearer: _Mask) -> _Mask:
+    """A region [H, W] with the pixels in front of the map that continue it, however scattered."""
+    # Behind glass, for instance, the map has gaps.
+    _, numbers = cv2.connectedComponents(_dilated(nearer).astype(np.uint8))
+    return np.asarray(nearer & np.isin(numbers, np.unique(numbers[region])))
 
 
 def _has_moved(
@@ -145,9 +166,12 @@ def _was_hidden(
         if other.transient is not None and other.observed_m is not None:
             hidden_m = other.observed_m.masked_fill(~other.transient, 0.0).numpy()
             hidden = other.camera.unproject(hidden_m)[hidden_m > 0]
-            before = se3.transform_points(other.T_map_camera, np.median(hidden, axis=0)[None])
-            moved_m = np.linalg.norm(np.median(points_map, axis=0) - before[0])
-            return bool(moved_m < _KNOWN_M + _KNOWN_M_S * age_s)
+            hidden_map = se3.transform_points(other.T_map_camera, hidden)
+            # Without the border, which shows what is behind.
+            low, high = np.quantile(hidden_map, [0.1, 0.9], axis=0)
+            reach_m = _KNOWN_M + _KNOWN_M_S * age_s
+            middle = np.median(points_map, axis=0)
+            return bool(((middle > low - reach_m) & (middle < high + reach_m)).all())
     return False
 
 
