@@ -34,6 +34,8 @@ _DEPTH_FACTOR = 10.0
 _MIN_COLOUR, _COLOUR_FACTOR = 0.05, 2.0
 # Minimum fraction of a region's pixels that earlier keyframes contradict.
 _MIN_CONTRADICTED = 0.5
+# Maximum displacement of a known surface in the image, as a fraction of the image's width.
+_DISPLACEMENT = 0.05
 # A region is tested at about this many of its pixels, against this many of the keyframes that show
 # at least half of them.
 _SAMPLES, _MAX_VIEWS = 400, 8
@@ -61,17 +63,19 @@ def hide_moving_objects(
     # Depth from priors and from neighbouring keyframes is least certain where objects move.
     if not options.use or not others or keyframe.prior_m is not None:
         return
-    measured_m = keyframe.measured_m
-    covered = (measured_m > 0) & (view.output.silhouette >= min_silhouette).cpu()
-    behind_m = view.depth_m.cpu() - measured_m
-    nearer = _nearer_than_map(measured_m, behind_m, covered, options)
+    measured_m, map_m = keyframe.measured_m, view.depth_m.cpu()
+    mapped = (view.output.silhouette >= min_silhouette).cpu()
+    covered = mapped & (measured_m > 0)
+    nearer = _nearer_than_map(measured_m, map_m - measured_m, covered, options)
     if nearer is None:
         return
     difference = _colour_difference(keyframe, view)
     usual = float(np.median(difference[~nearer]))
     limit = max(_MIN_COLOUR, _COLOUR_FACTOR * usual)
     mask = np.zeros(nearer.shape, bool)
-    for region in _regions(nearer, options.min_area):
+    map_m = torch.where(mapped, map_m, torch.inf)
+    new = nearer & ~_displaced(measured_m.numpy(), map_m.numpy())
+    for region in _regions(new, options.min_area):
         if np.median(difference[region]) > limit and _has_moved(region, keyframe, others, options):
             mask |= _continued(region, nearer)
     if mask.any():
@@ -121,6 +125,13 @@ def _dilated(mask: _Mask) -> _Mask:
     radius = max(1, round(_BORDER * mask.shape[1]))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)
+
+
+def _displaced(depth_m: NDArray[np.float32], map_m: NDArray[np.float32]) -> _Mask:
+    """Mask [H, W] of measured depths that the map [H, W] has nearby: the pose may be wrong."""
+    side = 2 * round(_DISPLACEMENT * depth_m.shape[1]) + 1
+    nearest_m = cv2.erode(map_m, np.ones((side, side), np.uint8))
+    return np.asarray(nearest_m - depth_m <= np.maximum(FREE_SPACE_M, FREE_SPACE * depth_m))
 
 
 def _continued(region: _Mask, nearer: _Mask) -> _Mask:
