@@ -86,7 +86,8 @@ class Walker:
         places = self._places
         before, after = places[max(number - 1, 0)], places[min(number + 1, len(places) - 1)]
         ahead = after - before
-        return placement(*places[number], yaw_rad=math.atan2(ahead[1], ahead[0]))
+        x, y = places[number]
+        return placement(x, y, yaw_rad=math.atan2(ahead[1], ahead[0]))
 
     def _with_limb(self, view: View, limb: Scene, camera: Camera, T_limb_camera: NDArray) -> View:
         fine = camera.scaled(_SAMPLES, _SAMPLES, *(side * _SAMPLES for side in camera.size))
