@@ -27,6 +27,7 @@ from toolkit.mapping.free_space import DepthView, Evidence, contradicted, seen_t
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
+from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
@@ -140,7 +141,12 @@ class Mapper:
                 self._remove(contradicted(self.gaussians.means, keyframe, others, free_space))
         before = len(self.gaussians)
         with self._recorder.timed("seeding"):
-            seeded = self._densification.seed(self.map, keyframe, self.view(keyframe), observed)
+            view, options = self.view(keyframe), self.options
+            hide_moving_objects(
+                keyframe, view, others, options.moving_objects, options.min_silhouette
+            )
+            observed = self._observations.of(keyframe)
+            seeded = self._densification.seed(self.map, keyframe, view, observed)
         if free_space.use and others and seeded:
             with self._recorder.timed("free space"):
                 mask = seen_through(self.gaussians.means[before:], others, free_space)

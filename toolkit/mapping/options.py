@@ -110,6 +110,24 @@ class WhiteBalanceOptions:
 
 
 @dataclass(frozen=True)
+class MovingObjectOptions:
+    """Moving objects in front of a map, which are left out of it."""
+
+    use: bool = True
+    """Leave out regions of a keyframe whose depth and colour contradict earlier keyframes."""
+    min_area: Fraction = 0.003
+    """Minimum fraction of the image that a region covers."""
+    max_area: Fraction = 0.4
+    """Maximum fraction of the mapped pixels in front of the map. Beyond it, the pose is in doubt
+    and nothing is left out."""
+    min_through: PositiveFloat = 2.0
+    """Minimum number of earlier keyframes that measured through a region, each weighted by its
+    confidence."""
+    max_still_s: PositiveFloat = 3.0
+    """Time in seconds after which an object that has stayed at its place is mapped."""
+
+
+@dataclass(frozen=True)
 class DepthAdjustmentOptions:
     """Scale and shift of corrected depth priors, optimised with the map (Hier-SLAM++, equation 17).
 
@@ -189,3 +207,4 @@ class MapperOptions:
     depth_adjustment: DepthAdjustmentOptions = DepthAdjustmentOptions()
     free_space: FreeSpaceOptions = FreeSpaceOptions()
     white_balance: WhiteBalanceOptions = WhiteBalanceOptions()
+    moving_objects: MovingObjectOptions = MovingObjectOptions()
