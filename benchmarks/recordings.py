@@ -19,6 +19,8 @@ _SMALL = ("--image-size", "160", "120", "--sensor-noise")
 ROOMS: dict[str, tuple[str, ...]] = {
     "room": (),
     "room-noise": ("--sensor-noise",),
+    "room-walker": ("--walker",),
+    "room-real": ("--real",),
     "ring": (*_RING, "--sensor-noise"),
     "ring-ideal": _RING,
     "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),

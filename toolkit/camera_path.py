@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Balance, Exposure
 from toolkit.frame import Frame, FrameStamp
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -134,13 +134,21 @@ class CameraPath:
             for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
         ]
 
-    def exposures(self, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
+    def exposures(self, atlas: Atlas, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
         """Exposure of each frame against the map.
+
+        The white balance of frames between two keyframes is interpolated.
 
         Args:
             of_submaps: exposures of submaps against the fused map; the identity where missing.
         """
-        return [of_submaps.get(f.submap, IDENTITY).after(f.exposure) for f in self._frames]
+        known = {f.submap: atlas.keyframe_balances(f.submap) for f in self._frames}
+        return [
+            of_submaps.get(f.submap, IDENTITY).after(
+                f.exposure.with_balance(_interpolated(known[f.submap], f.index))
+            )
+            for f in self._frames
+        ]
 
     def trajectory(self, atlas: Atlas) -> Trajectory:
         """Poses of the frames in the world frame."""
@@ -165,9 +173,24 @@ class CameraPath:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
         self._frames = [
-            _TrackedFrame(**{**f, "exposure": Exposure(**f["exposure"])}) for f in values["tracked"]
+            _TrackedFrame(**{**f, "exposure": Exposure.from_values(f["exposure"])})
+            for f in values["tracked"]
         ]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
         self.lost_frames = [int(i) for i in values["lost_frames"]]
         self.lost_in_a_row = int(values["lost_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
+
+
+def _interpolated(balances: Mapping[int, Balance], index: int) -> Balance:
+    """White balance of a frame, between those of keyframes by ascending frame index."""
+    if index in balances:
+        return balances[index]
+    if all(balance == NEUTRAL for balance in balances.values()):
+        return NEUTRAL
+    indices = list(balances)
+    red, green, blue = (
+        float(np.exp(np.interp(index, indices, channel)))
+        for channel in np.log(list(balances.values())).T
+    )
+    return (red, green, blue)

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -35,13 +35,14 @@ class Observed:
 
     Attributes:
         rgb: [3, H, W] uint8. depth_m: [H, W] float32. class_ids: [H, W] int16, or None.
-        inferred: [H, W] bool, or None.
+        inferred, transient: [H, W] bool, or None.
     """
 
     rgb: Tensor
     depth_m: Tensor
     class_ids: Tensor | None
     inferred: Tensor | None = None
+    transient: Tensor | None = None
 
     @property
     def measured_m(self) -> Tensor:
@@ -50,9 +51,11 @@ class Observed:
 
     def to(self, device: torch.device) -> Observed:
         """Copy the images to a device."""
-        ids = None if self.class_ids is None else self.class_ids.to(device)
-        inferred = None if self.inferred is None else self.inferred.to(device)
-        return Observed(self.rgb.to(device), self.depth_m.to(device), ids, inferred)
+        ids, inferred, transient = (
+            None if image is None else image.to(device)
+            for image in (self.class_ids, self.inferred, self.transient)
+        )
+        return Observed(self.rgb.to(device), self.depth_m.to(device), ids, inferred, transient)
 
 
 @dataclass
@@ -72,6 +75,10 @@ class Keyframe:
         inferred: [H, W] bool, where the depth follows from a depth prior, or None.
         prior_m: [H, W] float32 depth whose scale and shift are optimised with the map, or None.
         depth_moments: [7] float64 scale, shift and the state of their optimiser, or None.
+        log_balance: [3] float64 estimated white balance, logarithms of gains with the sum 0; None
+            is neutral. `exposure.balance` is neutral for small ones.
+        transient: [H, W] bool, where a moving object hides the scene, or None; see `hide`.
+        observed_m: [H, W] float32 depth with that of moving objects; None without any.
     """
 
     index: int
@@ -87,10 +94,13 @@ class Keyframe:
     inferred: Tensor | None = None
     prior_m: Tensor | None = None
     depth_moments: NDArray[np.float64] | None = None
+    log_balance: NDArray[np.float64] | None = None
+    transient: Tensor | None = None
+    observed_m: Tensor | None = None
 
     ARRAYS: ClassVar = (
         *("T_map_camera", "rgb", "depth_m", "points", "class_ids", "pose_moments"),
-        *("inferred", "prior_m", "depth_moments"),
+        *("inferred", "prior_m", "depth_moments", "log_balance", "transient", "observed_m"),
     )
 
     def arrays(self) -> dict[str, NDArray]:
@@ -111,6 +121,7 @@ class Keyframe:
     def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Keyframe:
         """Restore a keyframe from its `arrays` and `values`."""
         moments, adjusted = arrays.get("pose_moments"), arrays.get("depth_moments")
+        log_balance = arrays.get("log_balance")
         return cls(
             index=int(values["index"]),
             timestamp_s=float(values["timestamp_s"]),
@@ -118,13 +129,16 @@ class Keyframe:
             rgb=torch.from_numpy(np.array(arrays["rgb"])),
             depth_m=torch.from_numpy(np.array(arrays["depth_m"])),
             camera=Camera(**values["camera"]),
-            exposure=Exposure(float(values["gain"]), float(values["bias"])),
+            exposure=Exposure.from_values(values),
             points=np.array(arrays["points"]),
             class_ids=_tensor(arrays.get("class_ids")),
             pose_moments=None if moments is None else np.array(moments),
             inferred=_tensor(arrays.get("inferred")),
             prior_m=_tensor(arrays.get("prior_m")),
             depth_moments=None if adjusted is None else np.array(adjusted),
+            log_balance=None if log_balance is None else np.array(log_balance),
+            transient=_tensor(arrays.get("transient")),
+            observed_m=_tensor(arrays.get("observed_m")),
         )
 
     @classmethod
@@ -136,8 +150,6 @@ class Keyframe:
     ) -> Keyframe:
         """Create the keyframe of a tracked frame."""
         levels = torch.from_numpy(np.rint(frame.rgb * 255.0).astype(np.uint8))
-        # The grid leaves out the border, whose points leave the view with the smallest motion.
-        sparse = frame.camera.unproject(frame.depth_m, _STRIDE)
         return cls(
             index=frame.index,
             timestamp_s=frame.timestamp_s,
@@ -146,15 +158,26 @@ class Keyframe:
             depth_m=torch.from_numpy(frame.depth_m),
             camera=frame.camera,
             exposure=exposure,
-            points=sparse[sparse[..., 2] > 0].astype(np.float32),
+            points=_sparse(frame.camera, frame.depth_m),
             class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
             inferred=_tensor(frame.inferred),
         )
 
+    def hide(self, transient: Tensor) -> None:
+        """Remove moving objects: depth and labels within a mask [H, W] are missing from now on.
+
+        Losses of colour leave out the mask as well; the colour itself is kept.
+        """
+        self.transient, self.observed_m = transient, self.depth_m
+        self.depth_m = self.depth_m.masked_fill(transient, 0.0)
+        if self.class_ids is not None:
+            self.class_ids = self.class_ids.masked_fill(transient, 0)
+        self.points = _sparse(self.camera, self.depth_m.numpy())
+
     @property
     def images(self) -> Observed:
         """The keyframe's images on the CPU."""
-        return Observed(self.rgb, self.depth_m, self.class_ids, self.inferred)
+        return Observed(self.rgb, self.depth_m, self.class_ids, self.inferred, self.transient)
 
     @property
     def measured_m(self) -> Tensor:
@@ -168,8 +191,13 @@ class Keyframe:
             images: the keyframe's images on another device; on the CPU by default.
         """
         rgb = self.rgb if images is None else images.rgb
-        gain, bias = self.exposure.gain, self.exposure.bias
-        return rgb.to(torch.float32).mul_(gain / 255.0).add_(bias).clamp_(0.0, 1.0)
+        gain, bias, balance = self.exposure.gain, self.exposure.bias, self.exposure.balance
+        colours = rgb.to(torch.float32).mul_(gain / 255.0).add_(bias)
+        if balance != NEUTRAL:
+            # By numbers: copying a tensor to a GPU would wait for it.
+            for channel, factor in zip(colours, balance, strict=True):
+                channel.mul_(factor)
+        return colours.clamp_(0.0, 1.0)
 
     def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Colour, depth and labels in the form that the losses expect.
@@ -281,6 +309,13 @@ def _not_behind(z_m: NDArray[np.float64], measured_m: NDArray[np.float32]) -> ND
     """Mask [P] of depths that are not behind the measured ones, 0 where nothing was measured."""
     # Where depth is missing, the viewing volume is unbounded.
     return (measured_m == 0) | (z_m <= _MAX_BEHIND * measured_m)
+
+
+def _sparse(camera: Camera, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Points [P, 3] of a sparse grid of the measured pixels, in camera coordinates."""
+    # The grid leaves out the border, whose points leave the view with the smallest motion.
+    points = camera.unproject(depth_m, _STRIDE)
+    return points[points[..., 2] > 0].astype(np.float32)
 
 
 def _tensor(array: NDArray | None) -> Tensor | None:

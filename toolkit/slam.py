@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing, NoLoopClosing
 from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
+from toolkit.exposure import IDENTITY, NEUTRAL
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
@@ -231,7 +233,7 @@ class Slam:
         return SlamResult(
             trajectory=path.trajectory(atlas),
             frame_indices=path.indices,
-            exposures=path.exposures({} if fused is None else fused.exposures),
+            exposures=path.exposures(atlas, {} if fused is None else fused.exposures),
             lost_frames=list(path.lost_frames),
             keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
             submaps=submaps,
@@ -274,17 +276,28 @@ class Slam:
         if not self.mapper.keyframes:
             return Located(self.tracker.first_pose(frame) if may_map else None)
         with self._recorder.timed("tracking"):
-            tracking = self.tracker.track(frame, self.mapper.gaussians)
+            tracking = self.tracker.track(self._balanced(frame), self.mapper.gaussians)
         if tracking.lost:
             return self._recovery.recover(frame, tracking, may_map)
         return Located(tracking.T_map_camera, tracking)
+
+    def _balanced(self, frame: Frame) -> Frame:
+        """The frame at the white balance of the last keyframe, which is near its own."""
+        balance = self.mapper.keyframes[-1].exposure.balance
+        if balance == NEUTRAL:
+            return frame
+        return replace(frame, rgb=IDENTITY.with_balance(balance).apply(frame.rgb))
 
     def _add_keyframe(
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
     ) -> MappingResult:
         """Create a keyframe, refine its pose, and extend the map with it."""
         frame = self._labelled(frame, T_map_camera)
-        keyframe = Keyframe.from_frame(frame, T_map_camera, exposure_of(tracking))
+        exposure = exposure_of(tracking)
+        if self.mapper.keyframes:
+            # Until the mapper estimates that of the new keyframe.
+            exposure = exposure.with_balance(self.mapper.keyframes[-1].exposure.balance)
+        keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
         if self._correction is not None:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from box_scene import RenderedDataset, frames_at, poses, rendered_dataset
@@ -84,6 +86,21 @@ def test_exposure_is_taken_back_before_views_are_compared(gaussians):
     assert as_tracked["psnr_db"] > 60.0
     assert ignored["psnr_db"] < 20.0
     assert as_tracked["ate_rmse_cm"] is None
+
+
+def test_scores_take_white_balance_back(gaussians):
+    T_map_camera = poses(2, seed=1)
+    balance = (0.8, 1.0, 1.25)
+    frames = frames_at(gaussians, T_map_camera)
+    turned = [replace(f, rgb=f.rgb / np.array(balance, np.float32)) for f in frames]
+    clipped = [replace(f, rgb=f.rgb.clip(0.0, 1.0)) for f in turned]
+    metrics = measure_run(
+        InMemoryScene(gaussians),
+        tracked(T_map_camera, held_out={1}, exposure=Exposure(balance=balance)),
+        RenderedDataset(clipped, None),
+    )
+    for suffix in ("", "_unseen", "_unseen_refined"):
+        assert metrics[f"psnr{suffix}_db"] > 45.0 > 30.0 > metrics[f"psnr{suffix}_one_gain_db"]
 
 
 def test_long_runs_are_sampled_evenly(gaussians):

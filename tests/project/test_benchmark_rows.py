@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import tyro
 
-from benchmarks import live, loops, pace, recordings, ring, semantics, sequences
+from benchmarks import live, loops, pace, real_room, recordings, ring, semantics, sequences
 from toolkit.cli import live as live_program
 from toolkit.cli import run as run_program
 from toolkit.options import validated
@@ -20,6 +20,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         for name, row in rows.items()
     },
     **{f"loops: {name}": {"loops": values} for name, values in loops.ROWS.items()},
+    **{f"real room: {name}": row.settings for name, row in real_room.ROWS.items()},
 }
 COMMANDS = [
     *sequences.ROWS.values(),
@@ -66,6 +67,7 @@ def test_sequences_of_rows_are_known() -> None:
     known = {*recordings.RECORDINGS, *recordings.ROOMS}
     assert {row[0] for row in COMMANDS} <= known
     assert {row.room for _, rows in ring.TABLES.values() for row in rows.values()} <= known
+    assert {row.room for row in real_room.ROWS.values()} <= known
 
 
 @pytest.mark.parametrize("name", recordings.ROOMS)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import numpy as np
 import pytest
 
-from toolkit.exposure import IDENTITY
+from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.refinement.exposures import estimate_exposures
 
 
 def submap(keys, truth, gain, bias=0.0, noise=0.0, seed=0):
     colours = (truth[keys] - bias) / gain
     return np.array(keys), colours + noise * np.random.default_rng(seed).normal(size=colours.shape)
+
+
+def gain_and_bias(exposure: Exposure) -> tuple[float, float]:
+    assert exposure.balance == NEUTRAL
+    return exposure.gain, exposure.bias
 
 
 @pytest.fixture
@@ -30,22 +33,22 @@ def test_exposures_propagate_along_overlaps(truth, biases):
     }
     found = estimate_exposures(submaps)
     assert found[0] == IDENTITY
-    assert astuple(found[3]) == pytest.approx((1.3, biases[0]), abs=0.01)
-    assert astuple(found[5]) == pytest.approx((0.8, biases[1]), abs=0.01)
+    assert gain_and_bias(found[3]) == pytest.approx((1.3, biases[0]), abs=0.01)
+    assert gain_and_bias(found[5]) == pytest.approx((0.8, biases[1]), abs=0.01)
 
 
 def test_noise_does_not_reduce_contrast_over_many_submaps(truth):
     submaps = {
         n: submap(range(150 * n, 150 * n + 300), truth, 1.0, noise=0.03, seed=n) for n in range(20)
     }
-    assert astuple(estimate_exposures(submaps)[19]) == pytest.approx((1.0, 0.0), abs=0.05)
+    assert gain_and_bias(estimate_exposures(submaps)[19]) == pytest.approx((1.0, 0.0), abs=0.05)
 
 
 def test_changed_voxels_are_outliers(truth):
     keys, colours = submap(range(1000), truth, 1.2, noise=0.01)
     colours[:200] = np.random.default_rng(2).uniform(0, 1, (200, 3))
     found = estimate_exposures({0: submap(range(1000), truth, 1.0), 1: (keys, colours)})
-    assert astuple(found[1]) == pytest.approx((1.2, 0.0), abs=0.05)
+    assert gain_and_bias(found[1]) == pytest.approx((1.2, 0.0), abs=0.05)
 
 
 def test_submap_without_overlap_keeps_its_exposure(truth):
@@ -57,4 +60,18 @@ def test_voxels_without_a_surface_are_ignored(truth):
     keys, colours = submap(range(1000), truth, 1.2)
     colours[::2] = np.nan
     found = estimate_exposures({0: submap(range(1000), truth, 1.0), 1: (keys, colours)})
-    assert astuple(found[1]) == pytest.approx((1.2, 0.0), abs=0.01)
+    assert gain_and_bias(found[1]) == pytest.approx((1.2, 0.0), abs=0.01)
+
+
+def test_white_balance_propagates_along_overlaps(truth):
+    gains = np.array([1.2, 1.0, 0.8])
+    submaps = {
+        0: submap(range(1500), truth, 1.0, noise=0.02),
+        3: submap(range(1000, 2500), truth, gains, noise=0.02, seed=1),
+        5: submap(range(2000, 4000), truth, gains, noise=0.02, seed=2),
+    }
+    found = estimate_exposures(submaps)
+    assert found[0] == IDENTITY
+    for number in (3, 5):
+        total = found[number].gain * np.array(found[number].balance)
+        np.testing.assert_allclose(total / total[1], gains, atol=0.03)

@@ -28,8 +28,9 @@ def main(options: MakeRoomOptions) -> int:
         share=options.share,
         width=options.image_size[0],
         height=options.image_size[1],
-        sensor=SensorModel() if options.sensor_noise else None,
+        sensor=SensorModel.of(options.sensor_noise, options.real),
         unseen=options.unseen,
+        walker=options.real or options.walker,
     )
     make_room(options.out, settings, with_progress)
     print(f"created a room in {options.out}")

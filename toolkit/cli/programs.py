@@ -213,6 +213,11 @@ class MakeRoomOptions:
     """Width and height of the images, in pixels."""
     sensor_noise: bool = False
     """Simulate a real camera (noise, holes, blur, exposure, wrong labels)."""
+    real: bool = False
+    """Simulate what else real recordings have: drifting white balance, flying pixels, no depth on
+    shiny objects, at edges and grazing angles, and a walker."""
+    walker: bool = False
+    """Let a person walk through the view; masks are written to the folder walker."""
     unseen: NonNegativeInt = 20
     """Number of ideal views off the path, in the folder unseen."""
 

@@ -36,7 +36,8 @@ Metrics = dict[str, MetricValue]
 IMAGE_CONVENTIONS: Metrics = {
     "psnr_convention": "mean of per-view dB over all pixels, at most 100 dB a view; measured and "
     "inferred: over the pixels with and without measured depth, of the views that have any; "
-    "per_channel: after fitting one gain per channel",
+    "one_gain: without the white balance that the run estimated for the view; per_channel: after "
+    "fitting one gain per channel",
     "ssim_convention": "11x11 Gaussian window of sigma 1.5, data range 1, mirrored border",
     "ms_ssim_convention": "5 scales; null where the shorter side is below 176 pixels",
     "lpips_convention": "AlexNet, version 0.1; null without --lpips-weights, and for images below "
@@ -54,6 +55,8 @@ class ViewQuality:
         frame_index: index of the view's frame.
         psnr_db: over all pixels, in dB.
         psnr_measured_db, psnr_inferred_db: over the pixels with and without measured depth.
+        psnr_one_gain_db: over all pixels, rendered at the gain and bias of the view only, without
+            the white balance that the run estimated for it.
         psnr_per_channel_db: over all pixels, after fitting one gain per channel.
         ssim, ms_ssim, lpips: without unit.
         depth_l1_m: mean absolute depth error in metres.
@@ -69,6 +72,7 @@ class ViewQuality:
     depth_coverage: float
     psnr_measured_db: float | None = None
     psnr_inferred_db: float | None = None
+    psnr_one_gain_db: float | None = None
     psnr_per_channel_db: float | None = None
 
 
@@ -183,7 +187,7 @@ def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
         f"psnr{suffix}_db": mean_or_none([view.psnr_db for view in views]),
         **{
             f"psnr{suffix}_{kind}_db": mean_or_none([getattr(v, f"psnr_{kind}_db") for v in views])
-            for kind in ("measured", "inferred", "per_channel")
+            for kind in ("measured", "inferred", "one_gain", "per_channel")
         },
         f"ssim{suffix}": mean_or_none([view.ssim for view in views]),
         f"ms_ssim{suffix}": mean_or_none([view.ms_ssim for view in views]),

@@ -19,6 +19,7 @@ from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.free_space import free_space_metrics
+from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.metrics import (
     IMAGE_CONVENTIONS,
@@ -31,7 +32,7 @@ from toolkit.evaluation.metrics import (
 from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores
 from toolkit.evaluation.trajectory import Alignment, AlignmentKind, absolute_trajectory_error
 from toolkit.evaluation.walls import wall_thickness
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
@@ -194,7 +195,10 @@ def _view_conventions(options: MeasureOptions) -> Metrics:
             "where the ray meets the surface through the weighted mean of centres; "
             f"pixels with silhouette at least {_MIN_SILHOUETTE}"
         ),
-        "exposure_convention": "renders are brought to each view's exposure as tracking found it",
+        "exposure_convention": (
+            "renders are brought to each view's exposure, a gain and a bias, as tracking found it, "
+            "and to its white balance, as the run estimated it"
+        ),
     }
 
 
@@ -264,11 +268,14 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: flo
     gaussians = scene.visible_from(view.frame.camera, view.T_map_camera)
     # The map's file does not store this flag; evaluate as after loading.
     gaussians = replace(gaussians, centred_colours=False)
-    frame = replace(view.frame, depth_m=view.frame.depth_m / np.float32(scale))
+    balance = view.exposure.balance
+    rgb = IDENTITY.with_balance(balance).apply(view.frame.rgb)
+    frame = replace(view.frame, rgb=rgb, depth_m=view.frame.depth_m / np.float32(scale))
     result = tracker.locate(frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
-    return replace(view, T_map_camera=result.T_map_camera, exposure=result.exposure)
+    exposure = result.exposure.with_balance(balance)
+    return replace(view, T_map_camera=result.T_map_camera, exposure=exposure)
 
 
 def _quality(
@@ -285,10 +292,15 @@ def _quality(
     rendered = render_surface(renderer, gaussians, camera, T_camera_map, render_options)
     scores.add(view.frame, rendered)
     # Apply the exposure to the rendered image, so that the observed image is not changed.
-    colour = view.exposure.undo(rendered.output.colour.numpy())
-    return view_quality(
+    reference, exposure = rendered.output.colour.numpy(), view.exposure
+    colour, one_gain = (
+        one.undo(reference).clip(0.0, 1.0).astype(np.float32)
+        for one in (exposure, exposure.with_balance(NEUTRAL))
+    )
+    quality = view_quality(
         view.frame.index,
-        (colour.clip(0.0, 1.0).astype(np.float32), np.float32(scale) * rendered.depth_m.numpy()),
+        (colour, np.float32(scale) * rendered.depth_m.numpy()),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,
     )
+    return replace(quality, psnr_one_gain_db=psnr_db(one_gain, view.frame.rgb))

@@ -1,7 +1,8 @@
 """Gains of the colour channels between a rendered and an observed view.
 
 Automatic white balance changes each channel by its own factor, which one gain and one bias for all
-channels cannot follow.
+channels cannot follow. Least squares maximise the PSNR of the view; the gains that a run applies to
+its images must not depend on noise, and are estimated in `toolkit.alignment.white_balance`.
 """
 
 from __future__ import annotations

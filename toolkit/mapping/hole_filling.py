@@ -55,6 +55,8 @@ def fill_holes(
     """
     covered = densification.covered(view).cpu().numpy()
     holes = ~covered & ~(keyframe.depth_m.numpy() > 0)
+    if keyframe.transient is not None:
+        holes &= ~keyframe.transient.numpy()
     if holes.mean() < _MIN_HOLE or not covered.any():
         return 0
     depth_m = inferred_depth(np.where(covered, view.depth_m.cpu().numpy(), 0.0))

@@ -65,7 +65,8 @@ class IntermediateFrames:
         T_map_camera: NDArray[np.float64],
         exposure: Exposure,
     ) -> None:
-        """Add a tracked frame after a keyframe."""
+        """Add a tracked frame after a keyframe, whose white balance it is given."""
+        exposure = exposure.with_balance(keyframe.exposure.balance)
         T_keyframe_camera = se3.inverse(keyframe.T_map_camera) @ T_map_camera
         self._frames.append(IntermediateFrame(frame, keyframe.index, T_keyframe_camera, exposure))
 
@@ -124,7 +125,7 @@ class IntermediateFrames:
             T_keyframe_camera = own.pop("T_keyframe_camera")
             camera = Camera(**saved["camera"])
             frame = Frame(saved["index"], saved["timestamp_s"], camera=camera, **own)
-            exposure = Exposure(**saved["exposure"])
+            exposure = Exposure.from_values(saved["exposure"])
             self._frames.append(
                 IntermediateFrame(frame, saved["keyframe"], T_keyframe_camera, exposure)
             )

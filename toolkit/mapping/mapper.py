@@ -27,11 +27,13 @@ from toolkit.mapping.free_space import DepthView, Evidence, contradicted, seen_t
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
+from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.observations import Observations
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.white_balance import WhiteBalance
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.tracking.health import has_depth
 
@@ -61,6 +63,7 @@ class Mapper:
         device: device that stores and optimises the map, "cpu" or "cuda".
 
     Attributes:
+        white_balance: estimates that of keyframes.
         keyframe_choice: decides which tracked frames become keyframes.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
@@ -82,6 +85,7 @@ class Mapper:
         self.map = GaussianMap(rates, self.semantics.channels, self.device, self.options.centred)
         self.keyframe_choice: KeyframeChoice = self.options.keyframes
         self.deferred: DeferredSteps | None = None
+        self.white_balance = WhiteBalance(self.options.white_balance)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -123,6 +127,8 @@ class Mapper:
         """
         if self.semantics.channels == 0:
             keyframe.class_ids = None
+        with self._recorder.timed("white balance"):
+            self.white_balance.estimate(keyframe, self.keyframes)
         self.keyframes.append(keyframe)
         self.semantics.observe(keyframe.class_ids)
         observed = self._observations.of(keyframe)
@@ -135,7 +141,12 @@ class Mapper:
                 self._remove(contradicted(self.gaussians.means, keyframe, others, free_space))
         before = len(self.gaussians)
         with self._recorder.timed("seeding"):
-            seeded = self._densification.seed(self.map, keyframe, self.view(keyframe), observed)
+            view, options = self.view(keyframe), self.options
+            hide_moving_objects(
+                keyframe, view, others, options.moving_objects, options.min_silhouette
+            )
+            observed = self._observations.of(keyframe)
+            seeded = self._densification.seed(self.map, keyframe, view, observed)
         if free_space.use and others and seeded:
             with self._recorder.timed("free space"):
                 mask = seen_through(self.gaussians.means[before:], others, free_space)
@@ -245,6 +256,8 @@ class Mapper:
 
     def refine(self) -> None:
         """Refine the map over all keyframes, at the end of a run; see `refinement.py`."""
+        with self._recorder.timed("white balance"):
+            self.white_balance.adjust(self.keyframes)
         if self.semantics.channels and self.options.consensus.use:
             with self._recorder.timed("map consensus"):
                 self.map.gaussians = label_consensus(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.frame import Recorder
@@ -84,11 +86,15 @@ class MapOptimisation:
                 self._backend, gaussian_map.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed("map loss"):
+            images, moving = view.forward_pass.images, observed.transient
+            # Equal colours: pixels and windows beside a moving object are compared without it.
+            rgb = _replaced(rgb, images[COLOUR], moving)
             if view.centred_colours:
-                rgb = resample_at_centres(rgb, view)
-            images = view.forward_pass.images
+                rgb = _replaced(resample_at_centres(rgb, view), images[COLOUR], moving)
             gradient = images.new_empty(len(images) - 3, *images.shape[1:])
             loss, _ = rgbd_loss(view, rgb, depth_m, self._options.loss, gradient[:BASE_CHANNELS])
+            if moving is not None:
+                gradient[COLOUR].masked_fill_(moving, 0.0)
             if observed.inferred is not None:
                 weigh_depth(gradient, images, observed.inferred, self._options.inferred_depth)
             if keyframe.prior_m is not None and self._options.depth_adjustment.use:
@@ -129,3 +135,8 @@ class MapOptimisation:
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         step = adam.step(pose_gradient(matrix_gradient, T_camera_map))
         keyframe.T_map_camera = se3.orthonormalise(se3.inverse(se3.exp(step) @ T_camera_map))
+
+
+def _replaced(rgb: Tensor, other: Tensor, mask: Tensor | None) -> Tensor:
+    """The colours [3, H, W] with those of another image within a mask [H, W]."""
+    return rgb if mask is None else torch.where(mask, other, rgb)

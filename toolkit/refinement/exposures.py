@@ -1,8 +1,8 @@
 """Exposure compensation between submaps.
 
 With automatic exposure, each submap has the exposure of its anchor. Where two submaps overlap,
-their colours differ by a gain and a bias. The exposure of every submap relative to the first one
-is estimated from all overlapping pairs.
+their colours differ by a gain and a bias, and by their white balance. The exposure of every submap
+relative to the first one is estimated from all overlapping pairs.
 
 The estimate of a pair is symmetric (`exposure_between`). Ordinary least squares from one submap to
 the next underestimates the gain when colours are noisy: after twenty submaps a quarter of the
@@ -17,13 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.exposure import IntensityStatistics, exposure_between
-from toolkit.exposure import Exposure
+from toolkit.alignment.white_balance import (
+    BalanceLink,
+    balance_difference,
+    balance_gains,
+    is_neutral,
+    solve_balances,
+)
+from toolkit.exposure import NEUTRAL, Balance, Exposure
 
 # Minimum number of common voxels of a pair.
 _MIN_COMMON = 100
 # Scale of the robust weight; larger colour differences are not caused by exposure.
 _SCALE = 0.05
 _ROUNDS = 10
+# Smaller changes of a channel's gain are ignored: colours of Gaussians are less accurate than those
+# of images.
+_MIN_CHANGE = 0.02
+# Weight of neutral balances, relative to a pair: submaps of a run share the reference of their
+# first keyframes already.
+_BALANCE_PRIOR = 0.005
+# Scale of the robust weight of a pair's white balance, in logarithms.
+_BALANCE_SCALE = 0.05
 # Weight of the prior that keeps the exposure of a submap without overlaps.
 _PRIOR = 1.0
 
@@ -50,22 +65,60 @@ def estimate_exposures(submaps: dict[int, Voxels]) -> dict[int, Exposure]:
     """
     numbers = sorted(submaps)
     links = []
+    pairs = []
     for k, b in enumerate(numbers):
         for i, a in enumerate(numbers[:k]):
             first, second = _common(submaps[a], submaps[b])
-            if len(first) >= 3 * _MIN_COMMON:
-                links.append(_link(i, k, first, second))
+            if len(first) >= _MIN_COMMON:
+                links.append(_link(i, k, first.T.ravel(), second.T.ravel()))
+                pairs.append((first, second))
     gains = np.exp(_potentials(len(numbers), links, [np.log(link.gain) for link in links]))
     biases = _potentials(len(numbers), links, [gains[x.first] * x.bias for x in links])
-    return {n: Exposure(float(gains[k]), float(biases[k])) for k, n in enumerate(numbers)}
+    exposures = [Exposure(float(g), float(b)) for g, b in zip(gains, biases, strict=True)]
+    balances = _balances([submaps[n][1] for n in numbers], exposures, links, pairs)
+    return {
+        n: exposure.with_balance(balance)
+        for n, exposure, balance in zip(numbers, exposures, balances, strict=True)
+    }
 
 
 def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:
-    """Colours [3 M] of the voxels common to both submaps, channel by channel."""
+    """Colours [M, 3] of the voxels common to both submaps."""
     _, in_a, in_b = np.intersect1d(a[0], b[0], assume_unique=True, return_indices=True)
-    first, second = a[1][in_a].T.ravel(), b[1][in_b].T.ravel()
-    known = np.isfinite(first) & np.isfinite(second)
+    first, second = a[1][in_a], b[1][in_b]
+    known = (np.isfinite(first) & np.isfinite(second)).all(axis=1)
     return first[known], second[known]
+
+
+def _balances(
+    colours: list[Array],
+    exposures: list[Exposure],
+    links: list[_Link],
+    pairs: list[tuple[Array, Array]],
+) -> list[Balance]:
+    """White balance of each submap after its gain and bias; neutral where it changes little.
+
+    Args:
+        colours: [V, 3] of all voxels, by submap.
+        pairs: colours [M, 3] of the common voxels of each link.
+    """
+    differences = []
+    for link, (first, second) in zip(links, pairs, strict=True):
+        adjusted = exposures[link.first].apply(first), exposures[link.second].apply(second)
+        difference = balance_difference(*adjusted)
+        if difference is not None:
+            differences.append(BalanceLink(link.first, link.second, difference))
+    balances = []
+    first_one = np.zeros((1, 3))
+    values = solve_balances(
+        first_one, len(colours), differences, prior=_BALANCE_PRIOR, scale=_BALANCE_SCALE
+    )
+    for own, exposure, value in zip(colours, exposures, values, strict=True):
+        solid = own[np.isfinite(own).all(axis=1)]
+        neutral = is_neutral(value, _MIN_CHANGE) or not len(solid)
+        mean = exposure.apply(solid).mean(axis=0) if len(solid) else np.ones(3)
+        balances.append(NEUTRAL if neutral else balance_gains(value, mean))
+    return balances
 
 
 def _link(a: int, b: int, first: Array, second: Array) -> _Link:

@@ -217,13 +217,14 @@ def _tracked(rows: list[dict[str, Any]], poses: NDArray[np.float64]) -> list[Tra
             index=int(row["index"]),
             timestamp_s=float(row["timestamp_s"]),
             T_map_camera=T_map_camera,
-            exposure=Exposure(float(row["gain"]), float(row["bias"])),
+            exposure=Exposure.from_values(row),
             held_out=bool(row["held_out"]),
         )
         for row, T_map_camera in zip(rows, poses, strict=True)
     ]
     for frame in tracked:
-        numbers = (frame.timestamp_s, frame.exposure.gain, frame.exposure.bias)
+        exposure = frame.exposure
+        numbers = (frame.timestamp_s, exposure.gain, exposure.bias, *exposure.balance)
         if frame.index < 0 or not np.isfinite(numbers).all():
             raise ValueError(f"the values of frame {frame.index} are out of range")
     return tracked

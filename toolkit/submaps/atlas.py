@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.exposure import NEUTRAL, Balance
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -60,6 +61,7 @@ class Atlas:
         self._anchors = [np.eye(4)]
         # Poses of the keyframes of each stored submap by frame index: small and used often.
         self._keyframes: list[dict[int, NDArray[np.float64]]] = []
+        self._balances: list[dict[int, Balance]] = []
         self._checkpoints: list[dict[str, int]] = []
         self._descriptors: list[NDArray[np.float32]] = [np.zeros((0, 0), np.float32)]
 
@@ -89,6 +91,7 @@ class Atlas:
             self._anchors.append(submap.T_world_submap)
             self._descriptors.append(submap.descriptors)
             self._keyframes.append({k.index: k.T_map_camera for k in submap.keyframes})
+            self._balances.append(_balances(submap.keyframes))
             self._store.put(submap)
         self.saved = len(self._anchors)
 
@@ -105,6 +108,12 @@ class Atlas:
         if self._in_mapper(number):
             return {k.index: k.T_map_camera for k in self.mapper.keyframes}
         return self._keyframes[number]
+
+    def keyframe_balances(self, number: int) -> dict[int, Balance]:
+        """White balance of a submap's keyframes by frame index, in order."""
+        return (
+            _balances(self.mapper.keyframes) if self._in_mapper(number) else self._balances[number]
+        )
 
     def _in_mapper(self, number: int) -> bool:
         """Whether a submap is the active one; after `store_active` there is none."""
@@ -149,6 +158,7 @@ class Atlas:
             self.mapper.replace_content(submap.content)
             return
         self._keyframes[number] = {k.index: k.T_map_camera for k in submap.keyframes}
+        self._balances[number] = _balances(submap.keyframes)
         self._store.put(submap)
 
     def judge(self) -> AllocationVerdict | None:
@@ -191,6 +201,10 @@ class Atlas:
         if not inherit:
             empty = source.gaussians.select(_NO_INDICES)
             source = replace(source, gaussians=empty, steps=_NO_INDICES.int())
+        else:
+            located = replace(anchor, T_map_camera=T_submap_camera)
+            self.mapper.white_balance.estimate(located, source.keyframes)
+            anchor = replace(located, T_map_camera=anchor.T_map_camera)
         self._start(anchor, source, T_submap_camera)
 
     def _start(
@@ -216,6 +230,7 @@ class Atlas:
         """Move the active submap to the store; afterwards no submap is active."""
         active = self.submap(self.active)
         self._keyframes.append({k.index: k.T_map_camera for k in active.keyframes})
+        self._balances.append(_balances(active.keyframes))
         self._store.put(active)
 
     def readable(self) -> list[int]:
@@ -252,6 +267,8 @@ class Atlas:
         for number, poses in enumerate(self._keyframes):
             arrays[f"indices/{number}"] = np.array(list(poses), np.int64)
             arrays[f"poses/{number}"] = np.array(list(poses.values())).reshape(-1, 4, 4)
+            balances = list(self._balances[number].values())
+            arrays[f"balances/{number}"] = np.array(balances).reshape(-1, 3)
         verdicts = [verdict.values() for verdict in self.verdicts]
         values = {"store": self._store.state(), "verdicts": verdicts, "saved": self.saved}
         return arrays, values
@@ -269,10 +286,26 @@ class Atlas:
             for n in range(count)
             if f"indices/{n}" in arrays
         ]
+        self._balances = [_restored(poses, arrays, n) for n, poses in enumerate(self._keyframes)]
         self.saved = int(values["saved"])
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
         self.unreadable = self._store.restore(values["store"])
         self._checkpoints = [dict(values["store"])]
+
+
+def _balances(keyframes: Iterable[Keyframe]) -> dict[int, Balance]:
+    return {keyframe.index: keyframe.exposure.balance for keyframe in keyframes}
+
+
+def _restored(
+    indices: Iterable[int], arrays: dict[str, NDArray], number: int
+) -> dict[int, Balance]:
+    """White balance of a submap's keyframes; neutral in checkpoints of older versions."""
+    rows = arrays.get(f"balances/{number}")
+    if rows is None:
+        return dict.fromkeys(indices, NEUTRAL)
+    values = [(float(r), float(g), float(b)) for r, g, b in rows]
+    return dict(zip(indices, values, strict=True))
 
 
 def visible_gaussians(

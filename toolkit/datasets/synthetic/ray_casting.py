@@ -18,7 +18,7 @@ from toolkit.geometry.open3d_bridge import open3d
 
 # Models the lens and demosaicking of a real camera. Images have the local contrast of real ones
 # (4.3 grey levels between neighbouring pixels at 320x240, as in 7-Scenes) and no aliasing.
-_LENS_BLUR_PIXELS = 0.6
+LENS_BLUR_PIXELS = 0.6
 _MISS = np.uint32(0xFFFFFFFF)
 
 
@@ -31,12 +31,14 @@ class View:
         depth_m: [H, W] float32 z-depth at pixel centres, 0 where no surface is hit.
         labels: [H, W] int32 class ids at pixel centres, 0 where no surface is hit.
         cosine: [H, W] float32 cosine of the angle between ray and normal at pixel centres.
+        walker: [H, W] bool, pixels that show a walker at least in part; None without one.
     """
 
     rgb: NDArray[np.float32]
     depth_m: NDArray[np.float32]
     labels: NDArray[np.int32]
     cosine: NDArray[np.float32]
+    walker: NDArray[np.bool_] | None = None
 
 
 class Scene:
@@ -129,7 +131,7 @@ class Scene:
         colour = self.atlas.sample(here[:, :2], level.astype(np.float32))
         colour *= (here[:, 2] * hit / 255.0)[:, None]
         image = colour.reshape(fine.height, fine.width, 3)
-        image = cv2.GaussianBlur(image, (0, 0), _LENS_BLUR_PIXELS * samples)
+        image = cv2.GaussianBlur(image, (0, 0), LENS_BLUR_PIXELS * samples)
         image = cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)
         return np.clip(image, 0.0, 1.0).astype(np.float32)
 

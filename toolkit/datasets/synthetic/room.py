@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from toolkit.datasets.synthetic import writer
 from toolkit.datasets.synthetic.layouts import LAYOUTS, Layout, build_scene
 from toolkit.datasets.synthetic.paths import hand_held_path
-from toolkit.datasets.synthetic.ray_casting import Scene
+from toolkit.datasets.synthetic.ray_casting import Scene, View
 from toolkit.datasets.synthetic.sensor import Sensor, SensorModel
 from toolkit.datasets.synthetic.unseen import poses_off_the_path
+from toolkit.datasets.synthetic.walker import Walker
 from toolkit.errors import SettingsError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
@@ -26,7 +27,7 @@ RATE_HZ = 30.0
 # Number of frames of the default room at walking pace; other layouts compute it from the path.
 _ROOM_FRAMES = 300
 # Identifiers of random streams; 1 is used for furniture.
-_SWAY, _SENSOR, _UNSEEN = 2, 3, 4
+_SWAY, _SENSOR, _UNSEEN, _WALKER = 2, 3, 4, 5
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +46,8 @@ class RoomSettings:
         share: fraction of the path to use, in (0, 1].
         width, height: image size in pixels, at least 16.
         sensor: simulated effects of a real camera, or None for ideal images.
-        unseen: number of test views off the path, which are always ideal.
+        unseen: number of test views off the path, which are always ideal and without a walker.
+        walker: whether a person walks through the view for a part of the sequence.
     """
 
     layout: str = "room"
@@ -56,6 +58,7 @@ class RoomSettings:
     height: int = 240
     sensor: SensorModel | None = field(default=None)
     unseen: int = 20
+    walker: bool = False
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
@@ -107,7 +110,10 @@ def make_room(
     scene = build_scene(layout, settings.seed, _texel_m(settings))
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
-    frames: Iterable[Frame] = _frames(scene, settings, poses)
+    views = _views(scene, settings, poses)
+    if settings.walker:
+        views = writer.with_walker_masks(path, views)
+    frames: Iterable[Frame] = _frames(views, camera)
     if progress is not None:
         frames = progress(frames, len(poses))
     writer.write_sequence(path, frames, camera, poses)
@@ -134,7 +140,7 @@ def tiny_room(
     layout = LAYOUTS[settings.layout]()
     poses = _poses(layout, settings)
     scene = _shared_scene(settings.layout, seed, _texel_m(settings))
-    made = list(_frames(scene, settings, poses))
+    made = list(_frames(_views(scene, settings, poses), settings.camera))
     return made, Trajectory(np.arange(frames) / RATE_HZ, poses)
 
 
@@ -156,19 +162,24 @@ def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
     return hand_held_path(layout.way_points, frames, settings.share, settings.stream(_SWAY))
 
 
-def _frames(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[Frame]:
-    """Yield the frames along the path."""
-    camera = settings.camera
-    if settings.sensor is None:
-        yield from _ideal_frames(scene, camera, poses)
-        return
-    sensor = Sensor(settings.sensor, camera, poses, settings.stream(_SENSOR))
+def _views(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[View]:
+    """Yield what the camera sees along the path."""
+    camera, sensor, walker = settings.camera, None, None
+    if settings.walker:
+        walker = Walker(scene, poses, _texel_m(settings), settings.stream(_WALKER))
+    if settings.sensor is not None:
+        sensor = Sensor(settings.sensor, camera, poses, settings.stream(_SENSOR))
     for index, T_world_camera in enumerate(poses):
-        view = sensor.observe(index, scene.render(camera, T_world_camera))
+        view = scene.render(camera, T_world_camera)
+        if walker is not None:
+            view = walker.add_to(index, view, camera, T_world_camera)
+        yield view if sensor is None else sensor.observe(index, view)
+
+
+def _frames(views: Iterable[View], camera: Camera) -> Iterator[Frame]:
+    for index, view in enumerate(views):
         yield Frame(index, index / RATE_HZ, view.rgb, view.depth_m, camera, view.labels)
 
 
 def _ideal_frames(scene: Scene, camera: Camera, poses: NDArray) -> Iterator[Frame]:
-    for index, T_world_camera in enumerate(poses):
-        view = scene.render(camera, T_world_camera)
-        yield Frame(index, index / RATE_HZ, view.rgb, view.depth_m, camera, view.labels)
+    return _frames((scene.render(camera, T) for T in poses), camera)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.synthetic.imperfections import (
+    white_balance_gains,
+    with_flying_pixels,
+    without_reflections,
+)
 from toolkit.datasets.synthetic.ray_casting import View
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -32,6 +37,9 @@ class SensorModel:
         exposure_drift: the gain varies slowly by up to 8 %.
         colour_noise: standard deviation 1 % of white, independent per pixel and channel.
         label_noise: label borders are displaced and some blobs get a wrong class.
+        white_balance: exposure and white balance change the gain of each channel smoothly.
+        flying_pixels: depth beside depth edges lies between both surfaces.
+        reflections: depth is missing on shiny objects at most angles.
     """
 
     axial_noise: bool = True
@@ -41,6 +49,31 @@ class SensorModel:
     exposure_drift: bool = True
     colour_noise: bool = True
     label_noise: bool = True
+    white_balance: bool = False
+    flying_pixels: bool = False
+    reflections: bool = False
+
+    @classmethod
+    def of(cls, noise: bool, real: bool) -> SensorModel | None:
+        """The effects of `semsplat make-room`, None for an ideal camera.
+
+        Args:
+            noise: those of `--sensor-noise`. real: those of `--real`.
+        """
+        if not noise and not real:
+            return None
+        return cls(
+            axial_noise=noise,
+            quantisation=noise,
+            holes=True,
+            motion_blur=noise,
+            exposure_drift=noise,
+            colour_noise=noise,
+            label_noise=noise,
+            white_balance=real,
+            flying_pixels=real,
+            reflections=real,
+        )
 
 
 class Sensor:
@@ -60,17 +93,20 @@ class Sensor:
         self._camera = camera
         self._poses = np.asarray(T_world_camera, dtype=np.float64)
         self._phases = rng.uniform(0.0, 2 * math.pi, 2)
-        self._streams = rng.spawn(len(self._poses))
+        *self._streams, slow = rng.spawn(len(self._poses) + 1)
+        self._gains = white_balance_gains(len(self._poses), slow).astype(np.float32)
 
     def observe(self, index: int, view: View) -> View:
         """Apply the sensor model to the view of frame `index`."""
         model = self._model
-        colour, depth, wrong = self._streams[index].spawn(3)
+        colour, depth, wrong, edges, shine = self._streams[index].spawn(5)
         rgb, depth_m, labels = view.rgb, view.depth_m, view.labels
         if model.motion_blur:
             rgb = _motion_blurred(rgb, depth_m, self._camera, self._motion(index))
         if model.exposure_drift:
             rgb = rgb * self._gain(index)
+        if model.white_balance:
+            rgb = rgb * self._gains[index]
         if model.colour_noise:
             rgb = rgb + 0.01 * colour.standard_normal(rgb.shape, dtype=np.float32)
         if model.axial_noise:
@@ -79,14 +115,14 @@ class Sensor:
             depth_m = _quantised(depth_m)
         if model.holes:
             depth_m = _with_holes(depth_m, view, depth)
+        if model.flying_pixels:
+            depth_m = with_flying_pixels(depth_m, view.depth_m, edges)
+        if model.reflections:
+            depth_m = without_reflections(depth_m, view.labels, view.cosine, shine)
         if model.label_noise:
             labels = _wrong_labels(labels, wrong)
-        return View(
-            np.clip(rgb, 0.0, 1.0).astype(np.float32),
-            depth_m.astype(np.float32),
-            labels,
-            view.cosine,
-        )
+        rgb = np.clip(rgb, 0.0, 1.0).astype(np.float32)
+        return replace(view, rgb=rgb, depth_m=depth_m.astype(np.float32), labels=labels)
 
     def _motion(self, index: int) -> NDArray[np.float64]:
         """Return T_next_now [4, 4] to the next frame; the last one repeats the previous motion."""

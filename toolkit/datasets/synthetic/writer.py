@@ -6,14 +6,14 @@ Colour images are PNG files, because JPEG artefacts would limit the PSNR to abou
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic.ray_casting import Scene
+from toolkit.datasets.synthetic.ray_casting import Scene, View
 from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
@@ -22,6 +22,7 @@ from toolkit.geometry.open3d_bridge import open3d
 
 DEPTH_SCALE = 6553.5
 MARKER = "room.json"
+WALKER = "walker"
 
 
 def prepare_folder(path: Path) -> None:
@@ -38,14 +39,32 @@ def prepare_folder(path: Path) -> None:
         for folder in (path, path / "unseen"):
             for name in ("results", "labels"):
                 (folder / name).mkdir(parents=True, exist_ok=True)
-                for old in (folder / name).glob("*.png"):
-                    old.unlink()
+                _remove_images(folder / name)
+        _remove_images(path / WALKER)
         # Empty until the room is complete, so that an interrupted room can be recreated.
         (path / MARKER).write_text("")
     except OSError as error:
         raise DatasetError(
             f"cannot write {path}: {error.strerror}; choose another folder"
         ) from error
+
+
+def _remove_images(folder: Path) -> None:
+    for old in folder.glob("*.png"):
+        old.unlink()
+
+
+def with_walker_masks(path: Path, views: Iterable[View]) -> Iterator[View]:
+    """Write the walker's mask of each view that passes: 255 where it is visible, 0 elsewhere."""
+    for index, view in enumerate(views):
+        if view.walker is not None:
+            name = path / WALKER / f"walker{index:06d}.png"
+            try:
+                name.parent.mkdir(exist_ok=True)
+            except OSError as error:
+                raise DatasetError(f"cannot write {name.parent}: {error.strerror}") from error
+            _write_png(name, 255 * view.walker.astype(np.uint8))
+        yield view
 
 
 def write_sequence(

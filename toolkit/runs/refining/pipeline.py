@@ -148,7 +148,7 @@ def _change(assembled: Assembled, number: int) -> Exposure:
     """Exposure of the old map relative to the new one, as far as a submap shows it."""
     old = assembled.exposures_before.get(number, IDENTITY)
     new = assembled.exposures.get(number, IDENTITY)
-    return new.after(Exposure(1.0 / old.gain, -old.bias / old.gain))
+    return new.after(old.inverse())
 
 
 def _report(work: Work, anchors: Anchors, results: list[PairResult]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -53,10 +54,10 @@ def moved_frames(
         text = path.read_bytes()
     rows = []
     for row, number in zip(frames["frames"], submaps, strict=True):
-        exposure = Exposure(row["gain"], row["bias"])
+        exposure = Exposure.from_values(row)
         if number in exposures:
             exposure = exposures[number].after(exposure)
-        rows.append(row | {"gain": exposure.gain, "bias": exposure.bias})
+        rows.append(row | asdict(exposure))
     anchored = [
         row | {"T_world_submap": T_new[row["number"]].tolist()} if row["number"] in T_new else row
         for row in frames["submaps"]

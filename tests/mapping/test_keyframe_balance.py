@@ -1,0 +1,140 @@
+"""White balance of keyframes: one reference for the map, whatever the images show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.painted_box import box_frames, path
+from toolkit.exposure import NEUTRAL, Exposure
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.options import WhiteBalanceOptions
+from toolkit.mapping.white_balance import WhiteBalance
+
+POSES = path(12)
+FRAMES = box_frames(POSES, 160, 120)
+
+
+def keyframes(gains: np.ndarray) -> list[Keyframe]:
+    """Views of the box, with gains [N, 3] of their channels."""
+    return [
+        Keyframe.from_frame(
+            replace(frame, rgb=(frame.rgb * gain).clip(0.0, 1.0).astype(np.float32)), T
+        )
+        for frame, T, gain in zip(FRAMES, POSES, gains, strict=False)
+    ]
+
+
+def estimated(views: list[Keyframe], **options: object) -> list[Keyframe]:
+    white_balance = WhiteBalance(replace(WhiteBalanceOptions(), **options))
+    for number, view in enumerate(views):
+        white_balance.estimate(view, views[:number])
+    return views
+
+
+def error(view: Keyframe, gain: np.ndarray) -> float:
+    """Largest deviation of the hue from that of the reference, as a fraction."""
+    total = np.array(view.exposure.balance) * gain
+    return float(np.abs(total / total.mean() - 1.0).max())
+
+
+def drift(step: float) -> np.ndarray:
+    numbers = np.arange(len(FRAMES))[:, None]
+    return 0.8 * np.exp(numbers * step * np.array([1.0, 0.0, -1.0]))
+
+
+@pytest.mark.parametrize("step", [0.004, 0.03])
+def test_drift_is_followed_even_in_steps_below_the_threshold(step):
+    views = estimated(keyframes(drift(step)))
+    assert views[0].exposure.balance == NEUTRAL
+    assert error(views[-1], np.ones(3)) > 5 * step
+    assert error(views[-1], drift(step)[-1]) < 0.004
+
+
+def test_constant_white_balance_changes_nothing():
+    for view in estimated(keyframes(np.ones((len(FRAMES), 3)))):
+        assert view.exposure == Exposure()
+
+
+def test_all_keyframes_are_adjusted_jointly():
+    views = estimated(keyframes(drift(0.02)))
+    wrong = replace(views[6], log_balance=np.array([0.1, 0.0, -0.1]))
+    views[6] = wrong
+    WhiteBalance(WhiteBalanceOptions()).adjust(views)
+    assert max(error(v, g) for v, g in zip(views, drift(0.02), strict=True)) < 0.004
+
+
+def test_a_red_wall_does_not_turn_the_balance():
+    views = keyframes(np.ones((len(FRAMES), 3)))
+    for share, view in zip(np.linspace(0.0, 1.0, len(views)), views, strict=True):
+        # The wall enters from the right, until nothing else is in view.
+        first = round((1.0 - share) * view.rgb.shape[2])
+        view.rgb[:, :, first:] = torch.tensor([180, 12, 10], dtype=torch.uint8)[:, None, None]
+    for view in estimated(views):
+        # A narrow strip of the box is left in the last but one.
+        assert np.abs(view.log_balance if view.log_balance is not None else 0.0).max() < 0.012
+    # Where only the wall is in view, the balance stays as it was.
+    np.testing.assert_allclose(views[-1].log_balance, views[-2].log_balance, rtol=0.02)
+
+
+def test_the_other_side_of_a_thin_wall_is_another_surface():
+    """The second camera faces the first one, at the same wall of another colour."""
+    opposite = np.diag([-1.0, 1.0, -1.0, 1.0])
+    opposite[2, 3] = 4.0
+    rng, views = np.random.default_rng(0), []
+    for number, (T, hue) in enumerate([(np.eye(4), [0.5, 0.5, 0.5]), (opposite, [0.6, 0.5, 0.4])]):
+        rgb = (rng.uniform(0.8, 1.2, (120, 160, 1)) * hue).astype(np.float32)
+        depth_m = np.full((120, 160), 2.0, np.float32)
+        frame = replace(FRAMES[0], index=number, rgb=rgb, depth_m=depth_m)
+        views.append(Keyframe.from_frame(frame, T))
+    assert estimated(views)[1].exposure.balance == NEUTRAL
+
+
+@pytest.mark.parametrize("brightness", [0.05, 4.0])
+def test_dark_and_saturated_images_stay_neutral(brightness):
+    gains = np.tile([1.0, 1.0, 0.8], (len(FRAMES), 1)) * brightness
+    gains[0] = 1.0
+    for view in estimated(keyframes(gains)[:4]):
+        assert view.exposure.balance == NEUTRAL
+
+
+def test_the_target_is_in_the_reference_of_the_first_keyframe():
+    views = estimated(keyframes(drift(0.03)))
+    first, last = (view.target_rgb().mean(dim=(1, 2)).numpy() for view in (views[0], views[-1]))
+    observed = views[-1].rgb.numpy().mean(axis=(1, 2))
+    hue, turned = last[0] / last[2], observed[0] / observed[2]
+    assert hue == pytest.approx(first[0] / first[2], rel=0.05)
+    assert turned > 1.5 * hue
+
+
+def test_it_can_be_switched_off():
+    for view in estimated(keyframes(drift(0.03)), use=False):
+        assert view.exposure.balance == NEUTRAL and view.log_balance is None
+
+
+def test_a_checkpoint_contains_it():
+    view = estimated(keyframes(drift(0.03)))[-1]
+    restored = Keyframe.from_state(view.arrays(), view.values())
+    assert restored.exposure == view.exposure
+    np.testing.assert_array_equal(restored.log_balance, view.log_balance)
+
+
+def test_checkpoints_of_older_versions_are_neutral():
+    view = keyframes(drift(0.0))[0]
+    values = view.values()
+    del values["balance"]
+    assert Keyframe.from_state(view.arrays(), values).exposure == view.exposure
+
+
+def test_exposures_are_undone_composed_and_inverted():
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0.2, 0.6, (4, 5, 3)).astype(np.float32)
+    first = Exposure(1.3, 0.02, balance=(1.1, 1.0, 0.8))
+    second = Exposure(0.9, 0.0, balance=(0.9, 1.0, 1.2))
+    np.testing.assert_allclose(first.undo(first.apply(image)), image, atol=1e-6)
+    both = second.after(first)
+    np.testing.assert_allclose(both.apply(image), second.apply(first.apply(image)), atol=1e-6)
+    np.testing.assert_allclose(second.inverse().apply(second.apply(image)), image, atol=1e-6)

@@ -1,0 +1,103 @@
+"""A room whose images change their white balance: the map has that of the first image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.slam.slam_room import FEW, first_steps
+from toolkit.camera_path import CameraPath
+from toolkit.evaluation.images import psnr_db
+from toolkit.exposure import NEUTRAL, Exposure
+from toolkit.frame import Frame
+from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import WhiteBalanceOptions
+from toolkit.rendering import render
+from toolkit.result import SlamResult
+from toolkit.slam import Slam
+from toolkit.tracking.dense import DenseTracker
+
+FRAMES = first_steps(20).frames
+
+
+def drifting(frame: Frame) -> Frame:
+    gains = np.exp(0.015 * frame.index * np.array([1.0, 0.0, -1.0]))
+    return replace(frame, rgb=(frame.rgb * gains).clip(0.0, 1.0).astype(np.float32))
+
+
+def mapped(seen: Callable[[Frame], Frame] = drifting, use: bool = True) -> SlamResult:
+    options = replace(FEW, white_balance=WhiteBalanceOptions(use=use))
+    slam = Slam(DenseTracker(), Mapper(options, np.random.default_rng(0)))
+    for frame in FRAMES:
+        slam.process_frame(seen(frame))
+    return slam.finish()
+
+
+def clean_psnr_db(result: SlamResult) -> float:
+    """Mean PSNR of the map, as it is, against the images without drift."""
+    poses = result.trajectory.T_world_camera
+    return float(
+        np.mean(
+            [
+                psnr_db(render(result.gaussians, f.camera, se3.inverse(T)).colour, f.rgb)
+                for f, T in zip(FRAMES, poses, strict=True)
+            ]
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def result() -> SlamResult:
+    return mapped()
+
+
+def test_the_map_has_the_colours_of_the_first_image(result):
+    clean = clean_psnr_db(result)
+    assert clean > clean_psnr_db(mapped(lambda frame: frame)) - 1.5
+    assert clean > clean_psnr_db(mapped(use=False)) + 3.0
+
+
+def test_the_exposure_of_each_frame_contains_its_white_balance(result):
+    # Frames after the last keyframe have the white balance of that keyframe.
+    count = result.keyframe_indices[-1] + 1
+    for frame, exposure in zip(FRAMES[:count], result.exposures[:count], strict=True):
+        red, _, blue = exposure.balance
+        assert np.log(blue / red) == pytest.approx(0.03 * frame.index, abs=0.02)
+    assert result.exposures[0] == Exposure()
+
+
+def test_constant_white_balance_changes_nothing():
+    estimated, off = mapped(lambda frame: frame), mapped(lambda frame: frame, use=False)
+    assert np.array_equal(estimated.gaussians.colours, off.gaussians.colours)
+    assert estimated.exposures == off.exposures
+    assert all(exposure.balance == NEUTRAL for exposure in estimated.exposures)
+
+
+def test_submaps_share_the_reference_of_the_first():
+    slam = Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(0)))
+    for frame in FRAMES:
+        slam.process_frame(drifting(frame))
+    atlas, last = slam.atlas, slam.mapper.keyframes[-1]
+    frame, T_submap_camera = drifting(FRAMES[last.index]), last.T_map_camera
+    balance = last.exposure.balance
+    # A submap that starts at the last keyframe, and one where the camera is relocalised.
+    atlas.start_next()
+    assert slam.mapper.keyframes[0].exposure.balance == balance
+    anchor = Keyframe.from_frame(frame, np.eye(4), last.exposure.with_balance(NEUTRAL))
+    atlas.start_at(anchor, 0, T_submap_camera)
+    np.testing.assert_allclose(slam.mapper.keyframes[0].exposure.balance, balance, rtol=0.01)
+    assert atlas.keyframe_balances(0)[last.index] == balance
+
+
+def test_checkpoints_of_older_versions_are_neutral():
+    path = CameraPath()
+    exposure = {"gain": 1.2, "bias": 0.1}
+    tracked = {"index": 3, "timestamp_s": 0.1, "submap": 0, "keyframe": 0, "exposure": exposure}
+    values = {"tracked": [tracked], "lost_frames": [], "lost_in_a_row": 0, "dropped_frames": []}
+    path.restore({"T_keyframe_camera": np.eye(4)[None]}, values)
+    assert path.state()[1]["tracked"][0]["exposure"] == {**exposure, "balance": NEUTRAL}

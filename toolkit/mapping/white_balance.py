@@ -1,0 +1,213 @@
+"""White balance of keyframes relative to the first one, which is the reference of the map.
+
+The images of keyframes are compared with each other, not with the map: a map follows slow changes
+of its images, so that differences to it stay small while its colours drift. See
+`toolkit.alignment.white_balance` for the estimate.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.white_balance import (
+    BalanceDifference,
+    BalanceLink,
+    balance_difference,
+    balance_gains,
+    is_neutral,
+    solve_balances,
+)
+from toolkit.exposure import NEUTRAL
+from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.options import WhiteBalanceOptions
+
+Array = NDArray[np.float64]
+
+# Colours are compared at about this number of cells per row; averages contain little noise and
+# are robust against small errors of poses.
+_CELLS_PER_ROW = 80
+# Level of 8 bits from which a channel may be saturated.
+_SATURATED = 250
+# Maximum difference of the depths of a surface in two keyframes, as a fraction of depth.
+_SAME_SURFACE = 0.05
+# Minimum cosine of the angle at which two keyframes see a point. The two sides of a thin wall
+# differ in colour, and shiny surfaces look different from elsewhere.
+_MIN_COSINE = 0.5
+# Minimum fraction of a keyframe's points that an earlier one measured.
+_MIN_OVERLAP = 0.2
+# Maximum number of earlier keyframes whose overlap is computed; limits time in large maps.
+_MAX_CANDIDATES = 32
+_CACHED = 64
+# The white balance of a camera changes slowly.
+_UNCHANGED = BalanceDifference(np.zeros(3), 0.01)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Colours of a keyframe at a lower resolution.
+
+    Attributes:
+        size: width of a cell in pixels.
+        colours: [h, w, 3] float32 mean colours at the keyframe's gain and bias, 0 in cells with
+            saturated pixels.
+        points: [P, 3] measured points at the centres of cells, in camera coordinates.
+        of_points: [P, 3] colours of their cells.
+        mean: [3] mean colour of the image.
+    """
+
+    size: int
+    colours: NDArray[np.float32]
+    points: Array
+    of_points: NDArray[np.float32]
+    mean: Array
+
+    @classmethod
+    def of(cls, keyframe: Keyframe) -> _Cells:
+        """Divide the images of a keyframe into cells."""
+        size = max(1, round(keyframe.camera.width / _CELLS_PER_ROW))
+        height, width = (length // size for length in keyframe.depth_m.shape)
+        rgb = keyframe.rgb.permute(1, 2, 0).numpy()[: height * size, : width * size]
+        blocks = rgb.reshape(height, size, width, size, 3)
+        exposure = keyframe.exposure
+        means = blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255.0)
+        colours = (exposure.gain * means + exposure.bias).astype(np.float32)
+        mean = colours.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+        colours[(blocks >= _SATURATED).any(axis=(1, 3, 4))] = 0.0
+        rows, columns = np.arange(height) * size, np.arange(width) * size
+        depth_m = keyframe.measured_m.numpy()[np.ix_(rows + size // 2, columns + size // 2)]
+        used = (depth_m > 0) & (colours > 0).all(axis=-1)
+        camera, centre = keyframe.camera, 0.5 * (size - 1)
+        x = (columns[None] + centre - camera.cx) / camera.fx * depth_m
+        y = (rows[:, None] + centre - camera.cy) / camera.fy * depth_m
+        points = np.stack([x, y, depth_m], axis=-1).astype(np.float64)[used]
+        return cls(size, colours, points, colours[used], mean)
+
+
+class WhiteBalance:
+    """Estimates the white balance of keyframes; caches the cells of the last ones compared."""
+
+    def __init__(self, options: WhiteBalanceOptions) -> None:
+        self.options = options
+        self._cache: OrderedDict[tuple[int, float, float], _Cells] = OrderedDict()
+
+    def estimate(self, keyframe: Keyframe, others: Sequence[Keyframe]) -> None:
+        """Set the white balance of a new keyframe.
+
+        Args:
+            keyframe: at its pose; it changes.
+            others: keyframes of the same map, in order. Without any, the keyframe is a reference
+                and stays as it is.
+        """
+        chosen = self._chosen(keyframe, others) if self.options.use else []
+        if not chosen:
+            return
+        links = self._links(chosen, keyframe, len(chosen), range(len(chosen)))
+        known = np.array([_log_balance(k) for k in chosen])
+        values = solve_balances(known, len(chosen) + 1, links)
+        self._set(keyframe, values[-1], is_neutral(values[-1], self.options.min_change))
+
+    def adjust(self, keyframes: Sequence[Keyframe]) -> None:
+        """Set the white balance of all keyframes but the first jointly.
+
+        It stays neutral if that of no keyframe differs enough.
+        """
+        if not self.options.use or len(keyframes) < 2:
+            return
+        numbers = {id(keyframe): number for number, keyframe in enumerate(keyframes)}
+        links: list[BalanceLink] = []
+        for number, keyframe in enumerate(keyframes):
+            chosen = self._chosen(keyframe, keyframes[:number])
+            links += self._links(chosen, keyframe, number, [numbers[id(k)] for k in chosen])
+        values = solve_balances(_log_balance(keyframes[0])[None], len(keyframes), links)
+        neutral = is_neutral(values, self.options.min_change)
+        for keyframe, value in zip(keyframes[1:], values[1:], strict=True):
+            self._set(keyframe, value, neutral)
+
+    def _chosen(self, new: Keyframe, others: Sequence[Keyframe]) -> list[Keyframe]:
+        """Earlier keyframes that show the same surfaces: the newest ones, and evenly spaced others.
+
+        The others close loops within a map, which bounds the drift there.
+        """
+        newest = max(len(others) - self.options.recent, 0)
+        candidates = [*_spread(others[:newest], _MAX_CANDIDATES), *others[newest:]]
+        if not candidates:
+            return []
+        shown = new.fractions_seen_by(np.array([k.T_map_camera for k in candidates]))
+        points = new.points_in_map()
+        near = [
+            keyframe
+            for keyframe, fraction in zip(candidates, shown, strict=True)
+            if fraction >= _MIN_OVERLAP and keyframe.fraction_observed(points) >= _MIN_OVERLAP
+        ]
+        recent = self.options.recent
+        return [*_spread(near[:-recent], self.options.older), *near[-recent:]]
+
+    def _links(
+        self, chosen: Sequence[Keyframe], new: Keyframe, number: int, numbers: Sequence[int]
+    ) -> list[BalanceLink]:
+        """Links from some keyframes with `numbers` to a new one with a `number`."""
+        found = [self._difference(keyframe, new) for keyframe in chosen]
+        links = [
+            BalanceLink(other, number, difference)
+            for other, difference in zip(numbers, found, strict=True)
+            if difference is not None
+        ]
+        # Where no colours determine the balance, it stays as it was.
+        return [*links, BalanceLink(numbers[-1], number, _UNCHANGED)] if chosen else links
+
+    def _difference(self, old: Keyframe, new: Keyframe) -> BalanceDifference | None:
+        """Difference of the balances of two keyframes where both measured the same surface."""
+        cells, own = self._cells(old), self._cells(new)
+        T_old_new = se3.inverse(old.T_map_camera) @ new.T_map_camera
+        points = se3.transform_points(T_old_new, own.points)
+        height, width = cells.colours.shape[:2]
+        ahead = points[:, 2] > 0
+        uv = old.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+        cell = np.floor((uv + 0.5) / cells.size).astype(np.intp)
+        inside = ahead & (cell >= 0).all(axis=1) & (cell < (width, height)).all(axis=1)
+        z, uv, (column, row) = points[inside, 2], uv[inside], cell[inside].T
+        at = np.rint(uv).astype(np.intp)
+        depth_m = old.measured_m.numpy()[at[:, 1], at[:, 0]]
+        same = np.abs(z - depth_m) < _SAME_SURFACE * depth_m
+        same &= _cosines(points[inside], T_old_new[:3, 3]) > _MIN_COSINE
+        # No interpolation, which would smooth one of the images: the pair would not be symmetric.
+        colours = cells.colours[row[same], column[same]]
+        return balance_difference(colours, own.of_points[inside][same])
+
+    def _set(self, keyframe: Keyframe, log_balance: Array, neutral: bool) -> None:
+        keyframe.log_balance = log_balance
+        balance = NEUTRAL if neutral else balance_gains(log_balance, self._cells(keyframe).mean)
+        keyframe.exposure = keyframe.exposure.with_balance(balance)
+
+    def _cells(self, keyframe: Keyframe) -> _Cells:
+        exposure = keyframe.exposure
+        key = (keyframe.index, exposure.gain, exposure.bias)
+        if key not in self._cache:
+            self._cache[key] = _Cells.of(keyframe)
+            while len(self._cache) > _CACHED:
+                self._cache.popitem(last=False)
+        self._cache.move_to_end(key)
+        return self._cache[key]
+
+
+def _cosines(points: Array, centre: Array) -> Array:
+    """Cosines [P] of the angles at which the origin and another centre [3] see points [P, 3]."""
+    others = points - centre
+    lengths = np.linalg.norm(points, axis=1) * np.linalg.norm(others, axis=1)
+    return np.asarray((points * others).sum(axis=1) / np.maximum(lengths, 1e-9))
+
+
+def _spread(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:
+    """At most a number of keyframes, evenly spaced."""
+    places = np.linspace(0, len(keyframes) - 1, min(len(keyframes), count)).round().astype(int)
+    return [keyframes[place] for place in places]
+
+
+def _log_balance(keyframe: Keyframe) -> Array:
+    return np.zeros(3) if keyframe.log_balance is None else keyframe.log_balance
