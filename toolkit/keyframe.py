@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -303,6 +304,12 @@ class Keyframe:
         points = self.points @ R_transposed + T_others_self[:, None, :3, 3]
         inside, _ = self._projected(points)
         return np.asarray(inside.mean(axis=-1))
+
+
+def evenly_spaced(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:
+    """At most a number of keyframes, evenly spaced, including the first and the last."""
+    places = np.linspace(0, len(keyframes) - 1, min(len(keyframes), count)).round().astype(int)
+    return [keyframes[place] for place in places]
 
 
 def _not_behind(z_m: NDArray[np.float64], measured_m: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, as_plain, validated
 from toolkit.runs.locations import with_absolute_paths
-from toolkit.runs.settings import PresetName, RunSettings, load_settings
+from toolkit.runs.settings import PresetName, RunSettings, load_settings, overridden
 
 # Names of sequences and settings become names of folders.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -180,18 +180,9 @@ def _settings(path: Path, base: Path, sequence: str, name: str, plan: Plan) -> R
         validated(RunSettings, options, str(path), f"key '{where}.{{}}'".format)
     config = None if chosen.config is None else base / chosen.config
     values = as_plain(load_settings(config, chosen.preset))
-    values = _merged(_merged(values, chosen.options), planned.options)
+    values = overridden(overridden(values, chosen.options), planned.options)
     if planned.dataset.path is None:
         raise SettingsError(f"{path}: key 'sequences.{sequence}.dataset.path' is missing")
     values["dataset"] = as_plain(planned.dataset)
     settings = validated(RunSettings, values, f"{path}: {sequence} with {name}")
     return with_absolute_paths(settings, base)
-
-
-def _merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Return both nested dictionaries; the second one takes precedence."""
-    merged = dict(values)
-    for key, value in changes.items():
-        nested = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merged(merged[key], value) if nested else value
-    return merged

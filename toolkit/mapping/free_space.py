@@ -22,7 +22,7 @@ from torch import Tensor
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.keyframe import FREE_SPACE, FREE_SPACE_M, Keyframe
+from toolkit.keyframe import FREE_SPACE, FREE_SPACE_M, Keyframe, evenly_spaced
 from toolkit.mapping.options import FreeSpaceOptions
 
 # Distance in metres up to which depth has full confidence; the noise of triangulation grows with
@@ -142,7 +142,7 @@ def contradicted(
     mask = through > 0
     candidates = mask.nonzero().squeeze(1)
     some = means.index_select(0, candidates)
-    evidence = Evidence.of(some, _spread(others, options), whole_map=False)
+    evidence = Evidence.of(some, _views(others, options), whole_map=False)
     evidence.through.add_(through.index_select(0, candidates))
     return mask.index_copy(0, candidates, evidence.contradicts(options))
 
@@ -154,18 +154,15 @@ def seen_through(seeds: Tensor, others: Sequence[Keyframe], options: FreeSpaceOp
         seeds: [N, 3] points that a new keyframe measured.
         others: as in `contradicted`.
     """
-    evidence = Evidence.of(seeds, _spread(others, options), whole_map=False)
+    evidence = Evidence.of(seeds, _views(others, options), whole_map=False)
     evidence.support.add_(1.0)
     mask = evidence.contradicts(options)
     # Then the pose of the new keyframe is in doubt, not its depth.
     return mask if mask.sum() <= _MAX_DROPPED * len(mask) else torch.zeros_like(mask)
 
 
-def _spread(keyframes: Sequence[Keyframe], options: FreeSpaceOptions) -> list[DepthView]:
-    """Views of evenly spaced keyframes, including the first and the last."""
-    count = len(keyframes)
-    chosen = {round(i) for i in np.linspace(0, count - 1, min(count, options.views))}
-    return [DepthView.of(keyframes[i]) for i in sorted(chosen)]
+def _views(keyframes: Sequence[Keyframe], options: FreeSpaceOptions) -> list[DepthView]:
+    return [DepthView.of(keyframe) for keyframe in evenly_spaced(keyframes, options.views)]
 
 
 def empty_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.geometry import se3
-from toolkit.keyframe import FREE_SPACE, FREE_SPACE_M, Keyframe
+from toolkit.keyframe import FREE_SPACE, FREE_SPACE_M, Keyframe, evenly_spaced
 from toolkit.mapping.free_space import DepthView, Evidence
 from toolkit.mapping.options import MovingObjectOptions
 from toolkit.rendering import SurfaceView
@@ -153,9 +153,8 @@ def _has_moved(
     showing = [other for other in others if other.shows(points_map).mean() >= 0.5]
     if not showing:
         return False
-    spread = {round(i) for i in np.linspace(0, len(showing) - 1, min(len(showing), _MAX_VIEWS))}
     means = torch.from_numpy(points_map.astype(np.float32))
-    views = (DepthView.of(showing[i]) for i in sorted(spread))
+    views = (DepthView.of(other) for other in evenly_spaced(showing, _MAX_VIEWS))
     evidence = Evidence.of(means, views, whole_map=False)
     known = _was_hidden(points_map, keyframe, others)
     min_through = options.min_through * (_KNOWN_EVIDENCE if known else 1.0)

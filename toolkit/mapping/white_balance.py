@@ -24,7 +24,7 @@ from toolkit.alignment.white_balance import (
 )
 from toolkit.exposure import NEUTRAL
 from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
+from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.options import WhiteBalanceOptions
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ class WhiteBalance:
         The others close loops within a map, which bounds the drift there.
         """
         newest = max(len(others) - self.options.recent, 0)
-        candidates = [*_spread(others[:newest], _MAX_CANDIDATES), *others[newest:]]
+        candidates = [*evenly_spaced(others[:newest], _MAX_CANDIDATES), *others[newest:]]
         if not candidates:
             return []
         shown = new.fractions_seen_by(np.array([k.T_map_camera for k in candidates]))
@@ -146,7 +146,7 @@ class WhiteBalance:
             if fraction >= _MIN_OVERLAP and keyframe.fraction_observed(points) >= _MIN_OVERLAP
         ]
         recent = self.options.recent
-        return [*_spread(near[:-recent], self.options.older), *near[-recent:]]
+        return [*evenly_spaced(near[:-recent], self.options.older), *near[-recent:]]
 
     def _links(
         self, chosen: Sequence[Keyframe], new: Keyframe, number: int, numbers: Sequence[int]
@@ -201,12 +201,6 @@ def _cosines(points: Array, centre: Array) -> Array:
     others = points - centre
     lengths = np.linalg.norm(points, axis=1) * np.linalg.norm(others, axis=1)
     return np.asarray((points * others).sum(axis=1) / np.maximum(lengths, 1e-9))
-
-
-def _spread(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:
-    """At most a number of keyframes, evenly spaced."""
-    places = np.linspace(0, len(keyframes) - 1, min(len(keyframes), count)).round().astype(int)
-    return [keyframes[place] for place in places]
 
 
 def _log_balance(keyframe: Keyframe) -> Array:

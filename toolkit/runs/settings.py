@@ -100,12 +100,12 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
         hint = f"; did you mean {similar[0]}?" if similar else ""
         raise SettingsError(f"there is no preset '{preset}'; presets: {', '.join(names)}{hint}")
     # Merged with all defaults, because the defaults of nested options depend on where they are.
-    values = _merged(as_plain(RunSettings()), _read(PRESETS / f"{preset}.yaml"))
+    values = overridden(as_plain(RunSettings()), _read(PRESETS / f"{preset}.yaml"))
     if path is None:
         return validated(RunSettings, values, f"preset {preset}")
     if not path.exists() and str(path) in names:
         raise SettingsError(f"there is no file {path}; select the preset by --preset {path}")
-    return validated(RunSettings, _merged(values, _read(path)), str(path))
+    return validated(RunSettings, overridden(values, _read(path)), str(path))
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -123,12 +123,12 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def overridden(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     """Both nested dictionaries; the second one takes precedence."""
     merged = dict(values)
     for key, value in changes.items():
         nested = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merged(merged[key], value) if nested else value
+        merged[key] = overridden(merged[key], value) if nested else value
     return merged
 
 
