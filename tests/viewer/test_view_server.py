@@ -103,16 +103,22 @@ def test_an_address_of_another_machine_is_an_error():
 def test_the_program_serves_on_localhost_until_interrupted(tiny_run):
     command = [sys.executable, "-m", "toolkit.cli.main", "view", str(tiny_run), "--port", "0"]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Shells start background jobs, and so the tests in them, with SIGINT ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:
         try:
             address = process.stdout.readline().strip()
             assert address.startswith("http://127.0.0.1:"), process.stderr.read()
             with urllib.request.urlopen(address, timeout=10) as answer:
                 assert answer.status == 200
-        finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) == 0
+            assert process.wait(timeout=20) == 0
+        finally:
+            process.kill()
         assert "Traceback" not in process.stderr.read()
 
 
