@@ -51,7 +51,8 @@ def stopped_by_interrupt(stop: threading.Event) -> Iterator[None]:
     """Let the first Ctrl-C set an event; the second one interrupts the program."""
 
     def interrupted(_number: int, _frame: FrameType | None) -> None:
-        signal.signal(signal.SIGINT, before)
+        # Background jobs of shells start with the signal ignored, so `before` may not interrupt.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         _log.info("Finishing the map; press Ctrl-C again to stop at once.")
         stop.set()
 
