@@ -136,7 +136,7 @@ def _edges(depth_m: NDArray[np.float32], axis: int) -> list[tuple[Array, Array]]
     sides: list[tuple[Array, Array]] = []
     for side in (after < before, before < after):
         rows, columns = np.nonzero(step & side)
-        along, across = columns + 0.5, rows.astype(np.float64)
+        along, across = columns.astype(np.float64) + 0.5, rows.astype(np.float64)
         sides.append((along, across) if axis == 0 else (across, along))
     return sides
 
