@@ -118,6 +118,8 @@ class Recording:
         calibrated: whether the focal length is known; otherwise it is to be estimated.
         focal_sigma: relative standard deviation of the focal length that metadata states; None if
             nothing is stated, so that a typical one is the initial value.
+        depth_offset_px: (x, y) by which colour images are offset from depth images; depth is
+            shifted by it.
     """
 
     name: str
@@ -138,6 +140,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     calibrated: bool = True
     focal_sigma: float | None = None
+    depth_offset_px: tuple[float, float] = (0.0, 0.0)
 
 
 class RecordedDataset:
@@ -172,7 +175,9 @@ class RecordedDataset:
             if recording.distortion
             else None
         )
-        self._grid = ImageGrid(recording.camera, image_size) if image_size else None
+        offset_px = recording.depth_offset_px
+        size = image_size or (recording.camera.size if any(offset_px) else None)
+        self._grid = ImageGrid(recording.camera, size, offset_px) if size else None
         self.camera = self._grid.camera if self._grid else recording.camera
         self._videos: dict[Path, VideoFile] = {}
         self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)

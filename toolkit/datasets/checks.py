@@ -10,6 +10,7 @@ import numpy as np
 
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.decoder_warnings import decoder_warning
+from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import measure_registration
 from toolkit.datasets.registry import describe
@@ -21,6 +22,8 @@ _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.1, 30.0
 # Minimum fraction of pixels with valid depth that tracking needs.
 _MIN_VALID_FRACTION = 0.01
 _REGISTRATION_FRAMES = 24
+# Offsets of colour from depth are noted from this size, in pixels and in standard errors.
+_NOTED_OFFSET_PX, _CERTAIN = 0.4, 3.0
 # Maximum number of unreadable frames that are listed; the rest are counted.
 _NAMED_FAILURES = 5
 
@@ -107,7 +110,8 @@ def check_recording(
         *_label_faults(findings, dataset.label_names),
         *_registration_faults(dataset),
     ]
-    return CheckReport(_summary(dataset, findings), tuple(faults), dataset.recording.notes)
+    notes = (*dataset.recording.notes, *_offset_notes(dataset))
+    return CheckReport(_summary(dataset, findings), tuple(faults), notes)
 
 
 def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> None:
@@ -202,6 +206,14 @@ def _registration_faults(dataset: RecordedDataset) -> list[str]:
     )
     fault = measure_registration(_readable(dataset, chosen.tolist())).verdict()
     return [fault] if fault else []
+
+
+def _offset_notes(dataset: RecordedDataset) -> list[str]:
+    found = estimate_depth_offset(_readable(dataset, frames_for_offset(len(dataset))))
+    size_px = float(np.hypot(found.x_px, found.y_px))
+    if found.fault is not None or size_px < max(_NOTED_OFFSET_PX, _CERTAIN * found.sigma_px):
+        return []
+    return [f"colour is offset from depth by {found}; --dataset.depth-offset auto shifts the depth"]
 
 
 def _readable(dataset: RecordedDataset, indices: list[int]) -> Iterable[Frame]:

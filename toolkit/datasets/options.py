@@ -49,4 +49,7 @@ class DatasetOptions:
     fov_deg: Annotated[float, Range(gt=0, lt=180)] | None = None
     """Horizontal field of view in degrees of a recording without intrinsics. By default, it is
     estimated."""
+    depth_offset: Literal["auto"] | tuple[float, float] | None = None
+    """Offset (x, y) in pixels of the colour images from the depth images; depth is shifted by it.
+    auto estimates a constant offset from the edges of both. By default, depth is not shifted."""
     topics: BagTopics = BagTopics()

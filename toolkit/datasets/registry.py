@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from toolkit.datasets import (
     bag,
@@ -24,6 +25,7 @@ from toolkit.datasets import (
     video,
 )
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.options import BagTopics
 from toolkit.errors import DatasetError
 
@@ -60,6 +62,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     needs_depth: bool = True,
     fov_deg: float | None = None,
     topics: BagTopics | None = None,
+    depth_offset: Literal["auto"] | tuple[float, float] | None = None,
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -74,6 +77,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         needs_depth: whether a recording without depth is an error.
         fov_deg: horizontal field of view of a recording without intrinsics; None to estimate it.
         topics: names of topics of a bag; None to choose them.
+        depth_offset: (x, y) in pixels of the files by which colour is offset from depth, or "auto"
+            to estimate it; depth is shifted by it.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
@@ -89,6 +94,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         recording = replace(recording, camera=camera, calibrated=True, focal_sigma=None)
     if image_size is None and not needs_depth:
         image_size = _reduced(recording)
+    if depth_offset is not None and needs_depth:
+        recording = _with_offset(recording, depth_offset, max_frames)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
     depth = dataset.files(0).depth
@@ -114,6 +121,27 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     for note in dataset.recording.notes:
         _log.info("%s: %s", dataset.name, note)
     return dataset
+
+
+def _with_offset(
+    recording: Recording, offset: Literal["auto"] | tuple[float, float], max_frames: int | None
+) -> Recording:
+    """A recording whose depth is shifted to match its colour images."""
+    if offset != "auto":
+        return replace(recording, depth_offset_px=offset)
+    frames = RecordedDataset(recording, max_frames=max_frames)
+    found = estimate_depth_offset(frames[n] for n in frames_for_offset(len(frames)))
+    if found.fault is not None:
+        _log.warning(
+            "%s: the offset of colour from depth is not determined (%s); depth is not shifted",
+            recording.name, found.fault,
+        )  # fmt: skip
+        return recording
+    _log.info(
+        "%s: depth is shifted by %s to match colour, with a standard error of %.2f px",
+        recording.name, found, found.sigma_px,
+    )  # fmt: skip
+    return replace(recording, depth_offset_px=(found.x_px, found.y_px))
 
 
 def _reduced(recording: Recording) -> tuple[int, int] | None:

@@ -37,12 +37,19 @@ class ImageGrid:
     Args:
         source: camera of the source images.
         size: target (width, height) in pixels.
+        depth_offset_px: (x, y) in source pixels by which colour images, and labels, are offset
+            from depth images.
 
     Raises:
         DatasetError: the target size is less than one pixel.
     """
 
-    def __init__(self, source: Camera, size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        source: Camera,
+        size: tuple[int, int],
+        depth_offset_px: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         width, height = size
         if width < 1 or height < 1:
             raise DatasetError(f"image size must be at least 1x1, got {width}x{height}")
@@ -58,11 +65,13 @@ class ImageGrid:
         )
         self._scaled_size = (scaled_width, scaled_height)
         self._crop = np.s_[top : top + height, left : left + width]
-        columns = ((np.arange(left, left + width) + 0.5) / scale_x).astype(np.int64)
-        rows = ((np.arange(top, top + height) + 0.5) / scale_y).astype(np.int64)
-        self._source_pixels = np.ix_(rows, columns)
-        self._rows = _covered(np.arange(top, top + height), scale_y, source.height)
-        self._columns = _covered(np.arange(left, left + width), scale_x, source.width)
+        rows, columns = np.arange(top, top + height), np.arange(left, left + width)
+        self._source_pixels = np.ix_(
+            ((rows + 0.5) / scale_y).astype(np.int64), ((columns + 0.5) / scale_x).astype(np.int64)
+        )
+        offset_x, offset_y = depth_offset_px
+        self._depth_rows = _Covered(rows, scale_y, source.height, offset_y)
+        self._depth_columns = _Covered(columns, scale_x, source.width, offset_x)
 
     def colour(self, rgb: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample a colour image [H, W, 3] to this grid."""
@@ -71,10 +80,10 @@ class ImageGrid:
     def depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample a depth image [H, W] (m, 0 where missing) without mixing surfaces."""
         inverse = np.where(depth_m > 0, 1.0 / np.where(depth_m > 0, depth_m, 1.0), 0.0)
-        middle = inverse[self._source_pixels]
+        middle = inverse[np.ix_(self._depth_rows.middle, self._depth_columns.middle)]
         total, area = np.zeros_like(middle), np.zeros_like(middle)
-        for rows, heights in self._rows:
-            for columns, widths in self._columns:
+        for rows, heights in self._depth_rows.parts:
+            for columns, widths in self._depth_columns.parts:
                 other = inverse[np.ix_(rows, columns)]
                 same = np.abs(other - middle) < _EDGE * middle
                 coverage = heights[:, None] * widths * same
@@ -88,16 +97,31 @@ class ImageGrid:
         return image[self._source_pixels]
 
 
-def _covered(
-    pixels: NDArray[np.int64], scale: float, count: int
-) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Return the source pixels that target pixels cover along one axis, with their coverage."""
-    first, last = pixels / scale, (pixels + 1) / scale
-    parts = []
-    for step in range(int(np.ceil(1.0 / scale)) + 1):
-        source = np.floor(first).astype(np.int64) + step
-        coverage = np.minimum(source + 1, last) - np.maximum(source, first)
-        coverage = np.where(source < count, np.maximum(coverage, 0.0), 0.0)
-        if coverage.max() > 1e-9:
-            parts.append((np.minimum(source, count - 1), coverage))
-    return parts
+class _Covered:
+    """The source pixels that target pixels cover along one axis.
+
+    Args:
+        pixels: [N] target pixels.
+        scale: target pixels per source pixel.
+        count: number of source pixels.
+        offset_px: of the target pixels, in source pixels.
+
+    Attributes:
+        middle: [N] the source pixels that contain the centres.
+        parts: source pixels [N], and their coverage [N] by the target pixels.
+    """
+
+    def __init__(
+        self, pixels: NDArray[np.int64], scale: float, count: int, offset_px: float
+    ) -> None:
+        first, last = pixels / scale - offset_px, (pixels + 1) / scale - offset_px
+        middle = np.floor((pixels + 0.5) / scale - offset_px).astype(np.int64)
+        self.middle = np.clip(middle, 0, count - 1)
+        self.parts = []
+        for step in range(int(np.ceil(1.0 / scale)) + 1):
+            source = np.floor(first).astype(np.int64) + step
+            coverage = np.minimum(source + 1, last) - np.maximum(source, first)
+            inside = (source >= 0) & (source < count) & (middle == self.middle)
+            coverage = np.where(inside, np.maximum(coverage, 0.0), 0.0)
+            if coverage.max() > 1e-9:
+                self.parts.append((np.clip(source, 0, count - 1), coverage))

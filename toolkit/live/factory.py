@@ -34,5 +34,6 @@ def build_camera(options: LiveOptions, settings: RunSettings) -> LiveCamera:
         settings.max_frames,
         fov_deg=place.fov_deg,
         topics=place.topics,
+        depth_offset=place.depth_offset,
     )
     return ReplayCamera(dataset, options.fps or settings.pace or None)

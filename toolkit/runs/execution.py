@@ -86,6 +86,7 @@ def run(
         needs_depth,
         settings.dataset.fov_deg,
         settings.dataset.topics,
+        settings.dataset.depth_offset,
     )
     check_scale(settings.scale, len(dataset))
     config = dump_settings(settings)

@@ -130,6 +130,7 @@ class FinishedRun:
             needs_depth,
             settings.dataset.fov_deg,
             settings.dataset.topics,
+            settings.dataset.depth_offset,
         )
         camera = self.stored_camera
         if not dataset.recording.calibrated and camera and camera.size == dataset.camera.size:
