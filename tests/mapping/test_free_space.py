@@ -15,19 +15,12 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.free_space import (
-    DepthView,
-    Evidence,
-    contradicted,
-    depth_confidence,
-    empty_depth,
-    seen_through,
-)
+from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
+from toolkit.mapping.free_space import Evidence, FreeSpace
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
 
 CAMERA = Camera(40.0, 40.0, 20.0, 15.0, 40, 30)
-OPTIONS = FreeSpaceOptions()
 
 
 def wall(depth_m: float = 2.0, index: int = 0, **changed) -> Keyframe:
@@ -82,15 +75,28 @@ def test_several_keyframes_must_measure_through_a_point(through: int):
     cloud = torch.cat([points(*30 * [2.0]), points(1.0)])
     near = [wall(1.0, n) for n in range(2)]
     far = [wall(2.0, 2 + n) for n in range(through)]
-    mask = contradicted(cloud, far[-1], [*near, *far[:-1]], OPTIONS)
+    mask = FreeSpace(FreeSpaceOptions()).contradicted(cloud, far[-1], [*near, *far[:-1]])
     assert mask[-1].item() == (through == 3) and not mask[:-1].any()
 
 
 def test_seeds_in_space_that_others_saw_through_are_dropped_unless_they_are_many():
     others = [wall(2.0, n) for n in range(3)]
     few = torch.cat([points(*30 * [2.0]), points(1.0)])
-    assert seen_through(few, others, OPTIONS).nonzero().tolist() == [[30]]
-    assert not seen_through(points(1.0, 1.0, 2.0), others, OPTIONS).any()
+    free_space = FreeSpace(FreeSpaceOptions())
+    assert free_space.seen_through(few, others).nonzero().tolist() == [[30]]
+    assert not free_space.seen_through(points(1.0, 1.0, 2.0), others).any()
+
+
+def test_images_of_depth_are_prepared_once_unless_a_keyframe_changes():
+    views, keyframe = DepthViews(), wall(2.0)
+    image = views.of(keyframe).image
+    keyframe.T_map_camera = keyframe.T_map_camera.copy()
+    keyframe.T_map_camera[0, 3] = 1.0
+    moved = views.of(keyframe)
+    assert moved.image is image and moved.T_camera_map[0, 3] == -1.0
+    keyframe.hide(torch.ones(30, 40, dtype=torch.bool))
+    assert not views.of(keyframe).image.empty_m.any() and image.empty_m.all()
+    assert views.of(wall(3.0)).image is not views.of(keyframe).image
 
 
 def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom):

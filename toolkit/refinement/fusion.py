@@ -21,7 +21,8 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.free_space import DepthView, Evidence
+from toolkit.mapping.depth_views import DepthView
+from toolkit.mapping.free_space import Evidence
 from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.exposures import estimate_exposures
 from toolkit.submaps.atlas import Atlas
