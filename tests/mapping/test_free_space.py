@@ -79,6 +79,28 @@ def test_several_keyframes_must_measure_through_a_point(through: int):
     assert mask[-1].item() == (through == 3) and not mask[:-1].any()
 
 
+def test_what_was_never_measured_is_removed_by_any_keyframe_that_measured_through_it():
+    cloud = torch.cat([points(*30 * [2.0]), points(1.0, 2.5)])
+    radii_m = torch.full((32,), 0.01)
+    # At 0.5 of the distance, the confidence of one keyframe is a quarter: too little on its own.
+    far = wall(6.0)
+    once = Evidence.of(cloud, [DepthView.of(far)], whole_map=False)
+    assert not once.contradicts(FreeSpaceOptions()).any()
+    assert once.contradicts_in_map(radii_m, FreeSpaceOptions()).all()
+    # Others measured a surface at 2 m, which is not in doubt.
+    both = Evidence.of(cloud, [DepthView.of(far), DepthView.of(wall(2.0))], whole_map=False)
+    mask = both.contradicts_in_map(radii_m, FreeSpaceOptions())
+    assert mask[30:].all() and not mask[:30].any()
+
+
+def test_what_was_never_measured_must_not_be_a_blob_in_any_keyframe():
+    evidence = Evidence.of(points(2.5, 2.5, 2.0), [DepthView.of(wall())], whole_map=False)
+    radii_m = torch.tensor([0.05, 0.1, 0.1])
+    mask = evidence.contradicts_in_map(radii_m, FreeSpaceOptions())
+    assert evidence.nearest_m.tolist() == [2.5, 2.5, 2.0]
+    assert mask.tolist() == [False, True, False]
+
+
 def test_seeds_in_space_that_others_saw_through_are_dropped_unless_they_are_many():
     others = [wall(2.0, n) for n in range(3)]
     few = torch.cat([points(*30 * [2.0]), points(1.0)])

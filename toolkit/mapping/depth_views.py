@@ -97,6 +97,14 @@ class DepthView:
         z, u, v = (a.index_select(0, chosen) for a in (z, u, v))
         return chosen, v.long() * camera.width + u.long(), z
 
+    def measures_through(self, means: Tensor) -> Tensor:
+        """Mask [N] of the points [N, 3] on the CPU in space that was measured as empty."""
+        chosen, pixel, z = self.pixels_of(means)
+        empty = torch.from_numpy(self.image.empty_m.reshape(-1)).index_select(0, pixel)
+        mask = torch.zeros(len(means), dtype=torch.bool)
+        mask[chosen] = z < empty
+        return mask
+
 
 class DepthViews:
     """The depth views of keyframes, whose images are prepared once (an LRU cache)."""

@@ -24,6 +24,11 @@ from toolkit.mapping.options import FreeSpaceOptions
 
 # Maximum fraction of the seeds of a keyframe that earlier keyframes may rule out.
 _MAX_DROPPED = 0.2
+# As `FreeSpaceOptions.min_through`, for points at which no keyframe measured a surface.
+_MIN_THROUGH_UNMEASURED = 0.1
+# Maximum radius of Gaussians at such points, as an angle in any keyframe that shows them: ten times
+# that of a pixel of a usual camera.
+_MAX_UNMEASURED_RAD = 0.03
 
 
 @dataclass(frozen=True)
@@ -33,10 +38,12 @@ class Evidence:
     Attributes:
         through: [N] confidences of the keyframes that measured a surface behind the point.
         support: [N] number of the keyframes that measured a surface at the point.
+        nearest_m: [N] smallest depth of the point in a keyframe that shows it, or infinity.
     """
 
     through: Tensor
     support: Tensor
+    nearest_m: Tensor
 
     @classmethod
     def of(cls, means: Tensor, views: Iterable[DepthView], whole_map: bool = True) -> Evidence:
@@ -46,7 +53,8 @@ class Evidence:
             whole_map: the points are those of a map, so that the reliability of each view follows
                 from them. Otherwise views are reliable.
         """
-        evidence = cls(means.new_zeros(len(means)), means.new_zeros(len(means)))
+        zeros = means.new_zeros(len(means))
+        evidence = cls(zeros, zeros.clone(), torch.full_like(zeros, torch.inf))
         for view in views:
             evidence.add(view, means, whole_map)
         return evidence
@@ -71,11 +79,25 @@ class Evidence:
             reliability = (agreeing / max(agreeing + contradicting, 1)) ** 2
         self.through.index_add_(0, chosen, reliability * confidence * through)
         self.support.index_add_(0, chosen, near.to(means.dtype))
+        self.nearest_m[chosen] = torch.minimum(self.nearest_m[chosen], z)
 
     def contradicts(self, options: FreeSpaceOptions) -> Tensor:
         """Mask [N] of the points in empty space."""
         enough = self.through >= options.min_through
         return enough & (self.through > options.min_ratio * self.support)
+
+    def contradicts_in_map(self, radii_m: Tensor, options: FreeSpaceOptions) -> Tensor:
+        """Mask [N] of the Gaussians in empty space, by the evidence of all keyframes of a map.
+
+        Gaussians without support are in doubt: only their colour was observed. One keyframe that
+        measured through them suffices, or one so near that it would be a blob.
+
+        Args:
+            radii_m: [N] radii of the Gaussians.
+        """
+        in_doubt = self.through >= _MIN_THROUGH_UNMEASURED
+        in_doubt |= radii_m > _MAX_UNMEASURED_RAD * self.nearest_m
+        return self.contradicts(options) | ((self.support == 0) & in_doubt)
 
 
 class FreeSpace:

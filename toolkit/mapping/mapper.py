@@ -326,7 +326,7 @@ class Mapper:
         with self._recorder.timed("free space"):
             views = (DepthView.of(keyframe) for keyframe in self.keyframes)
             evidence = Evidence.of(self.gaussians.means, views)
-            mask = evidence.contradicts(self.options.free_space)
+            mask = evidence.contradicts_in_map(self.gaussians.radii_m, self.options.free_space)
         self._remove(mask)
         _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
 
@@ -336,10 +336,12 @@ class Mapper:
             self.map.keep(~mask)
 
     def _fill_holes(self) -> None:
-        filled = sum(
-            fill_holes(self.map, keyframe, self.view(keyframe), self._densification)
-            for keyframe in self.keyframes
-        )
+        views = [DepthView.of(keyframe) for keyframe in self.keyframes]
+        filled = 0
+        for number, keyframe in enumerate(self.keyframes):
+            others = [*views[:number], *views[number + 1 :]]
+            view = self.view(keyframe)
+            filled += fill_holes(self.map, keyframe, view, self._densification, others)
         _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:

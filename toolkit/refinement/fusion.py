@@ -183,8 +183,8 @@ def fuse_submaps(
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
         mask = torch.from_numpy(owners.submap[index] == number)
         if views:
-            means = submap(number).gaussians.transformed(submap(number).T_world_submap).means
-            mask &= ~Evidence.of(means, views).contradicts(free_space)
+            cloud = submap(number).gaussians.transformed(submap(number).T_world_submap)
+            mask &= ~Evidence.of(cloud.means, views).contradicts_in_map(cloud.radii_m, free_space)
         kept[number] = mask
     return FusedMap(submap, kept, exposures)
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.native import address, kernels_for
 from toolkit.native.constants import MIN_PLANE_DETERMINANT
+from toolkit.tracking.depth_gaps import without_gaps
 
 # Half-sizes of the windows.
 _RADII = (8, 5, 3, 2)
@@ -119,14 +120,14 @@ def _noise_between_neighbours(inverse: NDArray[np.float32]) -> float:
 
 
 def denoised(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Filter depth [H, W] (m, 0 missing).
+    """Filter depth [H, W] (m, 0 missing), and close gaps of a pixel inside of surfaces.
 
-    Missing pixels stay missing; depth without noise is returned unchanged.
+    Other missing pixels stay missing; depth without noise is returned unchanged.
     """
     noise = inverse_depth_noise(depth_m)
     if noise < _MIN_NOISE:
         return depth_m
-    return _inverse(_smoothed(_inverse(depth_m), noise))
+    return _inverse(_smoothed(without_gaps(_inverse(depth_m)), noise))
 
 
 def _smoothed(inverse: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
