@@ -105,7 +105,7 @@ def test_kernel_and_numpy_agree(module, monkeypatch):
 def test_frames_may_be_smoothed_ahead_of_their_turn(room):
     frame = room.frames[0]
     rough = replace(frame, depth_m=noisy(frame.depth_m))
-    smooth = denoised(rough.depth_m)
+    smooth = denoised(rough.depth_m, rough.camera.focal)
     ahead = DepthFilter()
     prepared = ahead.prepare(rough)
     assert ahead.of(rough) is prepared
@@ -113,7 +113,9 @@ def test_frames_may_be_smoothed_ahead_of_their_turn(room):
     # Asked for once only, and never in place of another frame of that number.
     ahead.prepare(rough)
     other = replace(rough, depth_m=rough.depth_m + 1.0)
-    np.testing.assert_array_equal(ahead.of(other).depth_m, denoised(other.depth_m))
+    np.testing.assert_array_equal(
+        ahead.of(other).depth_m, denoised(other.depth_m, other.camera.focal)
+    )
     np.testing.assert_array_equal(ahead.of(rough).depth_m, smooth)
 
 
