@@ -15,6 +15,7 @@ from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.free_space import free_space_margin_m
 
 # Covisibility is estimated from every n-th pixel in each direction.
 _STRIDE = 16
@@ -24,10 +25,6 @@ _MIN_DEPTH_M = 0.05
 # points on the measured surface.
 _MAX_BEHIND = 1.05
 _ON_SURFACE = 0.05
-# Space is empty in front of the measured depth by more than the larger of these: in metres, and as
-# a fraction of depth.
-FREE_SPACE_M = 0.05
-FREE_SPACE = 0.03
 
 
 @dataclass(frozen=True)
@@ -241,8 +238,7 @@ class Keyframe:
     def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
         inside, z, depth_m = self._depths_at(points_map, self.measured_m)
-        margin = np.maximum(FREE_SPACE_M, FREE_SPACE * depth_m)
-        inside[inside] = (depth_m > 0) & (z < depth_m - margin)
+        inside[inside] = (depth_m > 0) & (z < depth_m - free_space_margin_m(depth_m))
         return inside
 
     def in_front_of_surface(self, points_camera: NDArray[np.float64]) -> NDArray[np.bool_]:

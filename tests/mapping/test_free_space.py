@@ -15,19 +15,12 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.free_space import (
-    DepthView,
-    Evidence,
-    contradicted,
-    depth_confidence,
-    empty_depth,
-    seen_through,
-)
+from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
+from toolkit.mapping.free_space import Evidence, FreeSpace
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
 
 CAMERA = Camera(40.0, 40.0, 20.0, 15.0, 40, 30)
-OPTIONS = FreeSpaceOptions()
 
 
 def wall(depth_m: float = 2.0, index: int = 0, **changed) -> Keyframe:
@@ -82,15 +75,50 @@ def test_several_keyframes_must_measure_through_a_point(through: int):
     cloud = torch.cat([points(*30 * [2.0]), points(1.0)])
     near = [wall(1.0, n) for n in range(2)]
     far = [wall(2.0, 2 + n) for n in range(through)]
-    mask = contradicted(cloud, far[-1], [*near, *far[:-1]], OPTIONS)
+    mask = FreeSpace(FreeSpaceOptions()).contradicted(cloud, far[-1], [*near, *far[:-1]])
     assert mask[-1].item() == (through == 3) and not mask[:-1].any()
+
+
+def test_what_was_never_measured_is_removed_by_any_keyframe_that_measured_through_it():
+    cloud = torch.cat([points(*30 * [2.0]), points(1.0, 2.5)])
+    radii_m = torch.full((32,), 0.01)
+    # At 0.5 of the distance, the confidence of one keyframe is a quarter: too little on its own.
+    far = wall(6.0)
+    once = Evidence.of(cloud, [DepthView.of(far)], whole_map=False)
+    assert not once.contradicts(FreeSpaceOptions()).any()
+    assert once.contradicts_in_map(radii_m, FreeSpaceOptions()).all()
+    # Others measured a surface at 2 m, which is not in doubt.
+    both = Evidence.of(cloud, [DepthView.of(far), DepthView.of(wall(2.0))], whole_map=False)
+    mask = both.contradicts_in_map(radii_m, FreeSpaceOptions())
+    assert mask[30:].all() and not mask[:30].any()
+
+
+def test_what_was_never_measured_must_not_be_a_blob_in_any_keyframe():
+    evidence = Evidence.of(points(2.5, 2.5, 2.0), [DepthView.of(wall())], whole_map=False)
+    radii_m = torch.tensor([0.05, 0.1, 0.1])
+    mask = evidence.contradicts_in_map(radii_m, FreeSpaceOptions())
+    assert evidence.nearest_m.tolist() == [2.5, 2.5, 2.0]
+    assert mask.tolist() == [False, True, False]
 
 
 def test_seeds_in_space_that_others_saw_through_are_dropped_unless_they_are_many():
     others = [wall(2.0, n) for n in range(3)]
     few = torch.cat([points(*30 * [2.0]), points(1.0)])
-    assert seen_through(few, others, OPTIONS).nonzero().tolist() == [[30]]
-    assert not seen_through(points(1.0, 1.0, 2.0), others, OPTIONS).any()
+    free_space = FreeSpace(FreeSpaceOptions())
+    assert free_space.seen_through(few, others).nonzero().tolist() == [[30]]
+    assert not free_space.seen_through(points(1.0, 1.0, 2.0), others).any()
+
+
+def test_images_of_depth_are_prepared_once_unless_a_keyframe_changes():
+    views, keyframe = DepthViews(), wall(2.0)
+    image = views.of(keyframe).image
+    keyframe.T_map_camera = keyframe.T_map_camera.copy()
+    keyframe.T_map_camera[0, 3] = 1.0
+    moved = views.of(keyframe)
+    assert moved.image is image and moved.T_camera_map[0, 3] == -1.0
+    keyframe.hide(torch.ones(30, 40, dtype=torch.bool))
+    assert not views.of(keyframe).image.empty_m.any() and image.empty_m.all()
+    assert views.of(wall(3.0)).image is not views.of(keyframe).image
 
 
 def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom):

@@ -10,8 +10,10 @@ import torch
 
 from tests.mapping.conftest import MappedRoom
 from toolkit.frame import Frame
+from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.hole_filling import _nearest_labels, inferred_depth
+from toolkit.mapping.depth_views import DepthView
+from toolkit.mapping.hole_filling import _nearest_labels, fill_holes, inferred_depth
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 
@@ -105,9 +107,28 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     mapper.map.keyframes.append(keyframes[1])
     before = len(mapper.gaussians)
     mapper._fill_holes()
-    added = mapper.gaussians.means[before:].double().numpy()
+    added = mapper.gaussians.means[before:]
     assert len(added)
-    assert not keyframes[1].measures_through(added).any()
+    assert not DepthView.of(keyframes[1]).measures_through(added).any()
+
+
+def test_every_keyframe_counts_however_many_there_are(room: MappedRoom):
+    # One of 40 keyframes measured what is behind the hole; the others face away.
+    truth, pose = room.frames[0].depth_m[HOLE], room.T_map_camera[0]
+    near = np.full_like(room.frames[0].depth_m, 0.6 * float(truth.min()))
+    near[HOLE] = 0.0
+    away = pose @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0]))
+    frames = [replace(room.frames[0], depth_m=near), *40 * [room.frames[0]]]
+    poses = [pose, *20 * [away], pose, *19 * [away]]
+    keyframes = [Keyframe.from_frame(f, T) for f, T in zip(frames, poses, strict=True)]
+    mapper = Mapper(OPTIONS)
+    mapper.add_keyframe(keyframes[0])
+    before = len(mapper.gaussians)
+    views = [DepthView.of(keyframe) for keyframe in keyframes[1:]]
+    view = mapper.view(keyframes[0])
+    fill_holes(mapper.map, keyframes[0], view, mapper._densification, views)
+    added = mapper.gaussians.means[before:]
+    assert len(added) and not views[20].measures_through(added).any()
 
 
 @pytest.mark.parametrize("labelled", [True, False])

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from toolkit.evaluation.metrics import Metrics
 from toolkit.gaussians.scene import GaussianScene
-from toolkit.keyframe import FREE_SPACE, FREE_SPACE_M
-from toolkit.mapping.free_space import DepthView, empty_depth
+from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_margin_m
+from toolkit.mapping.depth_views import DepthView
 
 FREE_SPACE_CONVENTION = (
     "share of the opacity of all Gaussians; empty: in front of the measured depth by more than "
@@ -50,9 +50,9 @@ def _in_empty_space(means: Tensor, views: list[DepthView]) -> tuple[Tensor, Tens
     for view in views:
         chosen, pixel, z = view.pixels_of(means)
         depth = torch.from_numpy(view.depth_m.reshape(-1)).index_select(0, pixel)
-        surely_empty = torch.from_numpy(empty_depth(view.depth_m).reshape(-1))
+        surely_empty = torch.from_numpy(view.image.empty_m.reshape(-1))
         through = z < surely_empty.index_select(0, pixel)
-        margin = (FREE_SPACE * depth).clamp(min=FREE_SPACE_M)
+        margin = free_space_margin_m(depth)
         surface = (depth > 0) & ((z - depth).abs() <= margin)
         votes.index_add_(0, chosen, through.int() - surface.int())
         anywhere[chosen] |= (depth > 0) & (z < depth - margin)

@@ -37,7 +37,7 @@ from toolkit.frame import Frame
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.mapping.free_space import DepthView
+from toolkit.mapping.depth_views import DepthImage, DepthView
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.dense import DenseTracker
 
@@ -256,7 +256,7 @@ def _surface_metrics(
 
 def _depth_view(view: View, scale: float) -> DepthView:
     depth_m = view.frame.depth_m / np.float32(scale)
-    return DepthView(se3.inverse(view.T_map_camera).astype(np.float32), view.frame.camera, depth_m)
+    return DepthView.at(view.T_map_camera, DepthImage(view.frame.camera, depth_m))
 
 
 def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: float) -> View:

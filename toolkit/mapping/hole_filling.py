@@ -13,11 +13,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.densification import Densification
+from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.rendering import SurfaceView
 
@@ -25,10 +28,7 @@ from toolkit.rendering import SurfaceView
 _MIN_HOLE = 0.002
 # Factors of the inferred depth at which a point is tried, from near to far. A point that other
 # keyframes measured through at all of them is dropped.
-_DEPTH_FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0, 3.0)
-# The points of a hole are compared with at most this number of the keyframes that see any of every
-# n-th point.
-_MAX_OTHERS, _SAMPLE = 16, 16
+_DEPTH_FACTORS = (1.1, 1.25, 1.5, 2.0, 3.0)
 # There is a depth edge beside a hole if the mean inverse depth around it exceeds the mean that is
 # weighted by this power of the depth, and so dominated by the far surface, by this factor.
 _DISTANCE_POWER = 6
@@ -42,6 +42,7 @@ def fill_holes(
     keyframe: Keyframe,
     view: SurfaceView,
     densification: Densification,
+    others: Sequence[DepthView],
 ) -> int:
     """Seed the pixels of a keyframe that have neither a measured nor a rendered depth.
 
@@ -49,6 +50,7 @@ def fill_holes(
         gaussian_map: the complete map, to which the Gaussians are added.
         view: the map rendered from the keyframe.
         densification: of the map; creates the Gaussians.
+        others: depth of the other keyframes of the map.
 
     Returns:
         Number of Gaussians.
@@ -64,7 +66,6 @@ def fill_holes(
     if frame.labels is not None:
         frame = replace(frame, labels=_nearest_labels(frame.labels))
     seeds = densification.seeds(frame, keyframe.T_map_camera, holes)
-    others = [other for other in gaussian_map.keyframes if other is not keyframe]
     seeds = _outside_free_space(seeds, keyframe, others)
     if len(seeds):
         gaussian_map.append(seeds, keyframe)
@@ -145,25 +146,28 @@ def _nearest_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _outside_free_space(
-    seeds: GaussianCloud, keyframe: Keyframe, others: Sequence[Keyframe]
+    seeds: GaussianCloud, keyframe: Keyframe, others: Sequence[DepthView]
 ) -> GaussianCloud:
     """Move Gaussians away from their keyframe until no other keyframe measured through them."""
-    centre = keyframe.T_map_camera[:3, 3]
-    rays = seeds.means.double().numpy() - centre
-    sample = np.concatenate([centre + f * rays[::_SAMPLE] for f in (1.0, _DEPTH_FACTORS[-1])])
-    others = [other for other in others if other.shows(sample).any()]
-    others = others[:: -(-len(others) // _MAX_OTHERS) or 1]
-    chosen = np.zeros(len(seeds))
-    for factor in _DEPTH_FACTORS:
-        left = np.flatnonzero(chosen == 0)
-        free = np.zeros(len(left), bool)
-        for other in others:
-            free |= other.measures_through(centre + factor * rays[left])
-        chosen[left[~free]] = factor
-    factors = seeds.log_radii.new_tensor(chosen)
+    empty = _measured_through(seeds.means, others)
+    moved, centre = seeds.select(empty), seeds.means.new_tensor(keyframe.T_map_camera[:3, 3])
+    factors = seeds.means.new_tensor(_DEPTH_FACTORS)
+    points = centre + factors[:, None, None] * (moved.means - centre)
+    still_empty = _measured_through(points.reshape(-1, 3), others).reshape(points.shape[:2])
+    # The first factor that no keyframe contradicts: argmax returns the first maximum.
+    chosen = (~still_empty).int().argmax(dim=0)
     moved = replace(
-        seeds,
-        means=(seeds.means.new_tensor(centre) + seeds.means.new_tensor(rays) * factors[:, None]),
-        log_radii=seeds.log_radii + factors.clamp(min=1.0).log(),
+        moved,
+        means=points[chosen, torch.arange(len(moved))],
+        log_radii=moved.log_radii + factors[chosen].log(),
     )
-    return moved.select(factors > 0)
+    kept = moved.select(~still_empty.all(dim=0))
+    return GaussianCloud.concatenate([seeds.select(~empty), kept])
+
+
+def _measured_through(points: Tensor, views: Sequence[DepthView]) -> Tensor:
+    """Mask [N] of the points [N, 3] that any view measured through."""
+    empty = torch.zeros(len(points), dtype=torch.bool)
+    for view in views:
+        empty |= view.measures_through(points)
+    return empty

@@ -23,7 +23,8 @@ from toolkit.mapping.consensus import label_consensus
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
-from toolkit.mapping.free_space import DepthView, Evidence, contradicted, seen_through
+from toolkit.mapping.depth_views import DepthView
+from toolkit.mapping.free_space import Evidence, FreeSpace
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
@@ -90,6 +91,7 @@ class Mapper:
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._observations = Observations(self.device)
+        self._free_space = FreeSpace(self.options.free_space)
         self._densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(
             self.options, self.semantics, self._backend, self._observations, self._recorder
@@ -135,10 +137,12 @@ class Mapper:
         if self.options.fuse_depth:
             with self._recorder.timed("depth fusion"):
                 fuse_depth(self.map, observed.measured_m)
-        others, free_space = self.keyframes[:-1], self.options.free_space
-        if free_space.use and others:
+        others = self.keyframes[:-1]
+        free_space = self.options.free_space.use and others
+        if free_space:
             with self._recorder.timed("free space"):
-                self._remove(contradicted(self.gaussians.means, keyframe, others, free_space))
+                mask = self._free_space.contradicted(self.gaussians.means, keyframe, others)
+                self._remove(mask)
         before = len(self.gaussians)
         with self._recorder.timed("seeding"):
             view, options = self.view(keyframe), self.options
@@ -147,9 +151,9 @@ class Mapper:
             )
             observed = self._observations.of(keyframe)
             seeded = self._densification.seed(self.map, keyframe, view, observed)
-        if free_space.use and others and seeded:
+        if free_space and seeded:
             with self._recorder.timed("free space"):
-                mask = seen_through(self.gaussians.means[before:], others, free_space)
+                mask = self._free_space.seen_through(self.gaussians.means[before:], others)
                 self._remove(torch.cat([mask.new_zeros(before), mask]))
                 seeded -= int(mask.sum())
         all_new = seeded == len(self.gaussians)
@@ -322,7 +326,7 @@ class Mapper:
         with self._recorder.timed("free space"):
             views = (DepthView.of(keyframe) for keyframe in self.keyframes)
             evidence = Evidence.of(self.gaussians.means, views)
-            mask = evidence.contradicts(self.options.free_space)
+            mask = evidence.contradicts_in_map(self.gaussians.radii_m, self.options.free_space)
         self._remove(mask)
         _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
 
@@ -332,10 +336,12 @@ class Mapper:
             self.map.keep(~mask)
 
     def _fill_holes(self) -> None:
-        filled = sum(
-            fill_holes(self.map, keyframe, self.view(keyframe), self._densification)
-            for keyframe in self.keyframes
-        )
+        views = [DepthView.of(keyframe) for keyframe in self.keyframes]
+        filled = 0
+        for number, keyframe in enumerate(self.keyframes):
+            others = [*views[:number], *views[number + 1 :]]
+            view = self.view(keyframe)
+            filled += fill_holes(self.map, keyframe, view, self._densification, others)
         _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:

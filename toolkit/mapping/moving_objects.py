@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.geometry import se3
-from toolkit.keyframe import FREE_SPACE, FREE_SPACE_M, Keyframe, evenly_spaced
-from toolkit.mapping.free_space import DepthView, Evidence
+from toolkit.geometry.free_space import free_space_margin_m
+from toolkit.keyframe import Keyframe, evenly_spaced
+from toolkit.mapping.depth_views import DepthView
+from toolkit.mapping.free_space import Evidence
 from toolkit.mapping.options import MovingObjectOptions
 from toolkit.rendering import SurfaceView
 from toolkit.rendering.output import COLOUR
@@ -94,7 +96,7 @@ def _nearer_than_map(
         depth_m: [H, W] measured depth. behind_m: [H, W] depth of the map less the measured one.
         covered: [H, W] the pixels with both.
     """
-    floor = (FREE_SPACE * depth_m).clamp(min=FREE_SPACE_M)
+    floor = free_space_margin_m(depth_m)
     if int((covered & (behind_m > floor)).sum()) < options.min_area * depth_m.numel():
         return None
     median = float(behind_m[covered].abs().median())
@@ -131,7 +133,7 @@ def _displaced(depth_m: NDArray[np.float32], map_m: NDArray[np.float32]) -> _Mas
     """Mask [H, W] of measured depths that the map [H, W] has nearby: the pose may be wrong."""
     side = 2 * round(_DISPLACEMENT * depth_m.shape[1]) + 1
     nearest_m = cv2.erode(map_m, np.ones((side, side), np.uint8))
-    return np.asarray(nearest_m - depth_m <= np.maximum(FREE_SPACE_M, FREE_SPACE * depth_m))
+    return np.asarray(nearest_m - depth_m <= free_space_margin_m(depth_m))
 
 
 def _continued(region: _Mask, nearer: _Mask) -> _Mask:
@@ -198,7 +200,7 @@ def _held_s(
         view = DepthView.of(other)
         chosen, pixel, z = (a.numpy() for a in view.pixels_of(means))
         depth = depth_m.numpy().reshape(-1)[pixel]
-        margin = np.maximum(FREE_SPACE_M, FREE_SPACE * depth)
+        margin = free_space_margin_m(depth)
         ended[chosen[z < depth - margin]] = True
         near = chosen[(depth > 0) & (np.abs(z - depth) <= margin)]
         near = near[~ended[near]]

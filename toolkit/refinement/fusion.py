@@ -21,7 +21,8 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.mapping.free_space import DepthView, Evidence
+from toolkit.mapping.depth_views import DepthView
+from toolkit.mapping.free_space import Evidence
 from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.exposures import estimate_exposures
 from toolkit.submaps.atlas import Atlas
@@ -182,8 +183,8 @@ def fuse_submaps(
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
         mask = torch.from_numpy(owners.submap[index] == number)
         if views:
-            means = submap(number).gaussians.transformed(submap(number).T_world_submap).means
-            mask &= ~Evidence.of(means, views).contradicts(free_space)
+            cloud = submap(number).gaussians.transformed(submap(number).T_world_submap)
+            mask &= ~Evidence.of(cloud.means, views).contradicts_in_map(cloud.radii_m, free_space)
         kept[number] = mask
     return FusedMap(submap, kept, exposures)
 

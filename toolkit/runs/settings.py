@@ -53,7 +53,8 @@ class RunSettings:
     """Exclude every n-th frame from mapping and evaluate it as a novel view. By default, no frame
     is excluded."""
     denoise: bool = True
-    """Smooth depth images according to their estimated noise."""
+    """Smooth depth images according to their estimated noise, remove flying pixels, and close gaps
+    of a pixel."""
     depth: Literal["sensor", "none"] = "sensor"
     """Depth of the images: that of the dataset (sensor), or estimated from the images alone (none).
     Without depth, the unit of length is arbitrary, unless a length is known (scale)."""

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.native import address, kernels_for
 from toolkit.native.constants import MIN_PLANE_DETERMINANT
+from toolkit.tracking.depth_gaps import without_gaps
+from toolkit.tracking.flying_pixels import without_flying_pixels
 
 # Half-sizes of the windows.
 _RADII = (8, 5, 3, 2)
@@ -47,7 +49,7 @@ class DepthFilter:
 
     def prepare(self, frame: Frame) -> Frame:
         """Filter a frame, and cache the result for `of`."""
-        filtered = replace(frame, depth_m=denoised(frame.depth_m))
+        filtered = _filtered(frame)
         self._prepared[frame.index] = frame, filtered
         return filtered
 
@@ -56,7 +58,13 @@ class DepthFilter:
         original, filtered = self._prepared.pop(frame.index, (None, None))
         if filtered is not None and original is frame:
             return filtered
-        return replace(frame, depth_m=denoised(frame.depth_m))
+        return _filtered(frame)
+
+
+def _filtered(frame: Frame) -> Frame:
+    # Depth from priors has no flying pixels of a sensor.
+    focal = frame.camera.focal if frame.inferred is None else None
+    return replace(frame, depth_m=denoised(frame.depth_m, focal))
 
 
 @dataclass(frozen=True)
@@ -118,15 +126,23 @@ def _noise_between_neighbours(inverse: NDArray[np.float32]) -> float:
     return float(np.median(differences) / (0.6745 * np.sqrt(6.0)))
 
 
-def denoised(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Filter depth [H, W] (m, 0 missing).
+def denoised(depth_m: NDArray[np.float32], focal: float | None = None) -> NDArray[np.float32]:
+    """Filter depth [H, W] (m, 0 missing), and close gaps of a pixel inside of surfaces.
 
-    Missing pixels stay missing; depth without noise is returned unchanged.
+    Other missing pixels stay missing. Depth without noise is not changed otherwise.
+
+    Args:
+        focal: focal length in pixels, to remove flying pixels as well.
     """
     noise = inverse_depth_noise(depth_m)
+    if focal is not None:
+        inverse = _inverse(depth_m)
+        kept = without_flying_pixels(inverse, focal, noise)
+        if kept is not inverse:
+            depth_m = np.where(kept > 0, depth_m, np.float32(0.0))
     if noise < _MIN_NOISE:
         return depth_m
-    return _inverse(_smoothed(_inverse(depth_m), noise))
+    return _inverse(_smoothed(without_gaps(_inverse(depth_m)), noise))
 
 
 def _smoothed(inverse: NDArray[np.float32], noise: float) -> NDArray[np.float32]:

@@ -1,0 +1,154 @@
+"""Depth images of keyframes as evidence about space: what they measured as empty, how reliably."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.free_space import free_space_margin_m
+from toolkit.keyframe import Keyframe
+
+# Distance in metres up to which depth has full confidence; the noise of triangulation grows with
+# the square of the distance.
+_FULL_CONFIDENCE_M = 3.0
+# Confidence of a surface at a grazing angle, relative to one that faces the camera.
+_MIN_OBLIQUE = 0.2
+_MIN_DEPTH_M = 0.05
+# Maximum number of depth images in the cache: several times those compared with a keyframe.
+_MAX_IMAGES = 32
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """A depth image, and what follows from it alone, computed when it is first needed.
+
+    Attributes:
+        camera: intrinsics of the image.
+        depth_m: [H, W] measured depth, 0 where missing.
+    """
+
+    camera: Camera
+    depth_m: NDArray[np.float32]
+
+    @cached_property
+    def empty_m(self) -> NDArray[np.float32]:
+        """Depth [H, W] up to which space is empty; see `empty_depth`."""
+        return empty_depth(self.depth_m)
+
+    @cached_property
+    def confidence(self) -> NDArray[np.float32]:
+        """Confidence [H, W] of the depth; see `depth_confidence`."""
+        return depth_confidence(self.depth_m, self.camera)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthView:
+    """The depth image of a keyframe, and its pose in a map.
+
+    Attributes:
+        T_camera_map: [4, 4] float32.
+    """
+
+    T_camera_map: NDArray[np.float32]
+    image: DepthImage
+
+    @classmethod
+    def of(cls, keyframe: Keyframe, T_map_submap: NDArray[np.float64] | None = None) -> DepthView:
+        """The view of a keyframe.
+
+        Args:
+            T_map_submap: [4, 4] pose of the keyframe's submap, the identity by default.
+        """
+        T_map_camera = keyframe.T_map_camera
+        if T_map_submap is not None:
+            T_map_camera = T_map_submap @ T_map_camera
+        return cls.at(T_map_camera, DepthImage(keyframe.camera, keyframe.measured_m.numpy()))
+
+    @classmethod
+    def at(cls, T_map_camera: NDArray[np.float64], image: DepthImage) -> DepthView:
+        """A depth image at a pose [4, 4]."""
+        return cls(se3.inverse(T_map_camera).astype(np.float32), image)
+
+    @property
+    def depth_m(self) -> NDArray[np.float32]:
+        """Measured depth [H, W], 0 where missing."""
+        return self.image.depth_m
+
+    def pixels_of(self, means: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Indices [n] of the points [N, 3] in the image, their pixels by row, and their depths."""
+        camera, T = self.image.camera, self.T_camera_map
+        axes = (means @ torch.from_numpy(T[:3, :3].T.copy()).to(means)).unbind(dim=1)
+        x, y, z = (axis + float(shift) for axis, shift in zip(axes, T[:3, 3], strict=True))
+        inverse = 1.0 / z.clamp(min=_MIN_DEPTH_M)
+        u = (x.mul_(inverse) * camera.fx).add_(camera.cx + 0.5)
+        v = (y.mul_(inverse) * camera.fy).add_(camera.cy + 0.5)
+        inside = (z > _MIN_DEPTH_M) & (u >= 0) & (v >= 0)
+        inside &= (u < camera.width) & (v < camera.height)
+        chosen = inside.nonzero().squeeze(1)
+        z, u, v = (a.index_select(0, chosen) for a in (z, u, v))
+        return chosen, v.long() * camera.width + u.long(), z
+
+    def measures_through(self, means: Tensor) -> Tensor:
+        """Mask [N] of the points [N, 3] on the CPU in space that was measured as empty."""
+        chosen, pixel, z = self.pixels_of(means)
+        empty = torch.from_numpy(self.image.empty_m.reshape(-1)).index_select(0, pixel)
+        mask = torch.zeros(len(means), dtype=torch.bool)
+        mask[chosen] = z < empty
+        return mask
+
+
+class DepthViews:
+    """The depth views of keyframes, whose images are prepared once (an LRU cache)."""
+
+    def __init__(self) -> None:
+        self._cache: OrderedDict[int, tuple[Tensor, Tensor | None, DepthImage]] = OrderedDict()
+
+    def of(self, keyframe: Keyframe) -> DepthView:
+        """The view of a keyframe at its present pose."""
+        cached = self._cache.pop(keyframe.index, None)
+        # Moving objects may have been removed, and keyframes of other submaps may have the same
+        # index.
+        if cached is None or not _same(cached, keyframe):
+            image = DepthImage(keyframe.camera, keyframe.measured_m.numpy())
+            cached = keyframe.depth_m, keyframe.inferred, image
+        self._cache[keyframe.index] = cached
+        if len(self._cache) > _MAX_IMAGES:
+            self._cache.popitem(last=False)
+        return DepthView.at(keyframe.T_map_camera, cached[2])
+
+
+def _same(cached: tuple[Tensor, Tensor | None, DepthImage], keyframe: Keyframe) -> bool:
+    return cached[0] is keyframe.depth_m and cached[1] is keyframe.inferred
+
+
+def empty_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depth [H, W] up to which each pixel of a depth image measured empty space.
+
+    It is the smallest depth of the pixel and its neighbours, less a margin, and 0 where any of them
+    is missing: beside a depth edge, a point belongs to the near surface.
+    """
+    nearest = cv2.erode(depth_m, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    return (nearest - free_space_margin_m(nearest)).clip(0.0).astype(np.float32)
+
+
+def depth_confidence(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Confidence [H, W] in [0, 1] of measured depth [H, W], from obliqueness and distance."""
+    known = depth_m > 0
+    inverse = np.divide(1.0, depth_m, out=np.zeros_like(depth_m), where=known)
+    smooth = cv2.blur(inverse, (3, 3))
+    # Inverse depth is linear on a plane; its slope per unit of the ray is the plane's tilt.
+    slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1.0 / 8.0) * camera.fx
+    slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1.0 / 8.0) * camera.fy
+    tilt = np.hypot(slope_u, slope_v) * depth_m
+    facing = np.maximum(1.0 / np.sqrt(1.0 + tilt**2), _MIN_OBLIQUE)
+    near = np.minimum(1.0, (_FULL_CONFIDENCE_M * inverse) ** 2)
+    return np.asarray(known * facing * near, np.float32)
