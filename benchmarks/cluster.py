@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,7 +23,8 @@ import tyro
 import yaml
 
 from benchmarks.cluster_model import CostInputs, cost_table, driver_table
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.programs import semsplat, start_semsplat
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
@@ -90,13 +90,13 @@ def measure_runs(options: Options, folder: Path) -> tuple[Table, float]:
     for workers in WORKERS:
         plan = _plan(options, folder / f"workers{workers}.yaml")
         begin = time.monotonic()
-        _run_many(plan, workers).wait()
+        start_semsplat("run-many", str(plan), "--ray.cpus", str(workers)).wait()
         times[workers] = time.monotonic() - begin
         verdict = _compared(whole, folder / plan.stem, options.runs) if workers > 1 else "-"
         rows.append(_row(f"{workers} worker(s)", times[workers], times[1], plan, options, verdict))
     plan = _plan(options, folder / "killed.yaml")
     begin = time.monotonic()
-    program = _run_many(plan, WORKERS[-1])
+    program = start_semsplat("run-many", str(plan), "--ray.cpus", str(WORKERS[-1]))
     _kill_worker(folder / "killed", options.frames // 2)
     program.wait()
     verdict = _compared(whole, folder / "killed", options.runs)
@@ -134,11 +134,6 @@ def _plan(options: Options, path: Path) -> Path:
     }
     path.write_text(yaml.safe_dump(content))
     return path
-
-
-def _run_many(plan: Path, workers: int) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "toolkit.cli.main", "run-many", str(plan)]
-    return subprocess.Popen([*command, "--ray.cpus", str(workers)], stderr=subprocess.DEVNULL)
 
 
 def _kill_worker(out: Path, frame: int) -> None:
