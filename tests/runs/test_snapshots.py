@@ -14,10 +14,11 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs.building import build_slam
+from toolkit.runs.execution import run
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import Observers, RunProgress
 from toolkit.runs.progress import ProgressReader
-from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.runs.settings import RunSettings, dump_settings, load_settings
 from toolkit.runs.snapshots import SnapshotWriter, unwatch, watch
 from toolkit.submaps.options import AllocationOptions, SubmapOptions
 
@@ -116,6 +117,31 @@ def test_the_map_may_change_while_a_snapshot_is_written(running):
     arrays, _ = running.writer._state(running.slam)
     means_m.add_(1.0)
     assert np.array_equal(arrays["mapper/gaussians/means"], before_m)
+
+
+def test_a_run_that_is_watched_has_the_same_result(tiny_run, tmp_path, monkeypatch):
+    """`tiny_run` was not watched."""
+
+    class Watcher:
+        def started(self, run):
+            self.folder = run.folder
+            watch(run.folder)
+
+        def frame_processed(self, frame, result):
+            found.append(self.folder.snapshot.is_dir())
+
+        def finished(self, result):
+            pass
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr("toolkit.runs.snapshots._EVERY_S", 0.0)
+    found = []
+    run(load_settings(tiny_run / "config.yaml"), tmp_path / "run", observers=[Watcher()])
+    assert found[-1]
+    for name in ("map.ply", "trajectory.txt", "loops.jsonl"):
+        assert (tmp_path / "run" / name).read_bytes() == (tiny_run / name).read_bytes(), name
 
 
 def test_an_older_checkpoint_does_not_replace_what_was_shown(running):
