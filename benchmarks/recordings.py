@@ -27,7 +27,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
     "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
-    # Fast for its rooms: 18 cm and 9 degrees per frame at most.
+    # A fast walk: up to 10 cm and 9 degrees per frame.
     "hall-fast": ("--layout", "hall", "--frames", "1500", *_TINY),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
 }
