@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,7 +11,7 @@ from typing import Any
 
 from toolkit.errors import DependencyError, RunFolderError
 from toolkit.io.arrays import ArrayTree, read_array_tree, write_array_tree
-from toolkit.io.atomic import cannot_write
+from toolkit.io.atomic import cannot_write, replacing
 from toolkit.io.atomic import write_bytes as write_local
 
 
@@ -80,7 +81,9 @@ def upload(local: Path, place: str) -> None:
         _send(place, lambda system, path: system.put_file(str(local), path))
     else:
         _make_parent(Path(place))
-        local.replace(place)
+        # It may be on another file system, as temporary folders often are.
+        with replacing(place) as temporary:
+            shutil.copyfile(local, temporary)
 
 
 def read_tree(place: str) -> ArrayTree:
@@ -119,8 +122,6 @@ def write_tree(place: str, arrays: dict[str, Any], metadata: dict[str, Any]) -> 
 def remove_folder(place: str) -> None:
     """Remove a folder with its content, if it exists."""
     if not is_url(place):
-        import shutil
-
         shutil.rmtree(place, ignore_errors=True)
         return
     system, path = _system(place)
