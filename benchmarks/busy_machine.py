@@ -19,7 +19,8 @@ from statistics import median
 
 import tyro
 
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.programs import semsplat
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table

@@ -2,7 +2,9 @@
 
     python -m benchmarks.cluster
 
-Run it on an otherwise idle machine with two cores. Requires `pip install 'semsplat[cluster]'`.
+Run it on an otherwise idle machine with two cores, where it takes about ten minutes. A few frames
+show whether it works: --runs 2 --frames 10 --map-frames 120 --submap-keyframes 12.
+Requires `pip install 'semsplat[cluster]'`.
 """
 
 from __future__ import annotations
@@ -10,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,7 +25,8 @@ import tyro
 import yaml
 
 from benchmarks.cluster_model import CostInputs, cost_table, driver_table
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.programs import semsplat, start_semsplat
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
@@ -38,9 +40,10 @@ DESCRIPTION = """\
 `semsplat run-many` executes runs of a walk along a ring of rooms (160x120, sensor noise; the first
 frames) with different seeds on a Ray cluster of this machine, one thread each. Times include the
 start of the cluster, the imports of each process, and the report. One run's worker is killed
-(SIGKILL) in the middle of the run. `semsplat refine` refines the map of a longer such run, divided
-into small submaps. `trajectory.txt`, `map.ply` and `loops.jsonl` of runs, and all files of refined
-maps, are compared byte by byte.
+(SIGKILL) in the middle of the run. `semsplat refine` refines the map of a walk through twelve rooms
+along corridors (120x90, sensor noise, 1500 frames unless the command states fewer).
+`trajectory.txt`, `map.ply` and `loops.jsonl` of runs, and all files of refined maps, are compared
+byte by byte.
 
 Times of tasks are those of one process on one thread. The model divides their sum by the number of
 cores and adds the fusion, which one worker does alone. It contains neither the driver's work, which
@@ -56,13 +59,13 @@ class Options:
 
     runs: int = 4
     """Number of runs of the plan."""
-    frames: int = 60
+    frames: int = 40
     """Frames of each run."""
-    map_frames: int = 450
-    """Frames of the run whose map is refined."""
-    submap_keyframes: int = 12
-    """Maximum number of keyframes of its submaps."""
-    preset: PresetName = "default"
+    map_frames: int = 1500
+    """Frames of the run whose map is refined; all of them for the map of twelve rooms."""
+    submap_keyframes: int | None = None
+    """Maximum number of keyframes of its submaps. By default, that of the settings."""
+    preset: PresetName = "fast"
     """Settings of all runs."""
     out: Path = RESULTS
     """Folder of the results file."""
@@ -90,13 +93,13 @@ def measure_runs(options: Options, folder: Path) -> tuple[Table, float]:
     for workers in WORKERS:
         plan = _plan(options, folder / f"workers{workers}.yaml")
         begin = time.monotonic()
-        _run_many(plan, workers).wait()
+        start_semsplat("run-many", str(plan), "--ray.cpus", str(workers)).wait()
         times[workers] = time.monotonic() - begin
         verdict = _compared(whole, folder / plan.stem, options.runs) if workers > 1 else "-"
         rows.append(_row(f"{workers} worker(s)", times[workers], times[1], plan, options, verdict))
     plan = _plan(options, folder / "killed.yaml")
     begin = time.monotonic()
-    program = _run_many(plan, WORKERS[-1])
+    program = start_semsplat("run-many", str(plan), "--ray.cpus", str(WORKERS[-1]))
     _kill_worker(folder / "killed", options.frames // 2)
     program.wait()
     verdict = _compared(whole, folder / "killed", options.runs)
@@ -134,11 +137,6 @@ def _plan(options: Options, path: Path) -> Path:
     }
     path.write_text(yaml.safe_dump(content))
     return path
-
-
-def _run_many(plan: Path, workers: int) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "toolkit.cli.main", "run-many", str(plan)]
-    return subprocess.Popen([*command, "--ray.cpus", str(workers)], stderr=subprocess.DEVNULL)
 
 
 def _kill_worker(out: Path, frame: int) -> None:
@@ -196,11 +194,13 @@ class TimedTasks:
 def measure_refinement(options: Options, folder: Path) -> tuple[Table, dict[str, Any]]:
     """Refine one map in this process and on one and two workers."""
     run = folder / "map"
-    allocation = [
-        *("--submaps.allocation.max-keyframes", str(options.submap_keyframes)),
-        *("--submaps.allocation.min-keyframes", str(max(2, options.submap_keyframes // 2))),
-    ]
-    sequence = sequence_arguments("ring-small")
+    allocation = []
+    if options.submap_keyframes is not None:
+        allocation = [
+            *("--submaps.allocation.max-keyframes", str(options.submap_keyframes)),
+            *("--submaps.allocation.min-keyframes", str(max(2, options.submap_keyframes // 2))),
+        ]
+    sequence = sequence_arguments("hall-fast")
     frames = ["--preset", options.preset, "--max-frames", str(options.map_frames)]
     semsplat("run", *sequence, *allocation, *frames, "--out", str(run))
     timed = TimedTasks()
@@ -216,7 +216,10 @@ def measure_refinement(options: Options, folder: Path) -> tuple[Table, dict[str,
         one_s = one_s or taken
         verdict = "identical" if _same_folder(folder / "here", out) else "**differs**"
         rows.append((f"{workers} worker(s)", f"{taken:.0f}", f"{one_s / taken:.2f}", verdict))
-    title = f"Refinement of a map of {refined.submaps} submaps and {refined.pairs} pairs"
+    title = (
+        f"Refinement of a map of {options.map_frames} frames, {refined.submaps} submaps and "
+        f"{refined.pairs} pairs"
+    )
     size = sum(p.stat().st_size for p in (folder / "here/submaps").rglob("*") if p.is_file())
     return Table(("refinement", "time, s", "speed-up", "result"), tuple(rows), title), {
         "submaps": refined.submaps,

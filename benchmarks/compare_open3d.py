@@ -27,6 +27,7 @@ from typing import Any, Literal, get_args
 
 import tyro
 
+from benchmarks.programs import semsplat_command
 from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
@@ -127,7 +128,7 @@ def rival_figures(name: str, arguments: Arguments, folder: Path, repeat: int) ->
 def our_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> Figures:
     """Run `semsplat run` in a child process and read its metrics.json."""
     out = folder / f"{name}-{repeat}"
-    command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
+    command = semsplat_command("run", "--out", str(out))
     command += ["--seed", str(repeat), *_frame_options(arguments), *arguments.ours.split()]
     _run(command, arguments.timeout_s, {"SEMSPLAT_ISA": "avx2"} if name.endswith("avx2") else {})
     metrics: dict[str, Any] = json.loads((out / "metrics.json").read_text())

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import json
 import tempfile
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
 
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.attached_viewer import attached_viewer
+from benchmarks.programs import semsplat
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
 from toolkit.evaluation.trajectory import absolute_trajectory_error
@@ -36,7 +39,11 @@ COLUMNS = (
     "ate_processed_rmse_cm",
     "psnr_db",
     "recording_mb",
+    "viewer_updates",
+    "viewer_mb",
 )
+# Not an option of the program: a viewer follows the run.
+VIEWER = "viewer"
 _LIVE = ("live", "--camera", "replay", "--fps", str(FPS))
 _SEQUENCES = {"room": "room", "RedKitchen": "redkitchen"}
 # Program and options of each row, before those of its sequence; "--record" has no value here.
@@ -46,6 +53,7 @@ ROWS: dict[str, list[str]] = {
     for how, words in {
         "live": _LIVE,
         "live, --pace": (*_LIVE, "--pace", str(FPS)),
+        "live, --pace, viewer attached": (*_LIVE, "--pace", str(FPS), VIEWER),
         "live, --pace, --record": (*_LIVE, "--pace", str(FPS), "--record"),
     }.items()
 }
@@ -56,8 +64,11 @@ its pose, without dropped frames. `ate_rmse_cm` scores all frames, dropped ones 
 before them; `ate_processed_rmse_cm` scores the frames that were processed. Without `--pace`, each
 frame is processed completely, and only the newest one waits; with `--pace`, optimisation is
 deferred to the time between the frames. `--record` writes frames, poses, map and times to a file
-for the viewer of Rerun. RedKitchen and the synthetic room have 320x240 pixels. Live runs depend on
-the speed and the load of the machine and are not repeatable."""
+for the viewer of Rerun. With "viewer attached", `semsplat view --live` follows the run in a process
+of its own, on the same machine; its client is a websocket that receives what a browser would and
+draws nothing. `viewer_updates` counts the states of the growing map that were shown. RedKitchen and
+the synthetic room have 320x240 pixels. Live runs depend on the speed and the load of the machine
+and are not repeatable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +88,13 @@ def measure(job: list[str], seed: int) -> Metrics:
     with tempfile.TemporaryDirectory() as temporary:
         out, record = Path(temporary) / "run", Path(temporary) / "run.rrd"
         words += [str(record)] if words[-1:] == ["--record"] else []
-        place = sequence_arguments(sequence)
-        semsplat(program, *place, *words, "--seed", str(seed), "--out", str(out))
+        options = [*sequence_arguments(sequence), *(word for word in words if word != VIEWER)]
+        with attached_viewer(out) if VIEWER in words else nullcontext() as viewer:
+            semsplat(program, *options, "--seed", str(seed), "--out", str(out))
         metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
         metrics["ate_processed_rmse_cm"] = _processed_error_cm(out)
+        metrics["viewer_updates"] = viewer and viewer.updates
+        metrics["viewer_mb"] = viewer and viewer.received_mb
         metrics["recording_mb"] = record.stat().st_size / 1e6 if record.exists() else None
     return metrics
 

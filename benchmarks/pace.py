@@ -19,7 +19,8 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.programs import semsplat
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import MISSING, Metrics, Table, table_of
 from toolkit.datasets.registry import open_dataset

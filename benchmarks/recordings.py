@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.programs import semsplat
 from benchmarks.report import WORK
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
@@ -16,6 +14,7 @@ from toolkit.datasets.registry import open_dataset
 # Options of `semsplat make-room` for each synthetic sequence; a number behind the name is its seed.
 _RING = ("--layout", "ring", "--frames", "900")
 _SMALL = ("--image-size", "160", "120", "--sensor-noise")
+_TINY = ("--image-size", "120", "90", "--sensor-noise")
 ROOMS: dict[str, tuple[str, ...]] = {
     "room": (),
     "room-noise": ("--sensor-noise",),
@@ -28,6 +27,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
     "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
+    # A fast walk: up to 10 cm and 9 degrees per frame.
+    "hall-fast": ("--layout", "hall", "--frames", "1500", *_TINY),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
 }
 
@@ -114,22 +115,6 @@ def room(name: str, seed: int = 0) -> Path:
         semsplat("make-room", "--out", str(partial), *ROOMS[name], "--seed", str(seed))
         partial.rename(folder)
     return folder
-
-
-def semsplat(*arguments: str, variables: Mapping[str, str] | None = None) -> None:
-    """Run a semsplat program in a process of its own.
-
-    Args:
-        variables: additional environment variables.
-
-    Raises:
-        SystemExit: it failed.
-    """
-    command = [sys.executable, "-m", "toolkit.cli.main", *arguments]
-    environment = {**os.environ, **(variables or {})}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    if done.returncode:
-        raise SystemExit(f"semsplat {' '.join(arguments)}\n{done.stderr[-2000:]}")
 
 
 def _dataset_arguments(kind: str, path: Path) -> list[str]:

@@ -28,6 +28,7 @@ from typing import Any
 import tyro
 
 from benchmarks.machine import describe_machine
+from benchmarks.programs import semsplat_command
 
 FILES = ("trajectory.txt", "map.ply", "loops.jsonl")
 # Metrics that no two runs share.
@@ -91,7 +92,7 @@ def _results(arguments: list[str]) -> dict[str, Any]:
     """Hashes of files, and the values of the stable metrics."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out), *arguments]
+        command = semsplat_command("run", "--out", str(out), *arguments)
         environment = {**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2")}
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL, env=environment)
         results: dict[str, Any] = {file: _hash(out / file) for file in FILES}

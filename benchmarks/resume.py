@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import random
-import subprocess
 import sys
 import tempfile
 import time
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import tyro
 
+from benchmarks.programs import semsplat, start_semsplat
 from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
@@ -57,16 +57,14 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "whole"
         begin = time.monotonic()
-        subprocess.run(_command(options, whole), check=True, stderr=subprocess.DEVNULL)
+        semsplat(*_words(options, whole))
         length_s = time.monotonic() - begin
         for number in range(options.kills):
             out = Path(folder) / f"killed{number}"
             after_s = moments.uniform(0.15, 0.95) * length_s
-            at_frame = _run_killed(_command(options, out), out, after_s)
-            resume = [*_command(options, out), "--resume"]
-            if not (out / "config.yaml").exists():  # killed before the run folder was made
-                resume = _command(options, out)
-            subprocess.run(resume, check=True, stderr=subprocess.DEVNULL)
+            at_frame = _run_killed(_words(options, out), out, after_s)
+            begun = (out / "config.yaml").exists()  # not killed before the run folder was made
+            semsplat(*_words(options, out), *(["--resume"] if begun else []))
             different = _differences(whole, out)
             verdict = f"**differs** in {', '.join(different)}" if different else "identical"
             rows.append((str(number), f"{after_s:.1f}", at_frame, verdict))
@@ -75,15 +73,14 @@ def main() -> int:
     return 1 if any(row[-1] != "identical" for row in rows) else 0
 
 
-def _command(options: Options, out: Path) -> list[str]:
-    command = [sys.executable, "-m", "toolkit.cli.main", "run", "--out", str(out)]
-    command += sequence_arguments("room")
-    command += ["--max-frames", str(options.frames), "--checkpoint.every-s", "1"]
-    return [*command, *options.extra.split()]
+def _words(options: Options, out: Path) -> list[str]:
+    words = ["run", "--out", str(out), *sequence_arguments("room")]
+    words += ["--max-frames", str(options.frames), "--checkpoint.every-s", "1"]
+    return [*words, *options.extra.split()]
 
 
-def _run_killed(command: list[str], out: Path, after_s: float) -> str:
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+def _run_killed(words: list[str], out: Path, after_s: float) -> str:
+    process = start_semsplat(*words)
     time.sleep(after_s)
     process.kill()
     process.wait()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.recordings import semsplat
+from benchmarks.programs import semsplat
 from benchmarks.tables import Metrics
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.timing import StageRecorder

@@ -8,7 +8,6 @@ from __future__ import annotations
 import http.client
 import json
 import random
-import re
 import subprocess
 import sys
 import threading
@@ -23,7 +22,8 @@ import numpy as np
 import tyro
 
 from benchmarks.malformed_requests import HttpRequest, malformed_requests
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.programs import semsplat, start_semsplat_server
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import WORK, publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
@@ -136,14 +136,9 @@ def _run(frames: int) -> Path:
 
 
 def _started(run: Path) -> tuple[subprocess.Popen[str], int]:
-    command = [sys.executable, "-m", "toolkit.cli.main", "serve", str(run), "--port", "0"]
-    command += ["--limits.requests-per-s", "100000", "--limits.burst", "100000"]
-    service = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert service.stdout is not None
-    found = re.search(r"http://127\.0\.0\.1:(\d+)/", service.stdout.readline())
-    if found is None:
-        raise SystemExit(f"the service did not start: {service.communicate()[1][-500:]}")
-    return service, int(found[1])
+    unlimited = ["--limits.requests-per-s", "100000", "--limits.burst", "100000"]
+    service, url = start_semsplat_server("serve", str(run), "--port", "0", *unlimited)
+    return service, int(url.rpartition(":")[2])
 
 
 def _connection(port: int) -> http.client.HTTPConnection:

@@ -15,7 +15,8 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.recordings import semsplat, sequence_arguments
+from benchmarks.programs import semsplat
+from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table

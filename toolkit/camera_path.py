@@ -110,6 +110,16 @@ class CameraPath:
         """Number of the submap that each frame was tracked in."""
         return [f.submap for f in self._frames]
 
+    @property
+    def keyframes(self) -> list[int]:
+        """Frame index of the reference keyframe of each frame."""
+        return [f.keyframe for f in self._frames]
+
+    @property
+    def T_keyframe_camera(self) -> Array:
+        """Poses [M, 4, 4] of the frames relative to their reference keyframes."""
+        return np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
+
     def last_pose(self, atlas: Atlas) -> tuple[int, Array]:
         """Submap and pose [4, 4] of the newest frame; without frames, the active anchor."""
         if not self._frames:
@@ -162,8 +172,7 @@ class CameraPath:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
-        arrays = {"T_keyframe_camera": np.array(self._T_keyframe_camera).reshape(-1, 4, 4)}
-        return arrays, {
+        return {"T_keyframe_camera": self.T_keyframe_camera}, {
             "tracked": [asdict(f) for f in self._frames],
             "lost_frames": self.lost_frames,
             "lost_in_a_row": self.lost_in_a_row,

@@ -89,6 +89,11 @@ class Slam:
         """The accepted loop edges between submaps so far."""
         return self._closer.loops
 
+    @property
+    def camera_path(self) -> CameraPath:
+        """The poses of the frames so far, relative to keyframes."""
+        return self._path
+
     def load_map(self, submaps: Iterable[Submap]) -> None:
         """Load the map of an earlier run, before the first frame; it is extended but not changed.
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import numpy as np
 import pytest
 
@@ -29,6 +32,18 @@ def test_what_was_written_is_read(place, tmp_path):
     assert storage.read_bytes(storage.join(place, "folder", "big")) == b"file"
     storage.remove_folder(storage.join(place, "tree"))
     assert storage.names_in(place) == ["b.txt", "folder"]
+
+
+def test_a_file_of_another_file_system_is_copied(tmp_path):
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no second file system")
+    with TemporaryDirectory(dir=memory) as folder:
+        local = Path(folder) / "map.ply"
+        local.write_bytes(b"splats")
+        storage.upload(local, str(tmp_path / "run" / "map.ply"))
+        assert local.read_bytes() == b"splats"
+    assert (tmp_path / "run" / "map.ply").read_bytes() == b"splats"
 
 
 def test_missing_and_damaged_content_is_reported(place):

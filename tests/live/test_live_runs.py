@@ -25,8 +25,11 @@ from toolkit.live import frame_writer
 from toolkit.live.execution import LiveHooks, run_live
 from toolkit.live.options import LiveOptions
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
+from toolkit.runs import snapshots
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
+from toolkit.viewer.live import LiveRun
+from toolkit.viewer.options import ShownContent
 
 QUICK = MapperOptions(
     first_iterations=4, iterations=1, final_iterations=1, keyframes=KeyframePolicy(interval=1)
@@ -93,6 +96,36 @@ def test_frames_of_a_camera_make_a_map_and_can_be_run_again(tmp_path: Path):
     assert len(load_run(again).tracked) == 4
     live, offline = load_run(out), load_run(again)
     assert live.trajectory.timestamps_s.tolist() == offline.trajectory.timestamps_s.tolist()
+
+
+class Viewer(Follower):
+    """Follows the run like a viewer, and releases the camera when it has seen the newest frame."""
+
+    def started(self, run) -> None:
+        self.live = LiveRun(run.folder.path, ShownContent())
+        assert self.live.poll() is None
+
+    def frame_processed(self, frame, result) -> None:
+        deadline_s = time.monotonic() + 30.0
+        while (scene := self.live.poll()) is None:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        self.calls.append(f"{scene.title}: {len(scene.keyframes)} keyframes")
+        super().frame_processed(frame, result)
+
+
+def test_a_viewer_follows_a_live_run(tmp_path: Path, monkeypatch):
+    for name in ("_EVERY_S", "_LOOK_EVERY_S"):
+        monkeypatch.setattr(snapshots, name, 0.0)
+    monkeypatch.setattr(snapshots, "_MAX_SHARE", 1e9)
+    taken = threading.Semaphore(0)
+    viewer, out = Viewer(taken), tmp_path / "run"
+    camera = ScriptedCamera(FRAMES, taken=taken)
+    run_live(SETTINGS, LiveOptions(), camera, out, LiveHooks(observers=[viewer]))
+    shown = [call for call in viewer.calls if "keyframes" in call]
+    assert shown == [f"run, frame {i + 1}: {i + 1} keyframes" for i in range(4)]
+    assert viewer.live.poll().title == "run" and viewer.live.finished
+    assert not (out / "live").exists()
 
 
 def test_frames_of_a_camera_are_removed_unless_they_are_wanted(tmp_path: Path):

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import socket
+import subprocess
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,27 +109,65 @@ def test_shared_storage_gives_the_same_map(submaps_run, refined):
     assert_same(refined, "memory://bucket/out")
 
 
-def test_s3_gives_the_same_map(submaps_run, refined, monkeypatch):
-    moto = pytest.importorskip("moto.server", reason="moto is not installed")
-    pytest.importorskip("s3fs", reason="s3fs is not installed")
-    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-            monkeypatch.setenv(name, "testing")
-        monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        import s3fs
+@pytest.fixture
+def s3(monkeypatch):
+    """The root URL of a bucket on moto's server, a process of its own.
 
+    moto conflicts with pinned packages: `SEMSPLAT_MOTO_SERVER` names the program `moto_server` of
+    another environment.
+    """
+    s3fs = pytest.importorskip("s3fs", reason="s3fs is not installed")
+    program = os.environ.get("SEMSPLAT_MOTO_SERVER") or shutil.which("moto_server")
+    if program is None:
+        pytest.skip("SEMSPLAT_MOTO_SERVER is not set, and moto_server is not installed")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [program, "-H", "127.0.0.1", "-p", str(port)]
+    server = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "testing")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    try:
+        deadline_s = time.monotonic() + 30.0
+        while not _listens(port):
+            assert server.poll() is None and time.monotonic() < deadline_s, "moto did not start"
+            time.sleep(0.05)
         s3fs.S3FileSystem.clear_instance_cache()
         s3fs.S3FileSystem().mkdir("maps")
-        copy_to(submaps_run, "s3://maps/run")
-        refine_map("s3://maps/run", "s3://maps/out", InThisProcess())
-        assert_same(refined, "s3://maps/out")
+        yield "s3://maps"
         s3fs.S3FileSystem.clear_instance_cache()
     finally:
-        server.stop()
+        server.terminate()
+        server.wait()
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_s3_gives_the_same_map(submaps_run, refined, s3):
+    copy_to(submaps_run, f"{s3}/run")
+    assert main(["refine", f"{s3}/run", "--out", f"{s3}/out"]) == 0
+    assert_same(refined, f"{s3}/out")
+
+
+def test_workers_read_and_write_s3(submaps_run, refined, s3):
+    pytest.importorskip("ray", reason="ray is not installed (pip install 'semsplat[cluster]')")
+    copy_to(submaps_run, f"{s3}/run")
+    words = ["--ray.cpus", "2", "--memory-gb", "0.5"]
+    assert main(["refine", f"{s3}/run", "--out", f"{s3}/out", *words]) == 0
+    assert_same(refined, f"{s3}/out")
+
+
+def test_missing_content_of_s3_is_one_line(s3, capsys):
+    for place in (f"{s3}/nothing", "s3://no-such-bucket/run"):
+        assert main(["refine", place, "--out", f"{s3}/out"]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert place in line
+    assert storage.names_in(f"{s3}/out") == []
 
 
 def test_runs_that_cannot_be_refined_are_refused(submaps_run, tmp_path, capsys):

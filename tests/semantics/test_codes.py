@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
-from toolkit.semantics.decoding import decode
+from toolkit.semantics.decoding import decode, decode_level
 from toolkit.semantics.options import CodeOptions
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -48,6 +48,28 @@ def test_a_level_with_one_child_needs_no_channel():
     assert taxonomy.level_widths == (1, 2, 2)
     assert one_hot_code(taxonomy).channels == 4
     assert binary_code(taxonomy).channels == 2
+
+
+def test_decoding_among_some_classes_is_that_of_impossible_others(code, tree):
+    """Their rows are left out, which must not change anything but the time."""
+    values = torch.randn(code.channels, 500, generator=torch.Generator().manual_seed(1))
+    among = torch.tensor([0, 2])
+    others = torch.ones(len(tree), dtype=torch.bool)
+    others[among] = False
+
+    def masked(values):
+        return code.logits(values).masked_fill(others[:, None], -torch.inf)
+
+    seen = torch.arange(500) % 7 > 0
+    expected = decode(values, masked, tree, seen)
+    answer = decode(values, code.logits, tree, seen, among)
+    for name in ("class_ids", "confidence", "nodes", "node_confidence"):
+        assert np.array_equal(getattr(answer, name), getattr(expected, name)), name
+    assert answer.entropy == pytest.approx(expected.entropy, abs=1e-6)
+    assert set(answer.class_ids) == {0, 1, 3}
+    for level in range(tree.depth):
+        nodes = decode_level(values, code.logits, tree, seen, level, among)
+        assert np.array_equal(nodes, expected.nodes[:, level])
 
 
 def test_start_values_decode_to_their_class(code, tree):

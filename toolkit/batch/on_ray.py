@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 
 from toolkit.batch.plan import Resources
 from toolkit.batch.process import RunJob, RunOutcome, execute_run
-from toolkit.cluster.session import RayCluster, TaskResources
+from toolkit.cluster.session import ProcessKilledError, RayCluster, TaskResources
 
 
 class OnRay:
-    """Executes each job as one task; see Executor. A job whose worker was lost is resumed."""
+    """Executes each job as one task; see Executor.
+
+    A job whose worker was lost, or was killed for its memory, is resumed."""
 
     def __init__(self, cluster: RayCluster, resources: Resources) -> None:
         self._cluster = cluster
@@ -25,4 +27,7 @@ class OnRay:
 
 
 def _execute(job: RunJob) -> RunOutcome:
-    return execute_run(job, worker=f"ray worker {os.getpid()}")
+    outcome = execute_run(job, worker=f"ray worker {os.getpid()}")
+    if outcome.killed:
+        raise ProcessKilledError(outcome.reason)
+    return outcome

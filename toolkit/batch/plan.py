@@ -53,7 +53,7 @@ class Resources:
     memory_gb: PositiveFloat = 3.0
     """Memory in GB that the scheduler reserves on a cluster."""
     retries: NonNegativeInt = 3
-    """How often a run is resumed on a cluster after its worker was lost."""
+    """How often a run is resumed on a cluster after its worker was lost or ran out of memory."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+_SIGKILL = 9
+
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -74,11 +76,13 @@ class RunOutcome:
         name: name of the run in the plan.
         reason: why it failed; empty if it finished.
         time_s: wall-clock time of the last attempt, seconds.
+        killed: whether its process was killed (SIGKILL), as the kernel does for lack of memory.
     """
 
     name: str
     reason: str
     time_s: float
+    killed: bool = False
 
 
 def execute_run(job: RunJob, worker: str = "") -> RunOutcome:
@@ -110,7 +114,8 @@ def execute_run(job: RunJob, worker: str = "") -> RunOutcome:
                 process.wait()
             assert process.stdin is not None
             process.stdin.close()
-    return RunOutcome(job.name, _reason(job, status), time.monotonic() - begin)
+    killed = status == -_SIGKILL
+    return RunOutcome(job.name, _reason(job, status), time.monotonic() - begin, killed)
 
 
 def _note_attempt(job: RunJob, pid: int, worker: str) -> None:
@@ -133,6 +138,8 @@ def _reason(job: RunJob, status: int) -> str:
         if (job.folder / "report.html").is_file():
             return ""
         return f"the run has no map; {job.folder / 'log.txt'} states the reason"
+    if status == -_SIGKILL:
+        return f"the process was killed, probably for lack of memory; see {job.log_file}"
     if status < 0:
         return f"the process was ended by signal {-status}; see {job.log_file}"
     lines = job.log_file.read_text(encoding="utf-8", errors="replace").split("\n")

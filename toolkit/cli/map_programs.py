@@ -88,7 +88,7 @@ class ViewOptions:
     map: Positional[Path]
     """Run folder, or a splat file (.ply, .splat, .spz)."""
     live: bool = False
-    """Follow a run in progress, from its checkpoints."""
+    """Follow a run in progress."""
     host: str = "127.0.0.1"
     """Address to listen on. Other computers can connect only if another address is given; there is
     no password."""

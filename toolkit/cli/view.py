@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
+
+import torch
 
 from toolkit.cli.map_programs import ViewOptions
 from toolkit.errors import SettingsError
@@ -13,6 +16,7 @@ from toolkit.viewer.server import MapServer, start_viser, stop_viser
 
 _log = logging.getLogger(__name__)
 
+_NICENESS = 10
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
@@ -25,6 +29,8 @@ def main(options: ViewOptions) -> int:
     Raises:
         ToolkitError: there is no map, it cannot be read, or the port cannot be used.
     """
+    if options.live:
+        _yield_to_the_run()
     live = LiveRun(options.map, options.viewer) if options.live else None
     scene = None if options.live else read_scene(options.map, options.viewer)
     text = ", ".join(options.highlight)
@@ -51,3 +57,10 @@ def main(options: ViewOptions) -> int:
         return 0
     finally:
         stop_viser(server)
+
+
+def _yield_to_the_run() -> None:
+    """Leave the processor to the run that is followed, if it needs it."""
+    torch.set_num_threads(1)
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)

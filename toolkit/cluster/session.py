@@ -17,6 +17,8 @@ from toolkit.errors import DependencyError, SettingsError, ToolkitError
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
+_log = logging.getLogger(__name__)
+
 # Maximum time until a node of an existing cluster answers, seconds.
 _PATIENCE_S = 10.0
 
@@ -32,9 +34,17 @@ _VARIABLES = {
     # Workers print warnings about accelerators otherwise.
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_DEDUP_LOGS": "0",
-    # Tasks that were ended for their memory are not repeated for ever.
-    "RAY_task_oom_retries": "2",
 }
+
+
+# Why a task did not end.
+LOST_WORKER = "its worker was lost"
+OUT_OF_MEMORY = "its worker ran out of memory"
+KILLED_PROCESS = "its process was killed, probably for lack of memory"
+
+
+class ProcessKilledError(Exception):
+    """Raised by a function whose own process was killed: the task is repeated like a lost one."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,7 @@ class TaskResources:
     Attributes:
         cores: number of cores, which is also the number of threads.
         memory_gb: memory in GB.
-        retries: how often a task is repeated after its worker was lost.
+        retries: how often a task is repeated after its worker was lost or ran out of memory.
     """
 
     cores: int = 1
@@ -67,6 +77,27 @@ class TaskResult(Generic[Value]):
     failure: str = ""
 
 
+@dataclass(frozen=True)
+class _Ended:
+    """How a task ended: with a value, or with a loss after which it can be repeated."""
+
+    index: int
+    value: Any
+    loss: str = ""
+
+    def result(self, times: int, resources: TaskResources) -> TaskResult[Any]:
+        """The final result after a number of losses."""
+        if not self.loss:
+            return TaskResult(self.index, self.value)
+        reason = f"{self.loss}, {times} time{'s' if times > 1 else ''}"
+        if self.loss != LOST_WORKER:
+            reason += (
+                f"; {resources.memory_gb:g} GB were declared, declare more so that fewer tasks run "
+                "side by side, or use smaller images or submaps"
+            )
+        return TaskResult(self.index, None, reason)
+
+
 class RayCluster:
     """A cluster that tasks can be sent to; created by `ray_cluster`."""
 
@@ -78,44 +109,56 @@ class RayCluster:
     ) -> Iterator[TaskResult[Value]]:
         """Call a function for each item, and yield the results as tasks end.
 
-        A task whose worker is lost is repeated. Functions and items are sent to the workers, and
-        should be small.
+        A task whose worker is lost is repeated at once; one that ran out of memory is repeated when
+        another task has ended. Functions and items are sent to the workers, and should be small.
 
         Raises:
             ToolkitError: no node of the cluster has the resources for a task.
-            Exception: those that the function raises.
+            Exception: those that the function raises, except for `ProcessKilledError`.
         """
-        ray = self._ray
         self._check(resources)
-        task = ray.remote(
-            num_cpus=resources.cores,
-            memory=int(resources.memory_gb * 1e9),
-            max_retries=resources.retries,
+        # Ray itself would repeat tasks that ran out of memory at once, and by default for ever.
+        task = self._ray.remote(
+            num_cpus=resources.cores, memory=int(resources.memory_gb * 1e9), max_retries=0
         )(function)
-        waiting = {task.remote(item): index for index, item in enumerate(items)}
+        running = {task.remote(item): index for index, item in enumerate(items)}
+        postponed: list[int] = []
+        losses = [0] * len(items)
         try:
-            yield from self._results(waiting, resources)
+            while running or postponed:
+                if running:
+                    ended = self._next(running)
+                    losses[ended.index] += bool(ended.loss)
+                    if ended.loss and losses[ended.index] <= resources.retries:
+                        again = (ended.index, losses[ended.index], resources.retries)
+                        _log.warning("Task %d is repeated (%d of %d): %s.", *again, ended.loss)
+                        if ended.loss == LOST_WORKER:
+                            running[task.remote(items[ended.index])] = ended.index
+                        else:
+                            postponed.append(ended.index)
+                        continue
+                    yield ended.result(losses[ended.index], resources)
+                running |= {task.remote(items[index]): index for index in postponed}
+                postponed = []
         finally:
-            for pending in waiting:  # of a caller that gave up
-                ray.cancel(pending, force=True)
+            for pending in running:  # of a caller that gave up
+                self._ray.cancel(pending, force=True)
 
-    def _results(
-        self, waiting: dict[Any, int], resources: TaskResources
-    ) -> Iterator[TaskResult[Any]]:
-        """Yield results as tasks end, and remove the tasks from those that are waited for."""
-        ray = self._ray
-        while waiting:
-            ready, _ = ray.wait(list(waiting), num_returns=1)
-            index = waiting.pop(ready[0])
-            try:
-                yield TaskResult(index, ray.get(ready[0]))
-            except ray.exceptions.OutOfMemoryError:
-                yield TaskResult(index, None, _out_of_memory(resources))
-            except ray.exceptions.WorkerCrashedError:
-                times = resources.retries + 1
-                yield TaskResult(index, None, f"its worker was lost {times} times")
-            except ray.exceptions.RayTaskError as error:
-                raise error.cause if isinstance(error.cause, Exception) else error from None
+    def _next(self, running: dict[Any, int]) -> _Ended:
+        """Wait until a task ends, and remove it from those that run."""
+        exceptions = self._ray.exceptions
+        (ready,), _ = self._ray.wait(list(running), num_returns=1)
+        index = running.pop(ready)
+        try:
+            return _Ended(index, self._ray.get(ready))
+        except exceptions.OutOfMemoryError:
+            return _Ended(index, None, OUT_OF_MEMORY)
+        except (exceptions.WorkerCrashedError, exceptions.NodeDiedError):
+            return _Ended(index, None, LOST_WORKER)
+        except exceptions.RayTaskError as error:
+            if isinstance(error.cause, ProcessKilledError):
+                return _Ended(index, None, KILLED_PROCESS)
+            raise error.cause if isinstance(error.cause, Exception) else error from None
 
     def map(
         self, function: Callable[[Item], Value], items: Sequence[Item], resources: TaskResources
@@ -203,10 +246,3 @@ def _check_reachable(address: str) -> None:
     host, separator, port = address.rpartition(":")
     if separator and "://" not in address:
         socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
-
-
-def _out_of_memory(resources: TaskResources) -> str:
-    return (
-        f"its worker ran out of memory; {resources.memory_gb:g} GB were declared, declare more so "
-        "that fewer tasks run side by side"
-    )

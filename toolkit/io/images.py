@@ -137,6 +137,15 @@ def encode_png(image: NDArray[np.integer]) -> bytes:
     return cv2.imencode(".png", pixels)[1].tobytes()
 
 
+def small_image(rgb: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """Return an image [3, H, W] as [h, w, 3] with at most `width` columns."""
+    image = np.ascontiguousarray(rgb.transpose(1, 2, 0))
+    if image.shape[1] <= width:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
 def check_whole(path: PathLike) -> None:
     """Check that an image file exists and is structurally complete, without decoding it.
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from toolkit.errors import DependencyError, RunFolderError
 from toolkit.io.arrays import ArrayTree, read_array_tree, write_array_tree
-from toolkit.io.atomic import cannot_write
+from toolkit.io.atomic import cannot_write, replacing
 from toolkit.io.atomic import write_bytes as write_local
 
 
@@ -62,15 +64,11 @@ def write_bytes(place: str, content: bytes) -> None:
     Raises:
         RunFolderError: it cannot be written.
     """
-    if not is_url(place):
+    if is_url(place):
+        _send(place, lambda system, path: system.pipe_file(path, content))
+    else:
         _make_parent(Path(place))
         write_local(place, content)
-        return
-    system, path = _system(place)
-    try:
-        system.pipe_file(path, content)
-    except Exception as error:
-        raise _cannot_write(place, error) from error
 
 
 def upload(local: Path, place: str) -> None:
@@ -79,15 +77,13 @@ def upload(local: Path, place: str) -> None:
     Raises:
         RunFolderError: it cannot be written.
     """
-    if not is_url(place):
+    if is_url(place):
+        _send(place, lambda system, path: system.put_file(str(local), path))
+    else:
         _make_parent(Path(place))
-        local.replace(place)
-        return
-    system, path = _system(place)
-    try:
-        system.put_file(str(local), path)
-    except Exception as error:
-        raise _cannot_write(place, error) from error
+        # It may be on another file system, as temporary folders often are.
+        with replacing(place) as temporary:
+            shutil.copyfile(local, temporary)
 
 
 def read_tree(place: str) -> ArrayTree:
@@ -126,8 +122,6 @@ def write_tree(place: str, arrays: dict[str, Any], metadata: dict[str, Any]) -> 
 def remove_folder(place: str) -> None:
     """Remove a folder with its content, if it exists."""
     if not is_url(place):
-        import shutil
-
         shutil.rmtree(place, ignore_errors=True)
         return
     system, path = _system(place)
@@ -150,6 +144,19 @@ def _system(place: str) -> tuple[Any, str]:
         raise DependencyError(f"{place}: {' '.join(str(error).split())}") from error
     except ValueError as error:
         raise RunFolderError(f"{place}: {error}; use a path, s3:// or gs://") from error
+
+
+def _send(place: str, write: Callable[[Any, str], object]) -> None:
+    """Call `write` with the file system of a URL and the path in it.
+
+    Raises:
+        RunFolderError: it fails.
+    """
+    system, path = _system(place)
+    try:
+        write(system, path)
+    except Exception as error:  # every file system has its own errors
+        raise _cannot_write(place, error) from error
 
 
 def _make_parent(path: Path) -> None:

@@ -36,6 +36,7 @@ from toolkit.runs.results import RunRecord, write_results
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.runs.snapshots import SnapshotWriter
 
 _log = logging.getLogger(__name__)
 
@@ -171,7 +172,7 @@ def _execute(
     feed = LiveFeed(camera, limits, hooks.stop, source.grid, source.writer)
     system = LiveSlam(slam, paced, feed, keeps_dropped=replayed is not None)
     intrinsics = source.intrinsics if source.grid is None else source.grid.camera
-    observers = Observers(hooks.observers)
+    observers = Observers([SnapshotWriter(), *hooks.observers])
     costs = FrameCostRecorder(recorder)
     session = Session(camera.name, intrinsics, settings, folder, slam, system, costs, observers)
     checkpoints = CheckpointWriter(folder, background=True)

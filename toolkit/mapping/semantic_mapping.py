@@ -15,8 +15,9 @@ from toolkit.losses.semantic import SemanticLoss
 from toolkit.native.constants import BASE_CHANNELS, SILHOUETTE
 from toolkit.rendering import RenderOutput, SurfaceView
 from toolkit.rendering.output import FEATURES
-from toolkit.semantics.decoding import Decoding, decode
+from toolkit.semantics.decoding import Decoding, decode, decode_level
 from toolkit.semantics.palette import Palette
+from toolkit.semantics.taxonomy import Taxonomy
 
 # Pixels with a smaller silhouette are decoded as void.
 _MIN_SILHOUETTE = 0.5
@@ -135,12 +136,23 @@ class SemanticMapping:
         Args:
             among: class ids to choose from; by default, all classes that the map has observed.
         """
+        values, labelled = self._pixels(view)
+        return decode(values, self._logits, self._taxonomy, labelled, self._candidates(among))
+
+    def decode_view_level(self, view: SurfaceView, level: int) -> NDArray[np.int32]:
+        """Return the most likely node of each pixel [H * W] at a level, -1 without a class."""
+        values, labelled = self._pixels(view)
+        candidates = self._candidates(None)
+        return decode_level(values, self._logits, self._taxonomy, labelled, level, candidates)
+
+    def _pixels(self, view: SurfaceView) -> tuple[Tensor, Tensor]:
+        """Return the values [S, H * W] of a view, and the mask [H * W] of those with a class."""
+        assert self._loss is not None, "a map without semantics cannot be decoded"
         silhouette = view.output.silhouette.reshape(-1)
         solid = silhouette >= _MIN_SILHOUETTE
         safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
         values = view.features.reshape(self.channels, -1) / safe
-        assert self._loss is not None
-        return self._decode(values, solid & self._loss.code.is_labelled(values), among)
+        return values, solid & self._loss.code.is_labelled(values)
 
     def probabilities(self, view: SurfaceView) -> tuple[NDArray[np.int64], Tensor]:
         """Observed class ids [K], ascending, and their probabilities at each pixel [K, H * W]."""
@@ -186,35 +198,36 @@ class SemanticMapping:
         """Decode the class of each Gaussian from its features [N, S]; unlabelled ones are void."""
         assert self._loss is not None
         values = features.T.contiguous()
-        return self._decode(values, self._loss.code.is_labelled(values))
+        labelled = self._loss.code.is_labelled(values)
+        return decode(values, self._logits, self._taxonomy, labelled, self._candidates(None))
 
-    def _decode(
-        self, values: Tensor, labelled: Tensor, among: NDArray[np.integer] | None = None
-    ) -> Decoding:
+    @property
+    def _taxonomy(self) -> Taxonomy:
         assert self._loss is not None, "a map without semantics cannot be decoded"
+        return self._loss.code.taxonomy
+
+    def _logits(self, values: Tensor) -> Tensor:
+        """Class logits [C, P] of values [S, P], along the paths of the tree or by the network."""
+        assert self._loss is not None
         network = self._loss.network
-        by_network = self._by_network and network is not None
-        logits = network.logits if by_network and network else self._loss.code.logits
+        if self._by_network and network is not None:
+            return network.logits(values)
+        return self._loss.code.logits(values)
 
-        candidates = self._candidates(among)
+    def _candidates(self, among: NDArray[np.integer] | None) -> Tensor | None:
+        """Indices [K] of the classes to choose from: the observed classes in `among`.
 
-        def masked_logits(values: Tensor) -> Tensor:
-            return logits(values).masked_fill(~candidates.to(values.device)[:, None], -torch.inf)
-
-        chosen = masked_logits if candidates.any() else logits
-        return decode(values, chosen, self._loss.code.taxonomy, labelled)
-
-    def _candidates(self, among: NDArray[np.integer] | None) -> Tensor:
-        """Mask [C] of the classes to choose from: the observed classes in `among`.
-
-        If none of the classes in `among` was observed, all of them are candidates.
+        If none of the classes in `among` was observed, all of them are candidates; None stands for
+        all classes of the taxonomy.
         """
         if among is None:
-            return self._observed
-        requested = torch.zeros_like(self._observed)
-        requested[torch.from_numpy(among.astype(np.int64)) - 1] = True
-        candidates = requested & self._observed
-        return candidates if candidates.any() else requested
+            candidates = self._observed
+        else:
+            requested = torch.zeros_like(self._observed)
+            requested[torch.from_numpy(among.astype(np.int64)) - 1] = True
+            observed = requested & self._observed
+            candidates = observed if observed.any() else requested
+        return candidates.nonzero().squeeze(1) if candidates.any() else None
 
     def state(self) -> dict[str, NDArray]:
         """Arrays for `restore`."""

@@ -41,6 +41,7 @@ from toolkit.runs.results import (
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.runs.snapshots import SnapshotWriter
 from toolkit.slam import Slam
 
 _log = logging.getLogger(__name__)
@@ -100,7 +101,8 @@ def run(
     else:
         folder = RunFolder.create(out, config)
     try:
-        _execute(settings, dataset, folder, saved, progress, Observers(observers))
+        followers = Observers([SnapshotWriter(), *observers])
+        _execute(settings, dataset, folder, saved, progress, followers)
     except Exception:
         # Without a checkpoint there is nothing to resume.
         if not resume and not folder.has_checkpoint:

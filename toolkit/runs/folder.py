@@ -2,7 +2,7 @@
 
     config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
     report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
-    delays.csv (of runs with --pace)
+    delays.csv (of runs with --pace)  live/ (while a viewer follows the run)
 
 Checkpoints alternate between two folders: the older one is replaced, so that a complete checkpoint
 exists at any time. They are saved between frames and do not change the state of the run.
@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -76,6 +77,9 @@ class RunFolder:
         self.delays = path / "delays.csv"
         self.log = path / "log.txt"
         self.checkpoints = path / "checkpoint"
+        self.live = path / "live"
+        self.snapshot = self.live / "snapshot"
+        self.watched = self.live / "watched"
 
     @classmethod
     def create(cls, path: Path, config: str) -> RunFolder:
@@ -116,6 +120,7 @@ class RunFolder:
         """Remove the folder of a run that saved no checkpoint; other files in it are kept."""
         for path in (self.config, self.loops, self.log, self.taxonomy):
             path.unlink(missing_ok=True)
+        shutil.rmtree(self.live, ignore_errors=True)
         for path in (self.renders, self.checkpoints, self.submaps, self.path):
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()

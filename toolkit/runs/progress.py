@@ -1,7 +1,8 @@
-"""State of a run in progress, from its newest checkpoint."""
+"""State of a run in progress, from its newest snapshot or checkpoint."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
 from toolkit.runs.results import splat_labels
 from toolkit.runs.settings import load_settings
+from toolkit.runs.snapshots import watch
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.store import SubmapStore
@@ -55,7 +57,7 @@ class ProgressKeyframe:
         index: frame index.
         submap: number of its submap.
         T_world_camera: [4, 4] float64.
-        rgb: [3, H, W] uint8; None for keyframes of earlier submaps.
+        rgb: [3, H, W] uint8, in snapshots reduced; None for keyframes of stored submaps.
     """
 
     index: int
@@ -66,10 +68,9 @@ class ProgressKeyframe:
 
 @dataclass(frozen=True)
 class RunProgress:
-    """State of a run at a checkpoint.
+    """State of a run in progress.
 
     Attributes:
-        serial: number of the checkpoint.
         next_frame: number of frames that were processed.
         parts: submaps that can be read.
         keyframes: keyframes in order.
@@ -80,7 +81,6 @@ class RunProgress:
         decode: labels of Gaussians from their features; None without labels.
     """
 
-    serial: int
     next_frame: int
     parts: list[MapPart]
     keyframes: list[ProgressKeyframe]
@@ -92,7 +92,9 @@ class RunProgress:
 
 
 class ProgressReader:
-    """Reads the state of a run whenever it has saved a checkpoint.
+    """Reads the state of a run whenever it has written a snapshot or saved a checkpoint.
+
+    Runs write snapshots while `read` is called; those of other versions save checkpoints only.
 
     Args:
         path: the run folder.
@@ -104,7 +106,10 @@ class ProgressReader:
     def __init__(self, path: Path) -> None:
         self.folder = RunFolder.open(path)
         self._settings = load_settings(self.folder.config)
-        self._serial = -1
+        self._next_frame = -1
+        self._serials: dict[Path, int] = {}
+        # Gaussians of the stored submaps by number and version.
+        self._clouds: dict[tuple[int, int], GaussianCloud] = {}
 
     @property
     def finished(self) -> bool:
@@ -112,20 +117,23 @@ class ProgressReader:
         return self.folder.map.is_file() and self.folder.frames.is_file()
 
     def read(self) -> RunProgress | None:
-        """Read the newest checkpoint, None if there is none since the last call.
+        """Read the newest state, None if there is none since the last call.
 
-        A checkpoint that is replaced while it is read counts as none.
+        What is replaced while it is read counts as none.
 
         Raises:
             RunFolderError: another version of semsplat has saved it in another format.
         """
-        saved = self.folder.saved_checkpoints()
-        if not saved or saved[0][1] <= self._serial:
+        watch(self.folder)
+        slot = self._newest()
+        serial = None if slot is None else read_serial(slot)
+        if slot is None or serial is None or serial == self._serials.get(slot):
             return None
-        slot, serial = saved[0]
         try:
             tree = read_array_tree(slot, lambda name: _WANTED.fullmatch(name) is not None)
         except (FormatError, RunFolderError):
+            return None
+        if tree.metadata.get("serial") != serial or read_serial(slot) != serial:
             return None
         found = tree.metadata.get("format", 0)
         if found != CHECKPOINT_FORMAT:
@@ -134,15 +142,22 @@ class ProgressReader:
                 f"{CHECKPOINT_FORMAT}; use the version that started the run"
             )
         try:
-            progress = self._progress(serial, tree.arrays, tree.metadata)
+            progress = self._progress(tree.arrays, tree.metadata)
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
             raise RunFolderError(f"{slot} is damaged ({error!r}); start a new run") from error
-        self._serial = serial
+        self._serials[slot] = serial
+        if slot != self.folder.snapshot and progress.next_frame <= self._next_frame:
+            return None  # older than the snapshot that was removed
+        self._next_frame = progress.next_frame
         return progress
 
-    def _progress(
-        self, serial: int, arrays: dict[str, NDArray], metadata: dict[str, Any]
-    ) -> RunProgress:
+    def _newest(self) -> Path | None:
+        """Folder of the snapshot, otherwise of the newest checkpoint."""
+        if self.folder.snapshot.is_dir():
+            return self.folder.snapshot
+        return next((path for path, _ in self.folder.saved_checkpoints()), None)
+
+    def _progress(self, arrays: dict[str, NDArray], metadata: dict[str, Any]) -> RunProgress:
         values = metadata["values"]
         atlas = arrays_below(arrays, "atlas/")
         anchors = [np.array(T) for T in atlas["anchors"]]
@@ -155,7 +170,6 @@ class ProgressReader:
         first = next(iter(values["mapper"]["keyframes"]), None)
         taxonomy, decode = self._decoder(arrays_below(arrays, "mapper/semantics/"))
         return RunProgress(
-            serial=serial,
             next_frame=int(metadata["next_frame"]),
             parts=self._parts(arrays, anchors, values["atlas"]["store"]),
             keyframes=keyframes,
@@ -169,20 +183,26 @@ class ProgressReader:
     def _parts(
         self, arrays: dict[str, NDArray], anchors: list[NDArray], versions: dict[str, int]
     ) -> list[MapPart]:
-        """Return the active submap, and the earlier ones from their files."""
+        """Return the stored submaps, and the active one."""
+        clouds = self._stored({int(n): int(v) for n, v in versions.items()})
         active = len(anchors) - 1
+        if str(active) not in versions:  # it is, until the camera is relocalised in a saved map
+            tensors = (
+                torch.from_numpy(np.array(arrays[f"mapper/gaussians/{n}"])) for n in PARAMETERS
+            )
+            clouds[active] = GaussianCloud(*tensors)
+        return [MapPart(number, anchors[number], cloud) for number, cloud in clouds.items()]
+
+    def _stored(self, versions: dict[int, int]) -> dict[int, GaussianCloud]:
+        """Return the Gaussians of stored submaps by number; only new versions are read."""
+        new = {n: version for n, version in versions.items() if (n, version) not in self._clouds}
         store = SubmapStore(self.folder.submaps, self._settings.submaps.memory_mb)
-        earlier = {number: v for number, v in versions.items() if int(number) != active}
-        lost = store.restore(earlier)
-        parts = [
-            MapPart(number, anchors[number], store.get(number).gaussians)
-            for number in sorted(map(int, earlier))
-            if number not in lost
-        ]
-        tensors = (
-            torch.from_numpy(np.array(arrays[f"mapper/gaussians/{name}"])) for name in PARAMETERS
-        )
-        return [*parts, MapPart(active, anchors[active], GaussianCloud(*tensors))]
+        lost = store.restore({str(n): version for n, version in new.items()})
+        for number in sorted(set(new) - set(lost)):
+            self._clouds[number, new[number]] = store.get(number).gaussians
+        kept = {n: key for n in sorted(versions) if (key := (n, versions[n])) in self._clouds}
+        self._clouds = {key: self._clouds[key] for key in kept.values()}
+        return {n: self._clouds[key] for n, key in kept.items()}
 
     def _decoder(
         self, state: dict[str, NDArray]
@@ -202,16 +222,24 @@ class ProgressReader:
         return taxonomy, decode
 
 
+def read_serial(slot: Path) -> int | None:
+    """Read the serial number of a snapshot or checkpoint; None while it is being replaced."""
+    try:
+        return int(json.loads((slot / "metadata.json").read_text(encoding="utf-8"))["serial"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def _keyframes(
     arrays: dict[str, NDArray],
     values: list[dict[str, Any]],
     atlas: dict[str, NDArray],
     anchors: list[NDArray],
 ) -> list[ProgressKeyframe]:
-    """Return the keyframes of earlier submaps, and those of the active one with images."""
+    """Return the keyframes of stored submaps, and those of the active one with images."""
     active = len(anchors) - 1
     found = []
-    for number, anchor in enumerate(anchors[:-1]):
+    for number, anchor in enumerate(anchors):
         indices = atlas.get(f"indices/{number}", np.zeros(0, np.int64))
         poses = atlas.get(f"poses/{number}", np.zeros((0, 4, 4)))
         found += [

@@ -44,12 +44,18 @@ class Decoding:
 
 
 def decode(
-    values: Tensor, logits: Callable[[Tensor], Tensor], taxonomy: Taxonomy, seen: Tensor
+    values: Tensor,
+    logits: Callable[[Tensor], Tensor],
+    taxonomy: Taxonomy,
+    seen: Tensor,
+    among: Tensor | None = None,
 ) -> Decoding:
     """Decode values [S, P] where `seen` [P] is true.
 
     Args:
         logits: function from values [S, P] to class logits [C, P], of a code or a decoder.
+        among: [K] indices of the classes to choose from, ascending; all C by default. The time is
+            proportional to their number.
     """
     count, depth = values.shape[1], taxonomy.depth
     out = Decoding(
@@ -59,37 +65,78 @@ def decode(
         np.full((count, depth), -1, np.int32),
         np.zeros((count, depth), np.float32),
     )
-    members = _members(taxonomy)
+    classes = torch.arange(len(taxonomy)) if among is None else among.cpu()
+    members = [_members(taxonomy, level, classes) for level in range(depth)]
     visible = seen.nonzero().squeeze(1)
     with torch.no_grad():
         for part in torch.split(visible, _CHUNK):
-            _decode_part(logits(values.index_select(1, part)), members, part.cpu().numpy(), out)
+            logs = _log_probabilities(values.index_select(1, part), logits, among)
+            _decode_part(logs, classes, members, part.cpu().numpy(), out)
+    # Of all classes: a map with few of them is not less certain for it.
+    np.divide(out.entropy, np.log(len(taxonomy)), out=out.entropy, where=seen.cpu().numpy())
     return out
 
 
-def _members(taxonomy: Taxonomy) -> list[tuple[Tensor, Tensor]]:
-    """Return, for each level, its distinct nodes and the index of each class's node among them."""
-    levels = []
-    for level in range(taxonomy.depth):
-        nodes, index = np.unique(taxonomy.node_ids[:, level], return_inverse=True)
-        levels.append((torch.from_numpy(nodes), torch.from_numpy(index)))
-    return levels
+def decode_level(
+    values: Tensor,
+    logits: Callable[[Tensor], Tensor],
+    taxonomy: Taxonomy,
+    seen: Tensor,
+    level: int,
+    among: Tensor | None = None,
+) -> NDArray[np.int32]:
+    """Return the column of one level of `Decoding.nodes` [P], without the time of the others."""
+    found = np.full(values.shape[1], -1, np.int32)
+    classes = torch.arange(len(taxonomy)) if among is None else among.cpu()
+    members = _members(taxonomy, level, classes)
+    with torch.no_grad():
+        for part in torch.split(seen.nonzero().squeeze(1), _CHUNK):
+            logs = _log_probabilities(values.index_select(1, part), logits, among)
+            found[part.cpu().numpy()] = _best_nodes(logs.exp(), members)[0]
+    return found
+
+
+def _log_probabilities(
+    values: Tensor, logits: Callable[[Tensor], Tensor], among: Tensor | None
+) -> Tensor:
+    """Logarithms of the probabilities [K, P] of the classes to choose from."""
+    rows = logits(values)
+    if among is not None:
+        rows = rows.index_select(0, among.to(rows.device))
+    return torch.log_softmax(rows, dim=0)
+
+
+def _members(taxonomy: Taxonomy, level: int, classes: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the distinct nodes of classes [K] at a level, and the index of each class's node."""
+    nodes, index = np.unique(taxonomy.node_ids[classes.numpy(), level], return_inverse=True)
+    return torch.from_numpy(nodes), torch.from_numpy(index)
+
+
+def _best_nodes(
+    probability: Tensor, members: tuple[Tensor, Tensor]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Return the most likely nodes [P] for probabilities of classes [K, P], and theirs."""
+    nodes, index = members
+    summed = probability.new_zeros(len(nodes), probability.shape[1])
+    summed.index_add_(0, index.to(summed.device), probability)
+    best = summed.max(dim=0)
+    return nodes[best.indices.cpu()].numpy(), best.values.cpu().numpy()
 
 
 def _decode_part(
-    logits: Tensor, members: list[tuple[Tensor, Tensor]], part: NDArray[np.int64], out: Decoding
+    logs: Tensor,
+    classes: Tensor,
+    members: list[tuple[Tensor, Tensor]],
+    part: NDArray[np.int64],
+    out: Decoding,
 ) -> None:
-    logs = torch.log_softmax(logits, dim=0)
+    """Fill in the pixels `part` from log-probabilities; the entropy is not divided yet."""
     probability = logs.exp()
     best = probability.max(dim=0)
-    out.class_ids[part] = best.indices.cpu().numpy() + 1
+    out.class_ids[part] = classes[best.indices.cpu()].numpy() + 1
     out.confidence[part] = best.values.cpu().numpy()
     # Classes of zero probability contribute nothing to the entropy (0 log 0 = 0).
     surprise = torch.where(probability > 0, -probability * logs, torch.zeros_like(logs))
-    out.entropy[part] = (surprise.sum(0) / np.log(len(logs))).cpu().numpy()
-    for level, (nodes, index) in enumerate(members):
-        summed = probability.new_zeros(len(nodes), probability.shape[1])
-        summed.index_add_(0, index.to(summed.device), probability)
-        best_node = summed.max(dim=0)
-        out.nodes[part, level] = nodes[best_node.indices.cpu()].numpy()
-        out.node_confidence[part, level] = best_node.values.cpu().numpy()
+    out.entropy[part] = surprise.sum(0).cpu().numpy()
+    for level, nodes in enumerate(members):
+        out.nodes[part, level], out.node_confidence[part, level] = _best_nodes(probability, nodes)

@@ -268,7 +268,7 @@ class ServedRun:
             values = np.rint(np.nan_to_num(depth_m, posinf=0.0) * DEPTH_SCALE)
             values[(values < 0) | (values > _MAX_DEPTH)] = 0
             return values.astype(np.uint16)
-        nodes = self._run.semantics.decode_view(surface).nodes[:, level]
+        nodes = self._run.semantics.decode_view_level(surface, level)
         return self._palette.class_image(nodes.reshape(depth_m.shape))
 
 

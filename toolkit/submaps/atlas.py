@@ -233,6 +233,11 @@ class Atlas:
         self._balances.append(_balances(active.keyframes))
         self._store.put(active)
 
+    @property
+    def stored_versions(self) -> dict[str, int]:
+        """Versions of the stored submaps by number; see `SubmapStore.state`."""
+        return self._store.state()
+
     def readable(self) -> list[int]:
         """Numbers of the submaps whose content can be read."""
         return [number for number in range(len(self)) if number not in self.unreadable]
@@ -270,7 +275,7 @@ class Atlas:
             balances = list(self._balances[number].values())
             arrays[f"balances/{number}"] = np.array(balances).reshape(-1, 3)
         verdicts = [verdict.values() for verdict in self.verdicts]
-        values = {"store": self._store.state(), "verdicts": verdicts, "saved": self.saved}
+        values = {"store": self.stored_versions, "verdicts": verdicts, "saved": self.saved}
         return arrays, values
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from toolkit.alignment.options import HealthLimits
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.tracking.health import may_start_map
 from toolkit.tracking.result import Health, TrackingResult
@@ -56,7 +57,9 @@ class GivenPoses:
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
         """Change the coordinate frame of the map."""
-        self._T_map_world = T_new_old @ self._T_map_world
+        # T_new_old is the inverse of a pose that contains T_map_world: rounding errors would double
+        # with each submap, and poses would be useless after about 50 of them.
+        self._T_map_world = se3.orthonormalise(T_new_old @ self._T_map_world)
 
     def state(self) -> dict[str, NDArray]:
         """Pose of the world in the map; the trajectory is read again when a run is resumed."""

@@ -6,13 +6,13 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.io.images import small_image
 from toolkit.keyframe import Keyframe
 from toolkit.runs.finished import FinishedRun
 from toolkit.submaps.submap import Submap
@@ -67,15 +67,6 @@ def shown_keyframes(run: FinishedRun, splats: ShownSplats, content: ShownContent
         found = [ShownKeyframe(i, poses[i]) for i in run.keyframes if i in poses]
     found.sort(key=lambda keyframe: keyframe.index)
     return SceneKeyframes(tuple(found), replace(splats, inferred=evidence.inferred()), camera)
-
-
-def small_image(rgb: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    """Return an image [3, H, W] as [h, w, 3] with at most `width` columns."""
-    image = np.ascontiguousarray(rgb.transpose(1, 2, 0))
-    if image.shape[1] <= width:
-        return image
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def spread(numbers: list[int], count: int) -> list[int]:

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from toolkit.io.images import small_image
 from toolkit.runs.progress import MapPart, ProgressReader, RunProgress
-from toolkit.viewer.keyframes import small_image, spread
+from toolkit.runs.snapshots import unwatch
+from toolkit.viewer.keyframes import spread
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.reading import loops_between, read_scene, upright
 from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene
@@ -40,6 +42,7 @@ class LiveRun:
         if self._reader.finished:
             scene = read_scene(self._path, self._content)
             self.finished = True
+            unwatch(self._reader.folder)
             return scene
         progress = self._reader.read()
         return None if progress is None else self._scene(progress)

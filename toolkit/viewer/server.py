@@ -7,6 +7,7 @@ import errno
 import io
 import logging
 import socket
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +20,8 @@ from toolkit.viewer.server_scene import ServerScene
 _log = logging.getLogger(__name__)
 
 _POLL_S = 1.0
+# Share of the time in which a run is read and shown, so that the run itself is not slowed down.
+_BUSY_SHARE = 0.3
 
 
 def start_viser(host: str, port: int) -> Any:
@@ -106,6 +109,7 @@ class MapServer:
         """
         message = ""
         while not run.finished:
+            begin_s = time.monotonic()
             try:
                 scene, news = run.poll(), ""
             except ToolkitError as error:
@@ -116,10 +120,11 @@ class MapServer:
                 self.show(scene)
                 news = f"Show {scene.title}: {scene}."
             elif self._view is None:
-                news = "Waiting for the first checkpoint of the run."
+                news = "Waiting for the first frames of the run."
             if news and news != message:
                 _log.info(news)
                 message = news
             if not run.finished:
-                wait(_POLL_S)
+                busy_s = time.monotonic() - begin_s
+                wait(max(_POLL_S, busy_s * (1.0 / _BUSY_SHARE - 1.0)))
         _log.info("The run is finished.")

@@ -1,0 +1,29 @@
+"""Given poses over many submaps."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.tracking.given import GivenPoses
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_poses_stay_rigid_over_a_hundred_submaps(seed: int) -> None:
+    frames, truth = tiny_room(4, 20, 16)
+    tracker, empty = GivenPoses(truth), GaussianCloud.empty()
+    rng = np.random.default_rng(seed)
+    T_world_map = np.eye(4)
+    for number in rng.integers(0, len(frames), 100):
+        pose = tracker.track(frames[number], empty).T_map_camera
+        tracker.change_frame(se3.inverse(pose))
+        T_world_map = se3.orthonormalise(T_world_map @ pose)
+    for frame, T_world_camera in zip(frames, truth.T_world_camera, strict=True):
+        T = tracker.track(frame, empty).T_map_camera
+        assert se3.is_rigid(T, 1e-12)
+        np.testing.assert_allclose(T_world_map @ T, T_world_camera, atol=1e-10)
