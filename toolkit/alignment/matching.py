@@ -198,6 +198,21 @@ def keyframe_keypoints(keyframe: Keyframe, count: int) -> Keypoints:
     return detect_keypoints(grey, count)
 
 
+class KeypointCache:
+    """Detects the keypoints of each keyframe once; keyframes are told apart as objects."""
+
+    def __init__(self) -> None:
+        # Keyframes of two submaps may have the same number: the one at their boundary is copied.
+        self._found: dict[tuple[int, int], tuple[Keyframe, Keypoints]] = {}
+
+    def __call__(self, keyframe: Keyframe, count: int) -> Keypoints:
+        """Keypoints of a keyframe's image, at most `count`."""
+        key = (id(keyframe), count)
+        if key not in self._found:
+            self._found[key] = keyframe, keyframe_keypoints(keyframe, count)
+        return self._found[key][1]
+
+
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
     """Observed points [n, 3] in camera coordinates at pixels [n, 2]; z is 0 where missing."""
     x = np.clip(np.rint(pixels[:, 0]).astype(int), 0, keyframe.camera.width - 1)
