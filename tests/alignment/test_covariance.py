@@ -87,3 +87,12 @@ def test_terms_that_contradict_each_other_have_less_information(level):
     consistent, _ = information(level, small)
     contradictory, _ = information_of_pair(level, tilted)
     assert np.trace(contradictory) < 0.2 * np.trace(consistent)
+
+
+def test_depth_in_few_blocks_and_no_texture_are_not_a_contradiction(level):
+    grey = replace(level, intensity=torch.full_like(level.intensity, 0.5))
+    depth_m = level.depth_m.clone()
+    depth_m[:, level.camera.width // 2 :] = 0.0
+    with np.errstate(all="raise"):
+        found, _ = information_of_pair(grey, replace(grey, depth_m=depth_m))
+    assert np.isfinite(found).all()

@@ -53,11 +53,12 @@ def clustered_information(
     colour, depth = _terms(pairs, estimate, options)
     H = colour.H + depth.H
     gradients = colour.gradients + depth.gradients
-    if np.any(gradients, axis=1).sum() <= _PARAMETERS:
+    blocks = int(np.any(gradients, axis=1).sum())
+    if blocks <= _PARAMETERS:
         return np.zeros((6, 6))
     # Residuals smaller than expected in every block do not make pixels more than independent.
-    information = H @ np.linalg.solve(_middle(gradients) + H, H) / len(pairs)
-    information /= max(1.0, _disagreement(colour, depth) / len(pairs))
+    information = H @ np.linalg.solve(_middle(gradients, blocks) + H, H) / len(pairs)
+    information /= max(1.0, _disagreement(colour, depth, blocks) / len(pairs))
     return np.asarray(0.5 * (information + information.T))
 
 
@@ -102,13 +103,16 @@ def _split(
     )
 
 
-def _middle(gradients: Array) -> Array:
-    """Covariance [6, 6] of the gradient from those of independent blocks [B, 6]."""
-    blocks = int(np.any(gradients, axis=1).sum())
+def _middle(gradients: Array, blocks: int) -> Array:
+    """Covariance [6, 6] of the gradient from those of independent blocks [B, 6].
+
+    Args:
+        blocks: number of blocks with residuals.
+    """
     return np.asarray(gradients.T @ gradients * blocks / (blocks - _PARAMETERS))
 
 
-def _disagreement(colour: _Term, depth: _Term) -> float:
+def _disagreement(colour: _Term, depth: _Term, blocks: int) -> float:
     """Squared Birge ratio of the motions that each term would choose alone.
 
     Errors that are correlated over the whole image, such as those of a sensor's depth, are not seen
@@ -120,7 +124,7 @@ def _disagreement(colour: _Term, depth: _Term) -> float:
         H = term.H + prior
         inverse = np.linalg.inv(H)
         motions.append(inverse @ term.gradients.sum(axis=0))
-        covariances.append(inverse @ (_middle(term.gradients) + H) @ inverse)
+        covariances.append(inverse @ (_middle(term.gradients, blocks) + H) @ inverse)
     difference = motions[0] - motions[1]
     chi2 = difference @ np.linalg.solve(covariances[0] + covariances[1], difference)
     return float(chi2) / _PARAMETERS

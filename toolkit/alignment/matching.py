@@ -199,18 +199,25 @@ def keyframe_keypoints(keyframe: Keyframe, count: int) -> Keypoints:
 
 
 class KeypointCache:
-    """Detects the keypoints of each keyframe once; keyframes are told apart as objects."""
+    """Keypoints of the keyframes that were used last.
 
-    def __init__(self) -> None:
-        # Keyframes of two submaps may have the same number: the one at their boundary is copied.
+    Args:
+        size: maximum number of keyframes; each needs up to 1 MB and is kept in memory itself.
+    """
+
+    def __init__(self, size: int = 64) -> None:
+        self._size = size
+        # Keyframes of different runs may have the same number, so that objects are compared.
         self._found: dict[tuple[int, int], tuple[Keyframe, Keypoints]] = {}
 
     def __call__(self, keyframe: Keyframe, count: int) -> Keypoints:
         """Keypoints of a keyframe's image, at most `count`."""
         key = (id(keyframe), count)
-        if key not in self._found:
-            self._found[key] = keyframe, keyframe_keypoints(keyframe, count)
-        return self._found[key][1]
+        entry = self._found.pop(key, None) or (keyframe, keyframe_keypoints(keyframe, count))
+        self._found[key] = entry  # at the end: the first one was not used for longest
+        if len(self._found) > self._size:
+            del self._found[next(iter(self._found))]
+        return entry[1]
 
 
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:

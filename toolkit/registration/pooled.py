@@ -55,7 +55,7 @@ def pooled_motion(
         The motion. None unless at least two pairs support it, with twice the number of inliers
         that `measure_offset` requires.
     """
-    keypoints = KeypointCache()
+    keypoints = KeypointCache(2 * len(pairs))
     found = [(i, match_features(*pair, options, keypoints)) for i, pair in enumerate(pairs)]
     pool = [_PairMatches(index, matched, *pairs[index]) for index, matched in found if matched]
     first = np.concatenate([p.in_target for p in pool] or [np.zeros((0, 3))])
