@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from toolkit.features.factory import build_describer
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.io.trajectories import read_tum
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
@@ -89,12 +91,21 @@ def room(frames: int, size: tuple[int, int], seed: int, noise: bool) -> Recordin
     return Recording(made, truth.T_world_camera, semantics)
 
 
-def kitchen(size: tuple[int, int]) -> Recording:
-    """A real recording, out and back, without labels."""
+def kitchen(size: tuple[int, int], trajectory: Path | None = None) -> Recording:
+    """A real recording, out and back, without labels.
+
+    Args:
+        trajectory: poses of all frames to use instead of the ground truth (TUM format).
+    """
     dataset = open_dataset("seven-scenes", RECORDINGS["redkitchen"].path, size, None)
     assert dataset.ground_truth is not None
     frames = [dataset[i] for i in range(len(dataset))]
-    return Recording(frames, dataset.ground_truth.T_world_camera, SemanticMapping())
+    poses = dataset.ground_truth.T_world_camera
+    if trajectory is not None:
+        poses = read_tum(trajectory).T_world_camera
+        if len(poses) != len(frames):
+            raise SystemExit(f"{trajectory}: {len(poses)} poses for {len(frames)} frames")
+    return Recording(frames, poses, SemanticMapping())
 
 
 def pool(recording: Recording, generator: np.random.Generator) -> list[Piece]:

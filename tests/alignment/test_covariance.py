@@ -33,8 +33,12 @@ def information(level: FrameLevel, noise_m: np.ndarray) -> tuple[np.ndarray, np.
     """
     depth_m = level.depth_m + torch.from_numpy(noise_m.astype(np.float32))
     intensity = level.intensity + torch.from_numpy(4.0 * noise_m.astype(np.float32))
-    noisy = replace(level, depth_m=depth_m, intensity=intensity)
-    pair = Pair([model_level(level)], [noisy], np.eye(4), np.eye(4))
+    return information_of_pair(level, replace(level, depth_m=depth_m, intensity=intensity))
+
+
+def information_of_pair(level: FrameLevel, frame: FrameLevel) -> tuple[np.ndarray, np.ndarray]:
+    """Clustered and Gauss-Newton information of a frame aligned to a view."""
+    pair = Pair([model_level(level)], [frame], np.eye(4), np.eye(4))
     estimate = Estimate(np.eye(4))
     for _ in range(5):  # until the scales of the residuals are those of the noise
         estimate = align([pair], estimate, OPTIONS)
@@ -73,3 +77,22 @@ def test_without_residuals_there_is_no_information(level):
     pair = Pair([model_level(level)], [blind], np.eye(4), np.eye(4))
     estimate = replace(Estimate(np.eye(4)), exposures=np.array([[1.0, 0.0]]))
     assert not clustered_information([pair], estimate, OPTIONS).any()
+
+
+def test_terms_that_contradict_each_other_have_less_information(level):
+    """Depth errors of the whole image move the motion that depth alone would choose."""
+    small = noises(level)[0] * 0.2
+    across = torch.linspace(-1.0, 1.0, level.camera.width)
+    tilted = replace(level, depth_m=level.depth_m * (1.0 + 0.02 * across))
+    consistent, _ = information(level, small)
+    contradictory, _ = information_of_pair(level, tilted)
+    assert np.trace(contradictory) < 0.2 * np.trace(consistent)
+
+
+def test_depth_in_few_blocks_and_no_texture_are_not_a_contradiction(level):
+    grey = replace(level, intensity=torch.full_like(level.intensity, 0.5))
+    depth_m = level.depth_m.clone()
+    depth_m[:, level.camera.width // 2 :] = 0.0
+    with np.errstate(all="raise"):
+        found, _ = information_of_pair(grey, replace(grey, depth_m=depth_m))
+    assert np.isfinite(found).all()

@@ -11,9 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, seen_by
 
+from toolkit.alignment import matching
 from toolkit.alignment.matching import Matched, match_features, measure_offset, rigid_fits
 from toolkit.alignment.options import MatchingOptions
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic import tiny_room
+from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
@@ -141,3 +144,20 @@ def test_an_offset_across_a_real_recording(real_data):
     mm, deg = error(offset.T_first_second, se3.inverse(truth[near]) @ truth[last])
     assert mm < 40.0  # the truth itself is good to one or two centimetres
     assert deg < 1.5
+
+
+def test_keypoints_of_the_keyframes_used_last_are_kept(monkeypatch):
+    frames, _ = tiny_room(3, 64, 48)
+    keyframes = [Keyframe.from_frame(frame, np.eye(4)) for frame in frames]
+    detected = []
+    detect = matching.keyframe_keypoints
+
+    def counted(keyframe: Keyframe, count: int) -> Keypoints:
+        detected.append(keyframe.index)
+        return detect(keyframe, count)
+
+    monkeypatch.setattr(matching, "keyframe_keypoints", counted)
+    cache = matching.KeypointCache(size=2)
+    for n in (0, 1, 0, 2, 0, 1):
+        np.testing.assert_array_equal(cache(keyframes[n], 50).px, detect(keyframes[n], 50).px)
+    assert detected == [0, 1, 2, 1]

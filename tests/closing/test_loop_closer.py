@@ -115,7 +115,7 @@ def closed(
     parts = ClosingParts(
         registrar=registrar,
         nearby=registrar if nearby_changes is None else TrueRegistrar(truth, **nearby_changes),
-        matching=MatchingOptions(),
+        matcher=PairMatcher(MatchingOptions(), (options or ClosingOptions()).pairs),
         relocaliser=Relocaliser(detector, MatchingOptions()),
         verification=VerificationOptions(),
         consistency=ConsistencyOptions(),

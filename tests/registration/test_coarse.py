@@ -84,7 +84,15 @@ def test_without_descriptors_it_says_so(room: Scene, generator):
 
 
 def test_one_pair_alone_convinces_nobody(room: Scene, generator):
-    found = register_coarse(room.target, room.source, CoarseOptions(pairs=1), generator)
+    one = CoarseOptions(pairs=1, pooled_pairs=1)
+    found = register_coarse(room.target, room.source, one, generator)
     assert not found.result.converged
     assert "1 of 1" in found.result.reason
     assert error(found.result.T_target_source, room.T_target_source)[0] < 1.0
+
+
+def test_more_pairs_help_where_the_most_similar_one_does_not_suffice(room: Scene, generator):
+    options = CoarseOptions(pairs=1, pooled_pairs=9)
+    found = register_coarse(room.target, room.source, options, generator)
+    assert found.result.converged
+    assert error(found.result.T_target_source, room.T_target_source)[0] < 20.0

@@ -130,21 +130,35 @@ def _stepped(
 
 
 def linearised(
-    pairs: Sequence[Pair], level: int, estimate: Estimate, options: JointOptions
+    pairs: Sequence[Pair],
+    level: int,
+    estimate: Estimate,
+    options: JointOptions,
+    photometric: bool = True,
 ) -> list[Linearisation]:
-    """The normal equations of each pair at one level."""
+    """The normal equations of each pair at one level.
+
+    Only the finest level weights the geometric term: the coarser ones need it for convergence.
+
+    Args:
+        photometric: include the photometric term.
+    """
     gate = options.max_distance * 2**level
-    return [
+    weight = options.geometric_weight if level == 0 else 1.0
+    # The kernels weight the photometric term instead.
+    scales = replace(estimate.scales, photometric_weight=1.0 / weight if photometric else 0.0)
+    linears = [
         linearise(
             pair.model[level],
             pair.frame[level],
             pair.T_model_target @ estimate.T_target_source @ pair.T_source_frame,
-            estimate.scales,
+            scales,
             Exposure(*(float(value) for value in estimate.exposures[k])),
             gate,
         )
         for k, pair in enumerate(pairs)
     ]
+    return [replace(linear, H=weight * linear.H, g=weight * linear.g) for linear in linears]
 
 
 @dataclass(frozen=True)

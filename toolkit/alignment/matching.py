@@ -198,6 +198,28 @@ def keyframe_keypoints(keyframe: Keyframe, count: int) -> Keypoints:
     return detect_keypoints(grey, count)
 
 
+class KeypointCache:
+    """Keypoints of the keyframes that were used last.
+
+    Args:
+        size: maximum number of keyframes; each needs up to 1 MB and is kept in memory itself.
+    """
+
+    def __init__(self, size: int = 64) -> None:
+        self._size = size
+        # Keyframes of different runs may have the same number, so that objects are compared.
+        self._found: dict[tuple[int, int], tuple[Keyframe, Keypoints]] = {}
+
+    def __call__(self, keyframe: Keyframe, count: int) -> Keypoints:
+        """Keypoints of a keyframe's image, at most `count`."""
+        key = (id(keyframe), count)
+        entry = self._found.pop(key, None) or (keyframe, keyframe_keypoints(keyframe, count))
+        self._found[key] = entry  # at the end: the first one was not used for longest
+        if len(self._found) > self._size:
+            del self._found[next(iter(self._found))]
+        return entry[1]
+
+
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
     """Observed points [n, 3] in camera coordinates at pixels [n, 2]; z is 0 where missing."""
     x = np.clip(np.rint(pixels[:, 0]).astype(int), 0, keyframe.camera.width - 1)

@@ -39,6 +39,9 @@ class JointOptions:
     of depth. It doubles with every coarser level."""
     exposure: bool = True
     """Estimate the exposure (gain and bias) of each pair at the finest pyramid level."""
+    geometric_weight: PositiveFloat = 1.0
+    """Weight of the geometric term relative to the photometric term at the finest pyramid
+    level."""
     max_translation_m: PositiveFloat = 0.2
     """Maximum translation per iteration, in metres."""
     max_rotation_rad: PositiveFloat = 0.2

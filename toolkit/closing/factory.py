@@ -12,6 +12,7 @@ from torch import Tensor
 from toolkit.baselines.factory import build_fine, build_registrar, needs_describer
 from toolkit.closing.closer import LoopCloser
 from toolkit.closing.options import LoopClosureOptions
+from toolkit.closing.pair_matching import PairMatcher
 from toolkit.closing.parts import ClosingParts
 from toolkit.features.factory import build_describer, build_differentiable_describer
 from toolkit.frame import Recorder
@@ -84,7 +85,7 @@ def build_loop_closer(
     parts = ClosingParts(
         registrar=build_registrar(options.registration, context.seed, renderer, differentiable),
         nearby=build_fine(options.registration.fine, renderer, differentiable),
-        matching=matching,
+        matcher=PairMatcher(matching, options.closing.pairs),
         relocaliser=Relocaliser(detector, matching, options.relocalisation),
         verification=options.verification,
         consistency=pose_graph.consistency,

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.matching import Offset
 from toolkit.closing.options import ClosingOptions
-from toolkit.closing.pair_matching import PairMatcher
 from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import Record, pair_values, verdict
 from toolkit.closing.uncertainty import NEGLIGIBLE_NOISE
@@ -86,7 +85,7 @@ class ImageLoops:
             {keyframe.index: keyframe for keyframe in atlas.submap(number).keyframes}
             for number in submaps
         )
-        matcher = PairMatcher(self._parts.matching, self._options.pairs)
+        matcher = self._parts.matcher
         matched = 0
         found: list[tuple[int, PoseEdge, Array]] = []
         for query in dict.fromkeys(candidate.query for candidate in candidates):

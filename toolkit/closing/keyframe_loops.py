@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from toolkit.closing.options import ClosingOptions
-from toolkit.closing.pair_matching import PairMatcher
 from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import Record, correction_values, pair_values, verdict
 from toolkit.closing.uncertainty import NEGLIGIBLE_NOISE
@@ -42,17 +41,15 @@ class KeyframeLoops:
         self, keyframes: Mapping[int, Keyframe], candidates: Sequence[LoopCandidate]
     ) -> list[PoseEdge]:
         """At most one edge for each query: further ones of the same place add little."""
-        matcher = PairMatcher(self._parts.matching, self._options.pairs)
         by_query: dict[int, list[tuple[Keyframe, Keyframe]]] = {}
         for c in candidates:
             by_query.setdefault(c.query, []).append((keyframes[c.match], keyframes[c.query]))
-        edges = [self._query_edge(matcher, pairs) for pairs in by_query.values()]
+        edges = [self._query_edge(pairs) for pairs in by_query.values()]
         return [edge for edge in edges if edge is not None]
 
-    def _query_edge(
-        self, matcher: PairMatcher, pairs: list[tuple[Keyframe, Keyframe]]
-    ) -> PoseEdge | None:
+    def _query_edge(self, pairs: list[tuple[Keyframe, Keyframe]]) -> PoseEdge | None:
         """The first verified edge of a query, in descending order of feature matches."""
+        matcher = self._parts.matcher
         promising = matcher.most_matches(pairs)
         for number in sorted(set(range(len(pairs))) - {number for number, _ in promising}):
             first, second = pairs[number]

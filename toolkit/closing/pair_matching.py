@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.matching import Offset, keyframe_keypoints, match_features, refine_offset
+from toolkit.alignment.matching import KeypointCache, Offset, match_features, refine_offset
 from toolkit.alignment.options import MatchingOptions
 from toolkit.closing.options import PairOptions
-from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 
@@ -52,7 +51,7 @@ class VerifiedPair:
 
 
 class PairMatcher:
-    """Verifies pairs of keyframes; keeps the keypoints of those it has seen.
+    """Verifies pairs of keyframes; keeps the keypoints of those it used last.
 
     Args:
         matching: feature matching and dense alignment.
@@ -62,7 +61,7 @@ class PairMatcher:
     def __init__(self, matching: MatchingOptions, options: PairOptions) -> None:
         self._matching = replace(matching, min_matches=options.min_matches)
         self._options = options
-        self._found: dict[int, Keypoints] = {}
+        self._keypoints = KeypointCache()
 
     def rough(self, first: Keyframe, second: Keyframe) -> RoughMotion | None:
         """The motion from feature matches alone; None if too few agree."""
@@ -113,11 +112,6 @@ class PairMatcher:
         if not sigma_m < options.max_sigma_m:
             return f"the position is uncertain by {100 * sigma_m:.1f} cm"
         return ""
-
-    def _keypoints(self, keyframe: Keyframe, count: int) -> Keypoints:
-        if keyframe.index not in self._found:
-            self._found[keyframe.index] = keyframe_keypoints(keyframe, count)
-        return self._found[keyframe.index]
 
 
 def translation_sigma_m(information: Array) -> float:

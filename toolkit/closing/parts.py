@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolkit.alignment.options import MatchingOptions
+from toolkit.closing.pair_matching import PairMatcher
 from toolkit.loops.options import VerificationOptions
 from toolkit.loops.relocalisation import Relocaliser
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
@@ -20,7 +20,7 @@ class ClosingParts:
     Attributes:
         registrar: registers submaps.
         nearby: registers submaps whose relative pose is approximately known.
-        matching: options of matching two keyframes.
+        matcher: verifies pairs of keyframes from their images.
         relocaliser: relocalises lost frames.
         verification, consistency: conditions that a loop edge must satisfy.
         noise: noise of odometry edges.
@@ -30,7 +30,7 @@ class ClosingParts:
 
     registrar: Registrar
     nearby: Registrar
-    matching: MatchingOptions
+    matcher: PairMatcher
     relocaliser: Relocaliser
     verification: VerificationOptions
     consistency: ConsistencyOptions

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
 from toolkit.monocular.revisits import (
     Matches,
@@ -64,15 +65,18 @@ class LoopClosure:
 
 
 def close_loops(
-    sparse_map: SparseMap, image: Callable[[int], NDArray[np.uint8]]
+    sparse_map: SparseMap,
+    image: Callable[[int], NDArray[np.uint8]],
+    detected: dict[int, Keypoints] | None = None,
 ) -> tuple[SparseMap, LoopClosure]:
     """Correct a map by revisits.
 
     Args:
         sparse_map: after bundle adjustment; not changed.
         image: returns the grey image [H, W] of a frame.
+        detected: as `find_keypoints` has it.
     """
-    keypoints = find_keypoints(sparse_map.camera, sparse_map.views, image)
+    keypoints = find_keypoints(sparse_map.camera, sparse_map.views, image, detected)
     found = find_revisits(sparse_map.camera, keypoints)
     sequence = _sequence(sparse_map)
     accepted = [revisit for revisit in found if _plausible(sparse_map, sequence, revisit)]

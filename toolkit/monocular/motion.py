@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.levels import intensity_of
 from toolkit.depth_priors.multi_view import DepthView
+from toolkit.features.keypoints import Keypoints
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
@@ -231,7 +232,8 @@ def _grey(frame: Frame) -> NDArray[np.uint8]:
 def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraMotion:
     """The motion after correction by revisits, and what speaks against it."""
     times_s = odometry.times_s
-    sparse_map = connected(odometry.maps, lambda n: _grey(frames[n]))
+    detected: dict[int, Keypoints] = {}
+    sparse_map = connected(odometry.maps, lambda n: _grey(frames[n]), detected)
     known = [n for n in range(len(times_s)) if sparse_map.T_world_camera(n) is not None]
     # Frames before the initialisation have a pose afterwards.
     reasons = Counter(odometry.reasons)
@@ -244,7 +246,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
         return CameraMotion(
             nothing, sparse_map.camera, [], len(times_s), without_pose=without, doubts=doubts
         )
-    sparse_map, loops = close_loops(sparse_map, lambda n: _grey(frames[n]))
+    sparse_map, loops = close_loops(sparse_map, lambda n: _grey(frames[n]), detected)
     adjusted = sparse_map.adjust_all(focal=not calibrated)
     assert adjusted is not None, "there are three views"
     poses = [sparse_map.T_world_camera(n) for n in known]

@@ -77,14 +77,22 @@ class ViewKeypoints:
 
 
 def find_keypoints(
-    camera: Camera, views: Sequence[View], image: Callable[[int], NDArray[np.uint8]]
+    camera: Camera,
+    views: Sequence[View],
+    image: Callable[[int], NDArray[np.uint8]],
+    detected: dict[int, Keypoints] | None = None,
 ) -> ViewKeypoints:
     """Find keypoints in all views, and triangulate them with the views around.
 
     Args:
         image: returns the grey image [H, W] of a frame.
+        detected: keypoints of frames by number; those of further frames are added.
     """
-    found = [detect_keypoints(image(view.frame), _KEYPOINTS) for view in views]
+    detected = {} if detected is None else detected
+    for view in views:
+        if view.frame not in detected:
+            detected[view.frame] = detect_keypoints(image(view.frame), _KEYPOINTS)
+    found = [detected[view.frame] for view in views]
     neighbours = {
         (first, second): match_keypoints(found[first], found[second], _RATIO)
         for first in range(len(views))

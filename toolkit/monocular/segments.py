@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.features.keypoints import similarity_votes
+from toolkit.features.keypoints import Keypoints, similarity_votes
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.revisits import (
@@ -78,17 +78,20 @@ def largest(maps: Sequence[SparseMap]) -> SparseMap:
     return max(maps, key=lambda m: len(m.views))
 
 
-def connected(maps: Sequence[SparseMap], image: GreyImage) -> SparseMap:
+def connected(
+    maps: Sequence[SparseMap], image: GreyImage, detected: dict[int, Keypoints] | None = None
+) -> SparseMap:
     """One map of the largest segment and of all those that show places of it, in order.
 
     Args:
         maps: segments in order; those that are connected are moved into the largest one's frame.
         image: returns the grey image [H, W] of a frame.
+        detected: as `find_keypoints` has it.
     """
     if len(maps) == 1:
         return maps[0]
     main = largest(maps)
-    keypoints = [find_keypoints(main.camera, m.views, image) for m in maps]
+    keypoints = [find_keypoints(main.camera, m.views, image, detected) for m in maps]
     parts = {n for n, m in enumerate(maps) if m is main}
     while True:
         rest = [n for n in range(len(maps)) if n not in parts]

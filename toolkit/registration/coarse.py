@@ -98,7 +98,7 @@ def register_coarse(
     if average is None or len(average.inliers) < len(usable):
         average = _average(target, source, usable, options, start) if usable else None
     if average is None or average.inliers.sum() < options.min_agreeing:
-        pooled = _pooled(target, source, pairs[:tried], options, generator)
+        pooled = _pooled(target, source, options, generator)
         if pooled is not None:
             return pooled
     if average is None:
@@ -128,13 +128,13 @@ def _average(
 def _pooled(
     target: Submap,
     source: Submap,
-    pairs: list[KeyframePair],
     options: CoarseOptions,
     generator: np.random.Generator,
 ) -> CoarseRegistration | None:
-    """A motion estimated from the features of all pairs together; no pair suffices alone."""
+    """A motion estimated from the features of many pairs together; no pair suffices alone."""
     if options.offsets == "none":
         return None
+    pairs = descriptor_pairs(target, source, options.pooled_pairs)
     keyframes = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
     found = pooled_motion(keyframes, options.matching, generator)
     if found is None:

@@ -190,20 +190,12 @@ class FineRegistration:
             residual=estimate.scales,
             overlap=check.overlap,
             class_agreement=check.class_agreement,
-            information=_information(pairs, estimate, self.options),
+            information=clustered_information(pairs, estimate, self.options.dense),
             iterations=estimate.iterations,
             renders=renders,
             method=self.method,
             reason=reason,
         )
-
-
-def _information(pairs: list[Pair], estimate: Estimate, options: FineOptions) -> Array:
-    """Information [6, 6] of one average view: all views show the same Gaussians, so that their
-    residuals are not independent. With independent views, the squared pose errors were 5 to 50
-    times the expected ones in synthetic rooms of 10 views, with and without sensor noise.
-    """
-    return clustered_information(pairs, estimate, options.dense) / len(pairs)
 
 
 def _largest_motion(sources: list[SourceView], T_before: Array, T_after: Array) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.matching import Matched, match_features, rigid_fits
+from toolkit.alignment.matching import KeypointCache, Matched, match_features, rigid_fits
 from toolkit.alignment.options import MatchingOptions
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
@@ -55,7 +55,8 @@ def pooled_motion(
         The motion. None unless at least two pairs support it, with twice the number of inliers
         that `measure_offset` requires.
     """
-    found = [(index, match_features(*pair, options)) for index, pair in enumerate(pairs)]
+    keypoints = KeypointCache(2 * len(pairs))
+    found = [(i, match_features(*pair, options, keypoints)) for i, pair in enumerate(pairs)]
     pool = [_PairMatches(index, matched, *pairs[index]) for index, matched in found if matched]
     first = np.concatenate([p.in_target for p in pool] or [np.zeros((0, 3))])
     second = np.concatenate([p.in_source for p in pool] or [np.zeros((0, 3))])
