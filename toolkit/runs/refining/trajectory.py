@@ -44,14 +44,14 @@ def moved_frames(
         old = read_tum(path)
         submaps = [submap_of(frames, row["index"]) for row in frames["frames"]]
         moves = {n: T_new[n] @ se3.inverse(T_old[n]) for n in T_new}
-        unmoved = {n for n in T_new if np.array_equal(T_new[n], T_old[n])}
+        changed = {n for n in T_new if not np.array_equal(T_new[n], T_old[n])}
         poses = [
-            T if n not in moves or n in unmoved else se3.orthonormalise(moves[n] @ T)
+            se3.orthonormalise(moves[n] @ T) if n in changed else T
             for n, T in zip(submaps, old.T_world_camera, strict=True)
         ]
         poses_array = np.array(poses).reshape(-1, 4, 4)
         write_tum(path, Trajectory(old.timestamps_s, poses_array))
-        text = path.read_bytes()
+        text = _with_lines_kept(path.read_bytes(), trajectory, [n in changed for n in submaps])
     rows = []
     for row, number in zip(frames["frames"], submaps, strict=True):
         exposure = Exposure.from_values(row)
@@ -63,6 +63,17 @@ def moved_frames(
         for row in frames["submaps"]
     ]
     return text, frames | {"frames": rows, "submaps": anchored}
+
+
+def _with_lines_kept(text: bytes, before: bytes, changed: list[bool]) -> bytes:
+    """The lines of poses that changed, and the former ones of others, whose rounding may differ."""
+    lines, old_lines = text.splitlines(keepends=True), before.splitlines(keepends=True)
+    numbers = [n for n, line in enumerate(lines) if not line.startswith(b"#")]
+    old = [line for line in old_lines if line.strip() and not line.startswith(b"#")]
+    for number, line, moved in zip(numbers, old, changed, strict=True):
+        if not moved:
+            lines[number] = line
+    return b"".join(lines)
 
 
 def submap_of(frames: dict[str, Any], index: int) -> int:
