@@ -33,7 +33,7 @@ def main(options: MakeRoomOptions) -> int:
         walker=options.real or options.walker,
     )
     make_room(options.out, settings, with_progress)
-    print(f"created a room in {options.out}")
+    print(f"Created a room in {options.out}.")
     return 0
 
 

@@ -328,7 +328,8 @@ class Mapper:
             evidence = Evidence.of(self.gaussians.means, views)
             mask = evidence.contradicts_in_map(self.gaussians.radii_m, self.options.free_space)
         self._remove(mask)
-        _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
+        if mask.any():
+            _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
 
     def _remove(self, mask: Tensor) -> None:
         """Remove the Gaussians in a mask [N]."""
@@ -342,7 +343,8 @@ class Mapper:
             others = [*views[:number], *views[number + 1 :]]
             view = self.view(keyframe)
             filled += fill_holes(self.map, keyframe, view, self._densification, others)
-        _log.info("Seeded %d Gaussians where no depth was measured.", filled)
+        if filled:
+            _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
     def _optimise(self, steps: int, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""
