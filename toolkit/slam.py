@@ -251,11 +251,11 @@ class Slam:
             dropped_frames=list(path.dropped_frames),
         )
 
-    def _denoised(self, frame: Frame) -> Frame:
+    def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
         if self._filter is None:
             return frame
         with self._recorder.timed("denoising"):
-            return self._filter.of(frame)
+            return self._filter.of(frame, measured)
 
     def _with_prior(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
         """The frame with the depth of its prior, if it may be mapped.
@@ -267,11 +267,12 @@ class Slam:
             return frame
         with self._recorder.timed("depth prior"):
             if T_map_camera is None:
-                return self._denoised(self._correction.start(frame))
+                return self._denoised(self._correction.start(frame), measured=False)
             if not self.mapper.wants_view(frame.index, T_map_camera):
                 return frame
             view = self.mapper.render(self.mapper.gaussians, frame.camera, T_map_camera)
-            return self._denoised(self._correction.correct(frame, RenderedDepth.of(view)))
+            corrected = self._correction.correct(frame, RenderedDepth.of(view))
+            return self._denoised(corrected, measured=False)
 
     def _locate(self, frame: Frame, may_map: bool) -> Located:
         """Estimate the pose of a frame in the active submap."""

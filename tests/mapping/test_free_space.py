@@ -16,7 +16,7 @@ from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
-from toolkit.mapping.free_space import Evidence, FreeSpace
+from toolkit.mapping.free_space import Evidence, FreeSpace, is_measured
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
 
@@ -39,6 +39,18 @@ def test_what_is_in_front_of_a_measured_surface_is_empty_beyond_a_margin():
     evidence = Evidence.of(points(1.0, 1.9, 1.97, 2.0, 2.05, 3.0, -1.0), [DepthView.of(wall())])
     assert (evidence.through > 0).tolist() == [True, True] + 5 * [False]
     assert evidence.support.tolist() == [0, 0, 1, 1, 1, 0, 0]
+
+
+def test_the_depth_of_a_prior_rules_out_nothing():
+    prior = wall(index=1)
+    prior.prior_m = prior.depth_m
+    mapper = Mapper(MapperOptions(first_iterations=1, iterations=1))
+    mapper.add_keyframe(wall(1.0))
+    mapper.add_keyframe(prior)
+    assert is_measured(FreeSpaceOptions(), mapper.keyframes[:1])
+    assert not is_measured(FreeSpaceOptions(), mapper.keyframes)
+    # A measured keyframe at the same place sees through all of the first wall.
+    assert (mapper.gaussians.means[:, 2] < 1.5).sum() > 100
 
 
 def test_pixels_beside_edges_and_holes_do_not_rule_out_space():

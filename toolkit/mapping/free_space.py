@@ -31,6 +31,14 @@ _MIN_THROUGH_UNMEASURED = 0.1
 _MAX_UNMEASURED_RAD = 0.03
 
 
+def is_measured(options: FreeSpaceOptions, keyframes: Iterable[Keyframe]) -> bool:
+    """Whether free space is used, and the depth of these keyframes states it.
+
+    The depth of priors is no measurement: it is aligned with the map, and may be noisy everywhere.
+    """
+    return options.use and all(keyframe.prior_m is None for keyframe in keyframes)
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Evidence about N points: sums over keyframes.

@@ -24,7 +24,7 @@ from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.free_space import Evidence, FreeSpace
+from toolkit.mapping.free_space import Evidence, FreeSpace, is_measured
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
@@ -138,7 +138,7 @@ class Mapper:
             with self._recorder.timed("depth fusion"):
                 fuse_depth(self.map, observed.measured_m)
         others = self.keyframes[:-1]
-        free_space = self.options.free_space.use and others
+        free_space = others and is_measured(self.options.free_space, self.keyframes)
         if free_space:
             with self._recorder.timed("free space"):
                 mask = self._free_space.contradicted(self.gaussians.means, keyframe, others)
@@ -321,7 +321,7 @@ class Mapper:
 
     def _clear_free_space(self) -> None:
         """Remove Gaussians from space that all keyframes together measured as empty."""
-        if not self.options.free_space.use:
+        if not is_measured(self.options.free_space, self.keyframes):
             return
         with self._recorder.timed("free space"):
             views = (DepthView.of(keyframe) for keyframe in self.keyframes)

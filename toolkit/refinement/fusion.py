@@ -22,7 +22,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.free_space import Evidence
+from toolkit.mapping.free_space import Evidence, is_measured
 from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.exposures import estimate_exposures
 from toolkit.submaps.atlas import Atlas
@@ -177,7 +177,7 @@ def fuse_submaps(
     exposures = estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
     views = []
     if free_space.use:
-        views = [view for number in numbers for view in _depth_views(submap(number))]
+        views = [view for number in numbers for view in _depth_views(submap(number), free_space)]
     kept: dict[int, Tensor | None] = {}
     for number in numbers:
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
@@ -189,8 +189,10 @@ def fuse_submaps(
     return FusedMap(submap, kept, exposures)
 
 
-def _depth_views(submap: Submap) -> list[DepthView]:
-    """The depth of a submap's keyframes in the world, at most `_MAX_VIEWS`, evenly spaced."""
+def _depth_views(submap: Submap, options: FreeSpaceOptions) -> list[DepthView]:
+    """The depth that a submap's keyframes measured, in the world; at most `_MAX_VIEWS`."""
+    if not is_measured(options, submap.keyframes):
+        return []
     keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
     return [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
 

@@ -53,17 +53,20 @@ class DepthFilter:
         self._prepared[frame.index] = frame, filtered
         return filtered
 
-    def of(self, frame: Frame) -> Frame:
-        """The filtered frame, computed now or by `prepare`."""
+    def of(self, frame: Frame, measured: bool = True) -> Frame:
+        """The filtered frame, computed now or by `prepare`.
+
+        Args:
+            measured: a sensor measured the depth; that of priors has no flying pixels.
+        """
         original, filtered = self._prepared.pop(frame.index, (None, None))
         if filtered is not None and original is frame:
             return filtered
-        return _filtered(frame)
+        return _filtered(frame, measured)
 
 
-def _filtered(frame: Frame) -> Frame:
-    # Depth from priors has no flying pixels of a sensor.
-    focal = frame.camera.focal if frame.inferred is None else None
+def _filtered(frame: Frame, measured: bool = True) -> Frame:
+    focal = frame.camera.focal if measured and frame.inferred is None else None
     return replace(frame, depth_m=denoised(frame.depth_m, focal))
 
 
