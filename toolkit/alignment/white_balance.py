@@ -17,6 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
 
 from toolkit.alignment.reference import LUMA
 from toolkit.exposure import Balance
@@ -33,6 +35,8 @@ SCALE = 0.01
 _HALF_WEIGHT_ERROR = 0.003
 # Minimum number of pixels of a pair.
 _MIN_PIXELS = 250
+# Systems of up to this size are solved by one thread.
+_DENSE = 16
 _ROUNDS = 10
 
 
@@ -114,10 +118,17 @@ def solve_balances(
     for _ in range(_ROUNDS):
         H, g = _normal_equations(values, first, second, differences, weights * robust)
         H, g = H + prior * np.eye(count), g - prior * values
-        values[fixed:] += np.linalg.solve(H[fixed:, fixed:], g[fixed:])
+        values[fixed:] += _solved(H[fixed:, fixed:], g[fixed:])
         residuals = values[second] - values[first] - differences
         robust = 1.0 / (1.0 + (residuals**2).sum(axis=1) / scale**2)
     return values
+
+
+def _solved(H: Array, g: Array) -> Array:
+    """Solution [N, 3] of a sparse system; dense solvers round differently with several threads."""
+    if len(H) <= _DENSE:
+        return np.asarray(np.linalg.solve(H, g))
+    return np.asarray(splu(csc_array(H)).solve(g))
 
 
 def _normal_equations(

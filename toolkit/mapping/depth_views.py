@@ -86,8 +86,14 @@ class DepthView:
     def pixels_of(self, means: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Indices [n] of the points [N, 3] in the image, their pixels by row, and their depths."""
         camera, T = self.image.camera, self.T_camera_map
-        axes = (means @ torch.from_numpy(T[:3, :3].T.copy()).to(means)).unbind(dim=1)
-        x, y, z = (axis + float(shift) for axis, shift in zip(axes, T[:3, 3], strict=True))
+        # Products of matrices may be rounded differently at another address.
+        x, y, z = (
+            (means[:, 0] * float(row[0]))
+            .add_(means[:, 1] * float(row[1]))
+            .add_(means[:, 2] * float(row[2]))
+            .add_(float(row[3]))
+            for row in T[:3]
+        )
         inverse = 1.0 / z.clamp(min=_MIN_DEPTH_M)
         u = (x.mul_(inverse) * camera.fx).add_(camera.cx + 0.5)
         v = (y.mul_(inverse) * camera.fy).add_(camera.cy + 0.5)
@@ -96,6 +102,19 @@ class DepthView:
         chosen = inside.nonzero().squeeze(1)
         z, u, v = (a.index_select(0, chosen) for a in (z, u, v))
         return chosen, v.long() * camera.width + u.long(), z
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """Corners [2, 3] of a box in the map outside of which the view measured nothing."""
+        farthest = self.depth_m.max(initial=0.0, keepdims=True)
+        depth_m = float((farthest + free_space_margin_m(farthest)).item())
+        camera = self.image.camera
+        columns, rows = np.array([-0.5, camera.width - 0.5]), np.array([-0.5, camera.height - 0.5])
+        x, y = np.meshgrid((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy)
+        corners = depth_m * np.stack([x.ravel(), y.ravel(), np.ones(4)], axis=1)
+        T = se3.inverse(self.T_camera_map.astype(np.float64))
+        points = np.concatenate([np.zeros((1, 3)), corners]) @ T[:3, :3].T + T[:3, 3]
+        return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def measures_through(self, means: Tensor) -> Tensor:
         """Mask [N] of the points [N, 3] on the CPU in space that was measured as empty."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 import torch
@@ -39,9 +40,9 @@ _MIN_OPACITY = 2.0
 _CACHE_MB = 256.0
 # Rendered extent of a Gaussian, in radii.
 _REACH = 4.0
-# Maximum number of keyframes of a submap whose free space is compared with other submaps; limits
-# memory and time.
-_MAX_VIEWS = 128
+# Maximum number of keyframes of a submap whose free space is compared with other submaps, and of
+# submaps whose views are in memory at a time; limit memory and time.
+_MAX_VIEWS, _SUBMAPS_WITH_VIEWS = 128, 8
 
 
 class FusedMap:
@@ -171,30 +172,79 @@ def fuse_submaps(
         free_space: removes Gaussians that keyframes of all submaps measured through; defaults if
             absent.
     """
-    free_space = free_space or FreeSpaceOptions()
     statistics = {number: _voxel_statistics(submap(number), voxel_m) for number in numbers}
     owners = _owners(statistics)
-    exposures = estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
-    views = []
-    if free_space.use:
-        views = [view for number in numbers for view in _depth_views(submap(number), free_space)]
+    views = _FreeSpaceViews(numbers, submap, free_space or FreeSpaceOptions())
     kept: dict[int, Tensor | None] = {}
     for number in numbers:
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
         mask = torch.from_numpy(owners.submap[index] == number)
-        if views:
-            cloud = submap(number).gaussians.transformed(submap(number).T_world_submap)
-            mask &= ~Evidence.of(cloud.means, views).contradicts_in_map(cloud.radii_m, free_space)
-        kept[number] = mask
-    return FusedMap(submap, kept, exposures)
+        kept[number] = mask & ~views.contradict(submap(number))
+    return FusedMap(submap, kept, _exposures(statistics))
 
 
-def _depth_views(submap: Submap, options: FreeSpaceOptions) -> list[DepthView]:
-    """The depth that a submap's keyframes measured, in the world; at most `_MAX_VIEWS`."""
-    if not is_measured(options, submap.keyframes):
-        return []
-    keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
-    return [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
+def submap_exposures(
+    numbers: Sequence[int], submap: Callable[[int], Submap], voxel_m: float = VOXEL_M
+) -> dict[int, Exposure]:
+    """Exposures of submaps relative to the first one, as `fuse_submaps` estimates them.
+
+    Args:
+        numbers, submap, voxel_m: as for `fuse_submaps`.
+    """
+    return _exposures({number: _voxel_statistics(submap(number), voxel_m) for number in numbers})
+
+
+class _FreeSpaceViews:
+    """What the keyframes of all submaps measured as empty.
+
+    A submap is compared with the views that reach its Gaussians, so that the time does not grow
+    with the square of the number of submaps, and the views of few submaps are in memory.
+    """
+
+    def __init__(
+        self,
+        numbers: Sequence[int],
+        submap: Callable[[int], Submap],
+        options: FreeSpaceOptions,
+    ) -> None:
+        self._submap, self._options = submap, options
+        self._views: OrderedDict[int, list[DepthView]] = OrderedDict()
+        self._boxes: dict[int, list[Array]] = {}
+        if options.use:
+            self._boxes = {n: [view.box for view in self._views_of(n)] for n in numbers}
+
+    def contradict(self, submap: Submap) -> Tensor:
+        """Mask [N] of the Gaussians of a submap in empty space."""
+        cloud = submap.gaussians.transformed(submap.T_world_submap)
+        if not self._boxes or not len(cloud):
+            return torch.zeros(len(cloud), dtype=torch.bool)
+        low, high = (corner.double().numpy() for corner in torch.aminmax(cloud.means, dim=0))
+        evidence = Evidence.of(cloud.means, self._reaching(low, high))
+        return evidence.contradicts_in_map(cloud.radii_m, self._options)
+
+    def _reaching(self, low: Array, high: Array) -> Iterator[DepthView]:
+        for number, boxes in self._boxes.items():
+            reach = [bool((box[0] <= high).all() and (box[1] >= low).all()) for box in boxes]
+            if any(reach):
+                yield from compress(self._views_of(number), reach)
+
+    def _views_of(self, number: int) -> list[DepthView]:
+        """The depth that a submap's keyframes measured, in the world; at most `_MAX_VIEWS`."""
+        if number in self._views:
+            self._views.move_to_end(number)
+            return self._views[number]
+        submap, views = self._submap(number), []
+        if is_measured(self._options, submap.keyframes):
+            keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
+            views = [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
+        self._views[number] = views
+        if len(self._views) > _SUBMAPS_WITH_VIEWS:
+            self._views.popitem(last=False)
+        return views
+
+
+def _exposures(statistics: dict[int, _VoxelStatistics]) -> dict[int, Exposure]:
+    return estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
 
 
 @dataclass(frozen=True)

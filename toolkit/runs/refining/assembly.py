@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
-from toolkit.refinement.fusion import FusedMap, fuse_submaps
+from toolkit.refinement.fusion import FusedMap, fuse_submaps, submap_exposures
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.refining.stored_map import StoredMap
 from toolkit.runs.refining.tasks import Work
@@ -74,7 +74,9 @@ def assemble(task: AssemblyTask) -> Assembled:
         versions=dict.fromkeys(source.versions, 0),
     )
     fused = _fused(refined)
-    before = _fused(source).exposures if len(source.anchors) > 1 else fused.exposures
+    before = fused.exposures
+    if len(source.anchors) > 1:
+        before = submap_exposures(sorted(source.anchors), source.submap)
     with TemporaryDirectory() as name:
         folder = RunFolder(Path(name))
         semantics = source.semantics()
