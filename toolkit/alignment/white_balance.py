@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
 
 from toolkit.alignment.reference import LUMA
 from toolkit.exposure import Balance
@@ -128,6 +126,10 @@ def _solved(H: Array, g: Array) -> Array:
     """Solution [N, 3] of a sparse system; dense solvers round differently with several threads."""
     if len(H) <= _DENSE:
         return np.asarray(np.linalg.solve(H, g))
+    # Not at the top: tracking and mapping of a few images run where only PyTorch is installed.
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
     return np.asarray(splu(csc_array(H)).solve(g))
 
 
