@@ -22,7 +22,7 @@ from benchmarks.tables import Metrics, table_of
 from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.depth_priors.multi_view import DepthView, EstimatedDepth, MultiViewDepth
+from toolkit.depth_priors.multi_view import EstimatedDepth, MultiViewDepth, SweptKeyframe
 from toolkit.monocular.motion import estimate_motion
 
 Found = TypeVar("Found")
@@ -125,18 +125,18 @@ def _opened(sequence: str) -> RecordedDataset:
     return open_dataset(recording.kind, recording.path, recording.image_size)
 
 
-def _true(dataset: RecordedDataset, step: int) -> list[DepthView]:
+def _true(dataset: RecordedDataset, step: int) -> list[SweptKeyframe]:
     truth = dataset.ground_truth
     assert truth is not None
     views = []
     for index in range(0, len(dataset), step):
         depth = dataset[index].depth_m
         near, far = np.percentile(depth[depth > 0], [_NEAR_PERCENT, _FAR_PERCENT])
-        views.append(DepthView(index, truth.T_world_camera[index], float(near), float(far)))
+        views.append(SweptKeyframe(index, truth.T_world_camera[index], float(near), float(far)))
     return views
 
 
-def _estimated(dataset: RecordedDataset) -> list[DepthView]:
+def _estimated(dataset: RecordedDataset) -> list[SweptKeyframe]:
     """Keyframes of the estimated motion, at the scale that fits the true trajectory."""
     motion, truth = estimate_motion(dataset, dataset.camera), dataset.ground_truth
     assert truth is not None

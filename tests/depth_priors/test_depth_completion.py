@@ -9,7 +9,7 @@ import pytest
 from moving_camera import film, walk
 
 from toolkit.depth_priors.completion import DepthCompletion, splatted
-from toolkit.depth_priors.multi_view import DepthView
+from toolkit.depth_priors.multi_view import SweptKeyframe
 from toolkit.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
 from toolkit.depth_priors.provider import DepthKind, PriorImage
 
@@ -17,7 +17,7 @@ POSES = walk(5)
 FRAMES = film(POSES)
 CAMERA = FRAMES[0].camera
 SHAPE = (CAMERA.height, CAMERA.width)
-VIEWS = [DepthView(n, T, 1.2, 4.0) for n, T in enumerate(POSES)]
+VIEWS = [SweptKeyframe(n, T, 1.2, 4.0) for n, T in enumerate(POSES)]
 # Known: a band on the left of the image.
 KNOWN = np.broadcast_to(np.arange(SHAPE[1]) < 60, SHAPE)
 

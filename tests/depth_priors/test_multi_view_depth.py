@@ -7,12 +7,12 @@ import pytest
 import torch
 from swept_box import CAMERA, FAR, FRAMES, IMAGES, NEAR, POSES, use_kernels
 
-from toolkit.depth_priors.multi_view import DepthView, MultiViewDepth
+from toolkit.depth_priors.multi_view import MultiViewDepth, SweptKeyframe
 from toolkit.geometry import se3
 
 
 def multi_view(poses: np.ndarray = POSES, scale: float = 1.0) -> MultiViewDepth:
-    views = [DepthView(n, T, scale * NEAR, scale * FAR) for n, T in enumerate(poses)]
+    views = [SweptKeyframe(n, T, scale * NEAR, scale * FAR) for n, T in enumerate(poses)]
     return MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame])
 
 
@@ -67,7 +67,7 @@ def test_the_number_of_threads_does_not_matter():
 
 
 def test_a_machine_without_kernels_uses_the_reference(monkeypatch):
-    views = [DepthView(n, T, NEAR, FAR) for n, T in enumerate(POSES[1:4])]
+    views = [SweptKeyframe(n, T, NEAR, FAR) for n, T in enumerate(POSES[1:4])]
     usual = MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame + 1]).measured(1)
     use_kernels(monkeypatch, None)
     found = MultiViewDepth(CAMERA, views, lambda frame: IMAGES[frame + 1]).measured(1)

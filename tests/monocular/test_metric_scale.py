@@ -10,7 +10,7 @@ import pytest
 from moving_camera import error_m, film, walk
 from test_camera_motion import Film, motion_of
 
-from toolkit.depth_priors.multi_view import DepthView
+from toolkit.depth_priors.multi_view import SweptKeyframe
 from toolkit.errors import SettingsError
 from toolkit.frame import Frame
 from toolkit.geometry import se3
@@ -60,7 +60,7 @@ def picture(number: int, T: np.ndarray) -> np.ndarray:
 
 def motion_at(poses: list[np.ndarray]) -> CameraMotion:
     """A motion whose keyframes are all frames."""
-    views = [DepthView(n, T, 0.5, 2.0) for n, T in enumerate(poses)]
+    views = [SweptKeyframe(n, T, 0.5, 2.0) for n, T in enumerate(poses)]
     trajectory = Trajectory(np.arange(len(poses)) / 30, np.array(poses))
     return CameraMotion(trajectory, CAMERA, views, len(poses), error_px=0.5)
 

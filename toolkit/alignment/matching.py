@@ -18,6 +18,7 @@ from toolkit.alignment.health import failure_reason
 from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.options import MatchingOptions
+from toolkit.caching import LruCache
 from toolkit.features.keypoints import Keypoints, detect_keypoints, match_keypoints
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -206,18 +207,14 @@ class KeypointCache:
     """
 
     def __init__(self, size: int = 64) -> None:
-        self._size = size
-        # Keyframes of different runs may have the same number, so that objects are compared.
-        self._found: dict[tuple[int, int], tuple[Keyframe, Keypoints]] = {}
+        self._found: LruCache[Keypoints] = LruCache(size)
 
     def __call__(self, keyframe: Keyframe, count: int) -> Keypoints:
         """Keypoints of a keyframe's image, at most `count`."""
-        key = (id(keyframe), count)
-        entry = self._found.pop(key, None) or (keyframe, keyframe_keypoints(keyframe, count))
-        self._found[key] = entry  # at the end: the first one was not used for longest
-        if len(self._found) > self._size:
-            del self._found[next(iter(self._found))]
-        return entry[1]
+        # Keyframes of different runs may have the same number, so that objects are compared.
+        return self._found.get(
+            (id(keyframe), count), lambda: keyframe_keypoints(keyframe, count), (keyframe,)
+        )
 
 
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.caching import LruCache
 from toolkit.depth_priors.alignment import (
     MAX_SAMPLES,
     Correction,
@@ -17,7 +17,7 @@ from toolkit.depth_priors.alignment import (
     fit_grid,
     samples_of,
 )
-from toolkit.depth_priors.multi_view import DepthView
+from toolkit.depth_priors.multi_view import SweptKeyframe
 from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.depth_priors.outliers import without_outliers
 from toolkit.depth_priors.provider import Image, Mask, PriorImage
@@ -64,14 +64,14 @@ class DepthCompletion:
     def __init__(
         self,
         camera: Camera,
-        views: Sequence[DepthView],
+        views: Sequence[SweptKeyframe],
         depth: Callable[[int], Image],
         prior: Callable[[int], PriorImage],
         options: DepthPriorOptions,
     ) -> None:
         self._camera, self._views = camera, views
         self._depth, self._prior, self._options = depth, prior, options
-        self._cache: OrderedDict[int, Image] = OrderedDict()
+        self._cache: LruCache[Image] = LruCache(2 * _AROUND + 2)
 
     def depth(self, number: int) -> CompletedDepth:
         """Depth of a keyframe, where it is known or can be inferred."""
@@ -111,11 +111,7 @@ class DepthCompletion:
         return [n for n in range(first, last + 1) if n != number]
 
     def _known(self, number: int) -> Image:
-        if number not in self._cache:
-            self._cache[number] = self._depth(number)
-            while len(self._cache) > 2 * _AROUND + 2:
-                self._cache.popitem(last=False)
-        return self._cache[number]
+        return self._cache.get(number, lambda: self._depth(number))
 
     def _seen_from(self, number: int, other: int) -> Image:
         """Depth [H, W] of another keyframe at the pixels of a keyframe, 0 where it shows none."""

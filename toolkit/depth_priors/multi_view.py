@@ -7,14 +7,13 @@ that the keyframes around agree with is kept.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.caching import LruCache
 from toolkit.depth_priors.coarse_to_fine import (
     ImagePair,
     Source,
@@ -29,7 +28,6 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
-Cached = TypeVar("Cached")
 
 # The range of a sweep is wider than that of the known points.
 _NEARER, _FARTHER = 1.6, 2.5
@@ -41,7 +39,7 @@ _CACHED = 4 * _AROUND
 
 
 @dataclass(frozen=True)
-class DepthView:
+class SweptKeyframe:
     """A keyframe whose depth is estimated.
 
     Attributes:
@@ -84,14 +82,14 @@ class MultiViewDepth:
     def __init__(
         self,
         camera: Camera,
-        views: Sequence[DepthView],
+        views: Sequence[SweptKeyframe],
         intensity: Callable[[int], Image],
         agreement: AgreementOptions | None = None,
     ) -> None:
         self._camera, self._views, self._intensity = camera, views, intensity
         self._agreement = agreement or AgreementOptions()
-        self._images: OrderedDict[int, ImagePair] = OrderedDict()
-        self._swept: OrderedDict[int, SweptDepth] = OrderedDict()
+        self._images: LruCache[ImagePair] = LruCache(_CACHED)
+        self._swept: LruCache[SweptDepth] = LruCache(_CACHED)
 
     def depth(self, number: int) -> Image:
         """Depth [H, W] of a keyframe that others confirm, 0 elsewhere, in the unit of the poses."""
@@ -133,7 +131,7 @@ class MultiViewDepth:
 
     def _sweep(self, number: int) -> SweptDepth:
         """Depth of a keyframe from the images around it."""
-        return _cached(self._swept, number, self._new_sweep)
+        return self._swept.get(number, lambda: self._new_sweep(number))
 
     def _new_sweep(self, number: int) -> SweptDepth:
         view = self._views[number]
@@ -145,23 +143,11 @@ class MultiViewDepth:
         return sweep_depth(self._camera, self._image(number), sources, limits)
 
     def _image(self, number: int) -> ImagePair:
-        return _cached(
-            self._images, number, lambda n: image_pair(self._intensity(self._views[n].frame))
-        )
+        view = self._views[number]
+        return self._images.get(number, lambda: image_pair(self._intensity(view.frame)))
 
 
 def _inverse(image: Image) -> Image:
     """Depth from inverse depth or the reverse, 0 where unknown."""
     known = image > 0
     return np.where(known, 1.0 / np.where(known, image, np.float32(1.0)), np.float32(0.0))
-
-
-def _cached(
-    cache: OrderedDict[int, Cached], number: int, compute: Callable[[int], Cached]
-) -> Cached:
-    """Something of a keyframe, from a cache of what was computed last."""
-    if number not in cache:
-        cache[number] = compute(number)
-        while len(cache) > _CACHED:
-            cache.popitem(last=False)
-    return cache[number]

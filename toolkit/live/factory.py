@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from toolkit.datasets.registry import open_dataset
 from toolkit.errors import SettingsError
 from toolkit.live.camera import LiveCamera
 from toolkit.live.execution import check_live_settings
 from toolkit.live.options import LiveOptions
 from toolkit.live.replay import ReplayCamera
+from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings
 
 
@@ -24,16 +24,7 @@ def build_camera(options: LiveOptions, settings: RunSettings) -> LiveCamera:
         from toolkit.live.realsense import RealSenseCamera
 
         return RealSenseCamera(options.fps, options.serial)
-    place = settings.dataset
-    if place.path is None:
+    if settings.dataset.path is None:
         raise SettingsError("--camera replay needs a dataset; add --dataset.path")
-    dataset = open_dataset(
-        place.kind,
-        place.path,
-        settings.image_size,
-        settings.max_frames,
-        fov_deg=place.fov_deg,
-        topics=place.topics,
-        depth_offset=place.depth_offset,
-    )
+    dataset = open_recording(settings, settings.dataset.path)
     return ReplayCamera(dataset, options.fps or settings.pace or None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.caching import LruCache
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import free_space_margin_m
@@ -38,6 +38,11 @@ class DepthImage:
 
     camera: Camera
     depth_m: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, keyframe: Keyframe) -> DepthImage:
+        """The depth that a keyframe measured."""
+        return cls(keyframe.camera, keyframe.measured_m.numpy())
 
     @cached_property
     def empty_m(self) -> NDArray[np.float32]:
@@ -71,7 +76,7 @@ class DepthView:
         T_map_camera = keyframe.T_map_camera
         if T_map_submap is not None:
             T_map_camera = T_map_submap @ T_map_camera
-        return cls.at(T_map_camera, DepthImage(keyframe.camera, keyframe.measured_m.numpy()))
+        return cls.at(T_map_camera, DepthImage.of(keyframe))
 
     @classmethod
     def at(cls, T_map_camera: NDArray[np.float64], image: DepthImage) -> DepthView:
@@ -126,27 +131,18 @@ class DepthView:
 
 
 class DepthViews:
-    """The depth views of keyframes, whose images are prepared once (an LRU cache)."""
+    """The depth views of keyframes, whose images are prepared once."""
 
     def __init__(self) -> None:
-        self._cache: OrderedDict[int, tuple[Tensor, Tensor | None, DepthImage]] = OrderedDict()
+        self._images: LruCache[DepthImage] = LruCache(_MAX_IMAGES)
 
     def of(self, keyframe: Keyframe) -> DepthView:
         """The view of a keyframe at its present pose."""
-        cached = self._cache.pop(keyframe.index, None)
         # Moving objects may have been removed, and keyframes of other submaps may have the same
         # index.
-        if cached is None or not _same(cached, keyframe):
-            image = DepthImage(keyframe.camera, keyframe.measured_m.numpy())
-            cached = keyframe.depth_m, keyframe.inferred, image
-        self._cache[keyframe.index] = cached
-        if len(self._cache) > _MAX_IMAGES:
-            self._cache.popitem(last=False)
-        return DepthView.at(keyframe.T_map_camera, cached[2])
-
-
-def _same(cached: tuple[Tensor, Tensor | None, DepthImage], keyframe: Keyframe) -> bool:
-    return cached[0] is keyframe.depth_m and cached[1] is keyframe.inferred
+        sources = (keyframe.depth_m, keyframe.inferred)
+        image = self._images.get(keyframe.index, lambda: DepthImage.of(keyframe), sources)
+        return DepthView.at(keyframe.T_map_camera, image)
 
 
 def empty_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:

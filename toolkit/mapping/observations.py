@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-
 import torch
-from torch import Tensor
 
+from toolkit.caching import LruCache
 from toolkit.keyframe import Keyframe, Observed
 
 # Maximum number of keyframes in the cache: more than a mapping window, a few megabytes each.
@@ -18,18 +16,12 @@ class Observations:
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
-        self._cache: OrderedDict[int, tuple[tuple[Tensor | None, ...], Observed]] = OrderedDict()
+        self._cache: LruCache[Observed] = LruCache(_MAX_KEYFRAMES)
 
     def of(self, keyframe: Keyframe) -> Observed:
         """The images of a keyframe on the map's device."""
         if self._device.type == "cpu":
             return keyframe.images
-        source = (keyframe.rgb, keyframe.depth_m, keyframe.class_ids)
-        cached = self._cache.pop(keyframe.index, None)
         # Labels may have been corrected, and keyframes of other submaps may have the same index.
-        if cached is None or any(a is not b for a, b in zip(cached[0], source, strict=True)):
-            cached = source, keyframe.images.to(self._device)
-        self._cache[keyframe.index] = cached
-        if len(self._cache) > _MAX_KEYFRAMES:
-            self._cache.popitem(last=False)
-        return cached[1]
+        sources = (keyframe.rgb, keyframe.depth_m, keyframe.class_ids)
+        return self._cache.get(keyframe.index, lambda: keyframe.images.to(self._device), sources)

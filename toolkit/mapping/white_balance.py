@@ -7,7 +7,6 @@ of its images, so that differences to it stay small while its colours drift. See
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from toolkit.alignment.white_balance import (
     is_neutral,
     solve_balances,
 )
+from toolkit.caching import LruCache
 from toolkit.exposure import NEUTRAL
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced
@@ -94,7 +94,7 @@ class WhiteBalance:
 
     def __init__(self, options: WhiteBalanceOptions) -> None:
         self.options = options
-        self._cache: OrderedDict[tuple[int, float, float], _Cells] = OrderedDict()
+        self._cache: LruCache[_Cells] = LruCache(_CACHED)
 
     def estimate(self, keyframe: Keyframe, others: Sequence[Keyframe]) -> None:
         """Set the white balance of a new keyframe.
@@ -188,12 +188,7 @@ class WhiteBalance:
     def _cells(self, keyframe: Keyframe) -> _Cells:
         exposure = keyframe.exposure
         key = (keyframe.index, exposure.gain, exposure.bias)
-        if key not in self._cache:
-            self._cache[key] = _Cells.of(keyframe)
-            while len(self._cache) > _CACHED:
-                self._cache.popitem(last=False)
-        self._cache.move_to_end(key)
-        return self._cache[key]
+        return self._cache.get(key, lambda: _Cells.of(keyframe))
 
 
 def _cosines(points: Array, centre: Array) -> Array:

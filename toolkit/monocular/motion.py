@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.levels import intensity_of
-from toolkit.depth_priors.multi_view import DepthView
+from toolkit.depth_priors.multi_view import SweptKeyframe
 from toolkit.features.keypoints import Keypoints
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
@@ -88,7 +88,7 @@ class CameraMotion:
 
     trajectory: Trajectory
     camera: Camera
-    views: list[DepthView]
+    views: list[SweptKeyframe]
     frames: int
     extent: float = 0.0
     error_px: float = float("nan")
@@ -275,7 +275,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
     return replace(motion, doubts=_doubts(motion))
 
 
-def _depth_views(sparse_map: SparseMap) -> tuple[list[DepthView], list[float]]:
+def _depth_views(sparse_map: SparseMap) -> tuple[list[SweptKeyframe], list[float]]:
     """Views whose depth can be estimated, and their median depths."""
     views, depths = [], []
     for number, view in enumerate(sparse_map.views):
@@ -283,7 +283,7 @@ def _depth_views(sparse_map: SparseMap) -> tuple[list[DepthView], list[float]]:
         if len(depth) < _MIN_LANDMARKS:
             continue
         near, far = np.percentile(depth, [_NEAR_PERCENT, _FAR_PERCENT])
-        views.append(DepthView(view.frame, view.T_world_camera, float(near), float(far)))
+        views.append(SweptKeyframe(view.frame, view.T_world_camera, float(near), float(far)))
         depths.append(float(np.median(depth)))
     return views, depths
 

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.caching import LruCache
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -208,7 +209,7 @@ class _FreeSpaceViews:
         options: FreeSpaceOptions,
     ) -> None:
         self._submap, self._options = submap, options
-        self._views: OrderedDict[int, list[DepthView]] = OrderedDict()
+        self._views: LruCache[list[DepthView]] = LruCache(_SUBMAPS_WITH_VIEWS)
         self._boxes: dict[int, list[Array]] = {}
         if options.use:
             self._boxes = {n: [view.box for view in self._views_of(n)] for n in numbers}
@@ -230,17 +231,14 @@ class _FreeSpaceViews:
 
     def _views_of(self, number: int) -> list[DepthView]:
         """The depth that a submap's keyframes measured, in the world; at most `_MAX_VIEWS`."""
-        if number in self._views:
-            self._views.move_to_end(number)
-            return self._views[number]
-        submap, views = self._submap(number), []
-        if is_measured(self._options, submap.keyframes):
-            keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
-            views = [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
-        self._views[number] = views
-        if len(self._views) > _SUBMAPS_WITH_VIEWS:
-            self._views.popitem(last=False)
-        return views
+        return self._views.get(number, lambda: self._new_views(number))
+
+    def _new_views(self, number: int) -> list[DepthView]:
+        submap = self._submap(number)
+        if not is_measured(self._options, submap.keyframes):
+            return []
+        keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
+        return [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
 
 
 def _exposures(statistics: dict[int, _VoxelStatistics]) -> dict[int, Exposure]:

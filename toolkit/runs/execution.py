@@ -10,7 +10,6 @@ from pathlib import Path
 
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.prefetch import prefetched
-from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
@@ -32,6 +31,7 @@ from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.observers import Observers, ProgressObserver
+from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import (
     MOTION,
     RunRecord,
@@ -78,17 +78,7 @@ def run(
     out = Path(out)
     path = _dataset_path(settings, out, resume, progress)
     settings = with_absolute_paths(_with_path(settings, path))
-    needs_depth = settings.depth == "sensor"
-    dataset = open_dataset(
-        settings.dataset.kind,
-        path,
-        settings.image_size,
-        settings.max_frames,
-        needs_depth,
-        settings.dataset.fov_deg,
-        settings.dataset.topics,
-        settings.dataset.depth_offset,
-    )
+    dataset = open_recording(settings, path)
     check_scale(settings.scale, len(dataset))
     config = dump_settings(settings)
     load_lpips(settings)  # reports unusable weights before the run instead of after it

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.exposure import Exposure
@@ -23,6 +22,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
@@ -119,19 +119,7 @@ class FinishedRun:
         path = path or self.dataset_path
         if path is None:
             raise DatasetError(f"{self.folder.config} has no dataset.path; add it to the file")
-        size = image_size or self.settings.image_size
-        settings = self.settings
-        needs_depth = settings.depth == "sensor"
-        dataset = open_dataset(
-            settings.dataset.kind,
-            path,
-            size,
-            settings.max_frames,
-            needs_depth,
-            settings.dataset.fov_deg,
-            settings.dataset.topics,
-            settings.dataset.depth_offset,
-        )
+        dataset = open_recording(self.settings, path, image_size)
         camera = self.stored_camera
         if not dataset.recording.calibrated and camera and camera.size == dataset.camera.size:
             dataset.camera = camera  # the focal length that the run has estimated

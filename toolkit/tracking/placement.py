@@ -9,7 +9,6 @@ became five to ten times as accurate.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +19,7 @@ from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.matching import correction_too_large
-from toolkit.exposure import Exposure
+from toolkit.caching import LruCache
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.tracking.options import PlacementOptions
@@ -44,7 +43,7 @@ class KeyframePlacement:
 
     def __init__(self, options: PlacementOptions | None = None) -> None:
         self.options = options or PlacementOptions()
-        self._cache: OrderedDict[tuple[int, Exposure], _Levels] = OrderedDict()
+        self._cache: LruCache[_Levels] = LruCache(_CACHED)
 
     def place(self, keyframes: Sequence[Keyframe], new: Keyframe) -> Array:
         """Refine the pose of a new keyframe.
@@ -89,11 +88,9 @@ class KeyframePlacement:
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.exposure)
-        if key not in self._cache:
-            finest = limited_to_width(keyframe_level(keyframe), self.options.max_width)
-            frame = pyramid(finest, self.options.dense.levels)
-            self._cache[key] = _Levels([model_level(level) for level in frame], frame)
-            while len(self._cache) > _CACHED:
-                self._cache.popitem(last=False)
-        self._cache.move_to_end(key)
-        return self._cache[key]
+        return self._cache.get(key, lambda: self._new_levels(keyframe))
+
+    def _new_levels(self, keyframe: Keyframe) -> _Levels:
+        finest = limited_to_width(keyframe_level(keyframe), self.options.max_width)
+        frame = pyramid(finest, self.options.dense.levels)
+        return _Levels([model_level(level) for level in frame], frame)
