@@ -88,7 +88,7 @@ def _depth(dataset: RecordedDataset, motion: CameraMotion, scale: float) -> Metr
 def _without_revisits(dataset: RecordedDataset, truth: Trajectory) -> Metrics:
     """Errors of the motion if places that the camera visits again do not correct it."""
     with patch.object(
-        motion_module, "close_loops", lambda sparse_map, _: (sparse_map, _NO_REVISITS)
+        motion_module, "close_loops", lambda sparse_map, *_: (sparse_map, _NO_REVISITS)
     ):
         found = estimate_motion(dataset, dataset.camera).trajectory
     if not len(found):
