@@ -17,9 +17,10 @@ import tyro
 from numpy.typing import NDArray
 
 from benchmarks.recordings import RECORDINGS, room
-from benchmarks.registration import Methods, judged
+from benchmarks.registration_methods import Methods
 from benchmarks.registration_pairs import draw_pairs, pool
 from benchmarks.registration_pairs import room as room_recording
+from benchmarks.registration_trials import judged
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Rows, Table, table_of

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.reference import LUMA
 from toolkit.exposure import Balance
+from toolkit.geometry.linear_systems import solve_reproducibly
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,6 @@ SCALE = 0.01
 _HALF_WEIGHT_ERROR = 0.003
 # Minimum number of pixels of a pair.
 _MIN_PIXELS = 250
-# Systems of up to this size are solved by one thread.
-_DENSE = 16
 _ROUNDS = 10
 
 
@@ -116,21 +115,10 @@ def solve_balances(
     for _ in range(_ROUNDS):
         H, g = _normal_equations(values, first, second, differences, weights * robust)
         H, g = H + prior * np.eye(count), g - prior * values
-        values[fixed:] += _solved(H[fixed:, fixed:], g[fixed:])
+        values[fixed:] += solve_reproducibly(H[fixed:, fixed:], g[fixed:])
         residuals = values[second] - values[first] - differences
         robust = 1.0 / (1.0 + (residuals**2).sum(axis=1) / scale**2)
     return values
-
-
-def _solved(H: Array, g: Array) -> Array:
-    """Solution [N, 3] of a sparse system; dense solvers round differently with several threads."""
-    if len(H) <= _DENSE:
-        return np.asarray(np.linalg.solve(H, g))
-    # Not at the top: tracking and mapping of a few images run where only PyTorch is installed.
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
-    return np.asarray(splu(csc_array(H)).solve(g))
 
 
 def _normal_equations(

@@ -16,12 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.registration_check import RELATIVE_STEP, clipped
 from toolkit.frame import Frame
 
-# Minimum depth step of an edge, relative to the nearer depth.
-_RELATIVE_STEP = 0.08
-# Colour gradients are clipped at this quantile, so that single strong edges do not dominate.
-_CLIP_QUANTILE = 0.95
 _SMOOTHING_PX = 1.0
 # Distances from the edge, in half pixels, at which the gradient is sampled.
 _DISTANCES = np.arange(-16, 17)
@@ -35,7 +32,6 @@ _MIN_EDGE_PIXELS = 300
 _MAX_SIGMA_PX = 0.4
 # Where opposite sides differ more, sensors enlarge objects less than that: holes hide their edges.
 _MAX_ENLARGED_PX = 1.5
-
 # Frames, evenly spaced, that the estimate uses.
 _FRAMES = 40
 
@@ -117,10 +113,7 @@ def _gradients(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[n
     smooth = cv2.GaussianBlur(rgb, (0, 0), _SMOOTHING_PX)
     strengths = []
     for x, y in ((1, 0), (0, 1)):
-        strength = np.abs(cv2.Sobel(smooth, cv2.CV_32F, x, y)).max(axis=2)
-        ceiling = max(float(np.quantile(strength, _CLIP_QUANTILE)), 1e-6)
-        strength = np.minimum(strength, ceiling) / ceiling
-        strengths.append(strength - strength.mean())
+        strengths.append(clipped(np.abs(cv2.Sobel(smooth, cv2.CV_32F, x, y)).max(axis=2)))
     return strengths[0], strengths[1]
 
 
@@ -132,7 +125,7 @@ def _edges(depth_m: NDArray[np.float32], axis: int) -> list[tuple[Array, Array]]
     image = depth_m if axis == 0 else depth_m.T
     before, after = image[:, :-1], image[:, 1:]
     step = (before > 0) & (after > 0)
-    step &= np.abs(before - after) > _RELATIVE_STEP * np.minimum(before, after)
+    step &= np.abs(before - after) > RELATIVE_STEP * np.minimum(before, after)
     sides: list[tuple[Array, Array]] = []
     for side in (after < before, before < after):
         rows, columns = np.nonzero(step & side)

@@ -22,7 +22,7 @@ _WIDTH = 320
 # Maximum shift, in pixels of the resized image.
 _REACH = 16
 # Minimum depth step of an edge, relative to the nearer depth.
-_RELATIVE_STEP = 0.08
+RELATIVE_STEP = 0.08
 # Colour gradients are clipped at this quantile, so that single strong edges do not dominate.
 _CLIP_QUANTILE = 0.95
 
@@ -114,7 +114,7 @@ def depth_edges(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         for step in (-1, 1):
             neighbour = np.roll(filled, step, axis=axis)
             valid = (depth_m > 0) & (neighbour > 0)
-            edges |= valid & (neighbour - depth_m > _RELATIVE_STEP * depth_m)
+            edges |= valid & (neighbour - depth_m > RELATIVE_STEP * depth_m)
     # np.roll wraps around, so the border is invalid.
     edges[[0, -1], :] = False
     edges[:, [0, -1]] = False
@@ -139,7 +139,11 @@ def _colour_gradient(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
     smooth = cv2.GaussianBlur(rgb, (0, 0), 1.0)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    strength = np.sqrt((across**2 + down**2).sum(axis=2))
+    return clipped(np.sqrt((across**2 + down**2).sum(axis=2)))
+
+
+def clipped(strength: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Gradient magnitudes [H, W], clipped and scaled to [0, 1], less their mean."""
     ceiling = max(float(np.quantile(strength, _CLIP_QUANTILE)), 1e-6)
     strength = np.minimum(strength, ceiling) / ceiling
     return strength - strength.mean()

@@ -25,6 +25,7 @@ from toolkit.alignment.white_balance import (
     solve_balances,
 )
 from toolkit.exposure import NEUTRAL, Balance, Exposure
+from toolkit.geometry.linear_systems import solve_reproducibly
 
 # Minimum number of common voxels of a pair.
 _MIN_COMMON = 100
@@ -145,5 +146,5 @@ def _potentials(count: int, links: list[_Link], differences: list[float]) -> Arr
         H[np.ix_(ends, ends)] += link.weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
         g[ends] += link.weight * difference * np.array([-1.0, 1.0])
     values = np.zeros(count)
-    values[1:] = np.linalg.solve(H[1:, 1:], g[1:])
+    values[1:] = solve_reproducibly(H[1:, 1:], g[1:])
     return values

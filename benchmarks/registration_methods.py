@@ -1,0 +1,130 @@
+"""The methods that `benchmarks.registration` compares, each with its time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from benchmarks.registration_pairs import Pair
+from toolkit.baselines.clouds import CloudRegistration
+from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
+from toolkit.baselines.two_way import TwoWayRegistration
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.sources import ViewDescriber
+from toolkit.registration.coarse import CoarseRegistration
+from toolkit.registration.fine import FineRegistration
+from toolkit.registration.options import (
+    CloudOptions,
+    CoarseOptions,
+    FineOptions,
+    FirstOrderFineOptions,
+)
+from toolkit.registration.result import Registrar, RegistrationResult
+from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
+from toolkit.registration.views import ViewRenderer
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A registration and its stages' seconds."""
+
+    result: RegistrationResult
+    first_s: float
+    second_s: float
+
+
+class Methods:
+    """Every method on one pair; the coarse stage runs once, and its time counts for all."""
+
+    MAIN = (
+        "coarse, Z = I (G-5)",
+        "coarse",
+        "fine (start)",
+        "SGR",
+        "SGR (start)",
+        "coarse, then two-way",
+        "two-way (start)",
+        "FPFH, RANSAC, ICP",
+        "ICP (start)",
+    )
+
+    def __init__(self, pair: Pair, seed: int) -> None:
+        self._pair, self._seed = pair, seed
+        self._coarse: dict[tuple[CoarseOptions, bool], tuple[CoarseRegistration, float]] = {}
+        self.rows: dict[str, Callable[[], Timed]] = {
+            "coarse, Z = I (G-5)": lambda: self._first(CoarseOptions(offsets="none")),
+            "coarse": lambda: self._first(CoarseOptions()),
+            "fine (start)": lambda: self._alone(FineRegistration(renderer=self._renderer()), True),
+            "SGR": lambda: self._both(self._sgr(FineOptions())),
+            "SGR (start)": lambda: self._both(self._sgr(FineOptions()), started=True),
+            "coarse, then two-way": lambda: self._both(self._two_way()),
+            "two-way (start)": lambda: self._alone(self._two_way_fine(), True),
+            "FPFH, RANSAC, ICP": lambda: self._alone(self._clouds(CloudOptions())),
+            "ICP (start)": lambda: self._alone(self._clouds(CloudOptions()), started=True),
+            "SGR, classes ignored": lambda: self._both(self._sgr(FineOptions(semantic_gate=False))),
+            "SGR, first-order fine (G-6)": lambda: self._both(
+                self._sgr(FineOptions(optimiser="first-order"))
+            ),
+            "SGR, first-order fine, no feature term": lambda: self._both(
+                self._sgr(_without_features())
+            ),
+            "FPFH, fast global, ICP": lambda: self._alone(self._clouds(CloudOptions("fast"))),
+            "FPFH, RANSAC, coloured ICP": lambda: self._alone(
+                self._clouds(CloudOptions(icp="coloured"))
+            ),
+        }
+
+    def _renderer(self) -> ViewRenderer:
+        return ViewRenderer(semantics=self._pair.semantics)
+
+    def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
+        options, renderer = SgrOptions(fine=fine, seed=self._seed), self._renderer()
+        refiner = None
+        if fine.optimiser == "first-order":
+            refiner = FirstOrderFineRegistration(fine, renderer, ViewDescriber(BuiltinEncoder()))
+        return SemanticGuidedRegistration(options, renderer, refiner)
+
+    def _two_way(self) -> SemanticGuidedRegistration:
+        refiner = self._two_way_fine()
+        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), refiner.renderer, refiner)
+
+    def _two_way_fine(self) -> TwoWayRegistration:
+        return TwoWayRegistration(FineRegistration(renderer=self._renderer()))
+
+    def _clouds(self, options: CloudOptions) -> CloudRegistration:
+        return CloudRegistration(options, self._renderer())
+
+    def _first(self, options: CoarseOptions) -> Timed:
+        sgr = SemanticGuidedRegistration(SgrOptions(options, seed=self._seed))
+        coarse, first_s = self._coarse_stage(sgr, started=False)
+        return Timed(coarse.result, first_s, 0.0)
+
+    def _both(self, sgr: SemanticGuidedRegistration, started: bool = False) -> Timed:
+        coarse, first_s = self._coarse_stage(sgr, started)
+        begin = time.perf_counter()
+        start = self._pair.start if started else None
+        result = sgr.refined(self._pair.target, self._pair.source, coarse, start)
+        return Timed(result, first_s, time.perf_counter() - begin)
+
+    def _coarse_stage(
+        self, sgr: SemanticGuidedRegistration, started: bool
+    ) -> tuple[CoarseRegistration, float]:
+        key = (sgr.options.coarse, started)
+        if key not in self._coarse:
+            begin = time.perf_counter()
+            start = self._pair.start if started else None
+            coarse = sgr.coarse(self._pair.target, self._pair.source, start)
+            self._coarse[key] = coarse, time.perf_counter() - begin
+        return self._coarse[key]
+
+    def _alone(self, registrar: Registrar, started: bool = False) -> Timed:
+        start = self._pair.start if started else None
+        begin = time.perf_counter()
+        result = registrar.register(self._pair.target, self._pair.source, start)
+        return Timed(result, 0.0, time.perf_counter() - begin)
+
+
+def _without_features() -> FineOptions:
+    """The papers' fine stage on colour and semantics alone."""
+    return FineOptions("first-order", first_order=FirstOrderFineOptions(feature=0.0))
