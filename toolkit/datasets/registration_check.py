@@ -145,8 +145,8 @@ def _colour_gradient(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
 def clipped(strength: NDArray[np.float32]) -> NDArray[np.float32]:
     """Gradient magnitudes [H, W], clipped and scaled to [0, 1], less their mean."""
     ceiling = max(float(np.quantile(strength, _CLIP_QUANTILE)), 1e-6)
-    strength = np.minimum(strength, ceiling) / ceiling
-    return strength - strength.mean()
+    scaled = np.minimum(strength, ceiling) / ceiling
+    return np.asarray(scaled - scaled.mean(), np.float32)
 
 
 def _quarters(shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
