@@ -5,31 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from tiny_frames import HEIGHT, WIDTH, camera_file, frame_depth_m, frame_rgb, pose
 
 from toolkit.geometry import se3
 from toolkit.io import images
-
-WIDTH, HEIGHT = 32, 24
-
-
-def frame_rgb(index: int) -> np.ndarray:
-    """Random colour image, different for every frame."""
-    return np.random.default_rng(index).uniform(size=(HEIGHT, WIDTH, 3))
-
-
-def frame_depth_m(index: int) -> np.ndarray:
-    """Depth of a tilted plane whose distance grows with the frame number."""
-    return np.tile(np.linspace(1.0, 2.0, WIDTH), (HEIGHT, 1)) + 0.1 * index
-
-
-def pose(index: int) -> np.ndarray:
-    """Poses with rotation and translation."""
-    return se3.exp(np.array([0.1 * index, 0.0, 0.05 * index, 0.0, 0.02 * index, 0.0]))
 
 
 @pytest.fixture
@@ -171,14 +154,6 @@ def make_stray_scanner(tmp_path) -> Callable[..., Path]:
         return folder
 
     return make
-
-
-def camera_file(index: int, **changes: Any) -> str:
-    """Camera of a frame; ARKit's y axis is up and its z axis back."""
-    T = pose(index) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    content = {f"t_{i}{j}": T[i, j] for i in range(3) for j in range(4)}
-    content |= {"fx": 60.0, "fy": 62.0, "cx": 32.0, "cy": 24.0, "width": 64, "height": 48}
-    return json.dumps(content | {"blur_score": 0.1} | changes)
 
 
 @pytest.fixture

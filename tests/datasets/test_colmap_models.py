@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import HEIGHT, WIDTH, frame_rgb, pose
+from tiny_frames import HEIGHT, WIDTH, frame_rgb, pose
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, FormatError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import camera_file, frame_depth_m, frame_rgb, pose
+from tiny_frames import camera_file, frame_depth_m, frame_rgb, pose
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import frame_depth_m, pose
+from tiny_frames import frame_depth_m, pose
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import DatasetError, DependencyError
