@@ -21,7 +21,7 @@ from toolkit.alignment.levels import keyframe_level, limited_to_width, model_lev
 from toolkit.alignment.matching import correction_too_large
 from toolkit.caching import LruCache
 from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
+from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.tracking.options import PlacementOptions
 
 Array = NDArray[np.float64]
@@ -81,10 +81,7 @@ class KeyframePlacement:
             for k in keyframes[: first_recent : options.every]
             if k.fraction_observed(points) >= options.min_older
         ]
-        if len(older) > options.older:
-            spread = np.linspace(0, len(older) - 1, options.older).round().astype(int)
-            older = [older[index] for index in spread]
-        return [*older, *recent]
+        return [*evenly_spaced(older, options.older), *recent]
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.exposure)
