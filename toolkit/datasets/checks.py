@@ -12,7 +12,7 @@ from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.decoder_warnings import decoder_warning
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.pairing import listed
-from toolkit.datasets.registration_check import measure_registration
+from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
 from toolkit.datasets.registry import describe
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
@@ -201,10 +201,8 @@ def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str
 
 
 def _registration_faults(dataset: RecordedDataset) -> list[str]:
-    chosen = np.unique(
-        np.linspace(0, len(dataset) - 1, min(len(dataset), _REGISTRATION_FRAMES)).astype(int)
-    )
-    fault = measure_registration(_readable(dataset, chosen.tolist())).verdict()
+    chosen = evenly_spaced_frames(len(dataset), _REGISTRATION_FRAMES)
+    fault = measure_registration(_readable(dataset, chosen)).verdict()
     return [fault] if fault else []
 
 

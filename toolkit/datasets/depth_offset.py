@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.registration_check import RELATIVE_STEP, clipped
+from toolkit.datasets.registration_check import RELATIVE_STEP, clipped, evenly_spaced_frames
 from toolkit.frame import Frame
 
 _SMOOTHING_PX = 1.0
@@ -73,7 +73,7 @@ class DepthOffset:
 
 def frames_for_offset(count: int) -> list[int]:
     """Indices of the evenly spaced frames, of `count`, that are used for an estimate."""
-    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, _FRAMES)).astype(int))]
+    return evenly_spaced_frames(count, _FRAMES)
 
 
 def estimate_depth_offset(frames: Iterable[Frame]) -> DepthOffset:

@@ -83,6 +83,11 @@ class RegistrationReport:
         )
 
 
+def evenly_spaced_frames(count: int, most: int) -> list[int]:
+    """Indices of at most a number of frames, of `count`, from the first one to the last."""
+    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))]
+
+
 def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
     """Correlate depth edges with colour gradients over frames of one camera."""
     total = np.zeros((5, 2 * _REACH + 1, 2 * _REACH + 1))
