@@ -183,7 +183,9 @@ class Keyframe:
         return _measured(self.depth_m, self.inferred)
 
     def target_rgb(self, images: Observed | None = None) -> Tensor:
-        """Observed colour [3, H, W] at the map's exposure.
+        """Observed colour [3, H, W] at the map's exposure; it may exceed 1.
+
+        A map that is limited to 1 has no texture where the reference is brighter than the image.
 
         Args:
             images: the keyframe's images on another device; on the CPU by default.
@@ -195,7 +197,7 @@ class Keyframe:
             # By numbers: copying a tensor to a GPU would wait for it.
             for channel, factor in zip(colours, balance, strict=True):
                 channel.mul_(factor)
-        return colours.clamp_(0.0, 1.0)
+        return colours
 
     def observed(self, images: Observed | None = None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Colour, depth and labels in the form that the losses expect.

@@ -47,7 +47,7 @@ class IntermediateFrame:
 
     def at_map_exposure(self) -> Frame:
         """The frame with the colours that the map would have there."""
-        rgb = self.exposure.apply(self.frame.rgb).clip(0.0, 1.0)
+        rgb = self.exposure.apply(self.frame.rgb)
         return replace(self.frame, rgb=rgb.astype(np.float32))
 
 

@@ -27,6 +27,7 @@ from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.free_space import Evidence, FreeSpace, is_measured
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
+from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
 from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.observations import Observations
@@ -34,7 +35,6 @@ from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.mapping.white_balance import WhiteBalance
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.tracking.health import has_depth
 
@@ -64,7 +64,7 @@ class Mapper:
         device: device that stores and optimises the map, "cpu" or "cuda".
 
     Attributes:
-        white_balance: estimates that of keyframes.
+        exposures: estimates those of keyframes.
         keyframe_choice: decides which tracked frames become keyframes.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
@@ -86,7 +86,7 @@ class Mapper:
         self.map = GaussianMap(rates, self.semantics.channels, self.device, self.options.centred)
         self.keyframe_choice: KeyframeChoice = self.options.keyframes
         self.deferred: DeferredSteps | None = None
-        self.white_balance = WhiteBalance(self.options.white_balance)
+        self.exposures = KeyframeExposures(self.options.white_balance)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -129,8 +129,8 @@ class Mapper:
         """
         if self.semantics.channels == 0:
             keyframe.class_ids = None
-        with self._recorder.timed("white balance"):
-            self.white_balance.estimate(keyframe, self.keyframes)
+        with self._recorder.timed("exposure"):
+            self.exposures.estimate(keyframe, self.keyframes)
         self.keyframes.append(keyframe)
         self.semantics.observe(keyframe.class_ids)
         observed = self._observations.of(keyframe)
@@ -260,8 +260,8 @@ class Mapper:
 
     def refine(self) -> None:
         """Refine the map over all keyframes, at the end of a run; see `refinement.py`."""
-        with self._recorder.timed("white balance"):
-            self.white_balance.adjust(self.keyframes)
+        with self._recorder.timed("exposure"):
+            self.exposures.adjust(self.keyframes)
         if self.semantics.channels and self.options.consensus.use:
             with self._recorder.timed("map consensus"):
                 self.map.gaussians = label_consensus(

@@ -67,6 +67,9 @@ def build_slam(
         build_semantic_mapping(settings.semantics, code, settings.seed),
         map_device(settings.device, settings.backend),
     )
+    # Without tracking, and in the papers' tracker, exposures are not estimated.
+    dense = settings.tracking.kind == "dense" and settings.tracking.dense.exposure
+    mapper.exposures.gains = settings.poses == "slam" and (dense or not tracked)
     atlas = build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None)
     if tracked:
         tracker = build_tracker(settings.tracking, settings.backend, recorder, code)

@@ -203,7 +203,7 @@ class Atlas:
             source = replace(source, gaussians=empty, steps=_NO_INDICES.int())
         else:
             located = replace(anchor, T_map_camera=T_submap_camera)
-            self.mapper.white_balance.estimate(located, source.keyframes)
+            self.mapper.exposures.estimate(located, source.keyframes)
             anchor = replace(located, T_map_camera=anchor.T_map_camera)
         self._start(anchor, source, T_submap_camera)
 

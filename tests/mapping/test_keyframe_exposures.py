@@ -11,8 +11,8 @@ import torch
 from tests.painted_box import box_frames, path
 from toolkit.exposure import NEUTRAL, Exposure
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.options import WhiteBalanceOptions
-from toolkit.mapping.white_balance import WhiteBalance
 
 POSES = path(12)
 FRAMES = box_frames(POSES, 160, 120)
@@ -29,9 +29,9 @@ def keyframes(gains: np.ndarray) -> list[Keyframe]:
 
 
 def estimated(views: list[Keyframe], **options: object) -> list[Keyframe]:
-    white_balance = WhiteBalance(replace(WhiteBalanceOptions(), **options))
+    exposures = KeyframeExposures(replace(WhiteBalanceOptions(), **options))
     for number, view in enumerate(views):
-        white_balance.estimate(view, views[:number])
+        exposures.estimate(view, views[:number])
     return views
 
 
@@ -63,7 +63,7 @@ def test_all_keyframes_are_adjusted_jointly():
     views = estimated(keyframes(drift(0.02)))
     wrong = replace(views[6], log_balance=np.array([0.1, 0.0, -0.1]))
     views[6] = wrong
-    WhiteBalance(WhiteBalanceOptions()).adjust(views)
+    KeyframeExposures(WhiteBalanceOptions()).adjust(views)
     assert max(error(v, g) for v, g in zip(views, drift(0.02), strict=True)) < 0.004
 
 
@@ -138,3 +138,65 @@ def test_exposures_are_undone_composed_and_inverted():
     both = second.after(first)
     np.testing.assert_allclose(both.apply(image), second.apply(first.apply(image)), atol=1e-6)
     np.testing.assert_allclose(second.inverse().apply(second.apply(image)), image, atol=1e-6)
+
+
+def gain_error(view: Keyframe, gain: float, bias: float = 0.0) -> float:
+    """Largest deviation of middle grey from its value in the reference."""
+    levels = np.array([0.3, 0.7])
+    return float(np.abs(view.exposure.apply(gain * levels + bias) - levels).max())
+
+
+def test_brightness_and_contrast_are_compared_between_images_and_not_with_the_map():
+    """The tracker's estimates are those of a map that has lost half of its contrast."""
+    gains = np.linspace(1.0, 0.7, len(FRAMES))
+    views = keyframes(np.tile(gains[:, None], 3))
+    for view in views[1:]:
+        view.exposure = Exposure(0.5, 0.25)
+    estimated(views)
+    assert max(gain_error(v, g) for v, g in zip(views, gains, strict=True)) < 0.01
+
+
+def test_constant_contrast_stays_where_some_images_are_blurred():
+    views = keyframes(np.ones((len(FRAMES), 3)))
+    for view in views[1::2]:
+        rgb = view.rgb.to(torch.float32)[None]
+        pooled = torch.nn.functional.avg_pool2d(rgb, 5, 1, 2, count_include_pad=False)
+        view.rgb = pooled[0].round().to(torch.uint8)
+    estimated(views)
+    assert max(gain_error(view, 1.0) for view in views) < 0.02
+
+
+def test_a_changed_contrast_is_followed():
+    views = keyframes(np.ones((len(FRAMES), 3)))
+    for view in views[4:]:
+        view.rgb = (0.8 * view.rgb.to(torch.float32) + 0.1 * 255.0).round().to(torch.uint8)
+    estimated(views)
+    assert gain_error(views[-1], 0.8, 0.1) < 0.02
+
+
+def test_a_view_of_nothing_known_keeps_the_exposure_of_the_tracker():
+    views = keyframes(np.ones((len(FRAMES), 3)))[:2]
+    views[1].T_map_camera = POSES[1] @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    views[1].exposure = Exposure(0.9)
+    assert estimated(views)[1].exposure == Exposure(0.9)
+
+
+def test_gain_and_bias_can_be_left_alone():
+    views = keyframes(drift(0.03))
+    exposures = KeyframeExposures(WhiteBalanceOptions())
+    exposures.gains = False
+    exposures.estimate(views[1], views[:1])
+    assert (views[1].exposure.gain, views[1].exposure.bias) == (1.0, 0.0)
+    assert views[1].log_balance is not None
+
+
+def test_colours_brighter_than_the_reference_keep_their_texture():
+    views = keyframes(np.array([[1.0] * 3, [0.5] * 3]))
+    estimated(views)
+    assert float(views[1].target_rgb().max()) == pytest.approx(
+        float(views[0].rgb.max()) / 255, rel=0.03
+    )
+    views[1].exposure = Exposure(4.0)
+    target = views[1].target_rgb()
+    assert float(target.max()) > 1.0
+    np.testing.assert_allclose(target / 4.0, views[1].rgb / 255.0, atol=1e-6)

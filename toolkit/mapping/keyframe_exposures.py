@@ -1,8 +1,9 @@
-"""White balance of keyframes relative to the first one, which is the reference of the map.
+"""Exposure and white balance of keyframes relative to the first one, the reference of the map.
 
-The images of keyframes are compared with each other, not with the map: a map follows slow changes
-of its images, so that differences to it stay small while its colours drift. See
-`toolkit.alignment.white_balance` for the estimate.
+The images of keyframes are compared with each other, not with the map: a map is smoother than its
+images and follows slow changes of them, so that differences to it stay small while it fades and
+its colours drift. See `toolkit.alignment.exposure` and `toolkit.alignment.white_balance` for the
+estimates.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.exposure import exposure_between_images
+from toolkit.alignment.reference import LUMA
 from toolkit.alignment.white_balance import (
+    MIN_COLOUR,
     BalanceDifference,
     BalanceLink,
     balance_difference,
@@ -22,7 +26,7 @@ from toolkit.alignment.white_balance import (
     solve_balances,
 )
 from toolkit.caching import LruCache
-from toolkit.exposure import NEUTRAL
+from toolkit.exposure import NEUTRAL, Exposure
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.options import WhiteBalanceOptions
@@ -54,8 +58,7 @@ class _Cells:
 
     Attributes:
         size: width of a cell in pixels.
-        colours: [h, w, 3] float32 mean colours at the keyframe's gain and bias, 0 in cells with
-            saturated pixels.
+        colours: [h, w, 3] float32 mean colours as observed, 0 in cells with saturated pixels.
         points: [P, 3] measured points at the centres of cells, in camera coordinates.
         of_points: [P, 3] colours of their cells.
         mean: [3] mean colour of the image.
@@ -74,9 +77,7 @@ class _Cells:
         height, width = (length // size for length in keyframe.depth_m.shape)
         rgb = keyframe.rgb.permute(1, 2, 0).numpy()[: height * size, : width * size]
         blocks = rgb.reshape(height, size, width, size, 3)
-        exposure = keyframe.exposure
-        means = blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255.0)
-        colours = (exposure.gain * means + exposure.bias).astype(np.float32)
+        colours = blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255.0)
         mean = colours.reshape(-1, 3).mean(axis=0, dtype=np.float64)
         colours[(blocks >= _SATURATED).any(axis=(1, 3, 4))] = 0.0
         rows, columns = np.arange(height) * size, np.arange(width) * size
@@ -89,28 +90,55 @@ class _Cells:
         return cls(size, colours, points, colours[used], mean)
 
 
-class WhiteBalance:
-    """Estimates the white balance of keyframes; caches the cells of the last ones compared."""
+@dataclass(frozen=True)
+class _Common:
+    """Colours as observed [P, 3] of the same surfaces in an earlier and a new keyframe."""
+
+    old: NDArray[np.float32]
+    new: NDArray[np.float32]
+
+    def difference(self, old: Exposure, new: Exposure) -> BalanceDifference | None:
+        """Difference of the white balances of keyframes with known gains and biases."""
+        # A large gain does not make the hue of a dark channel any better.
+        bright = (np.minimum(self.old, self.new) >= MIN_COLOUR).all(axis=1)
+        return balance_difference(
+            _with_gain(old, self.old[bright]), _with_gain(new, self.new[bright])
+        )
+
+
+class KeyframeExposures:
+    """Estimates exposures of keyframes; caches the cells of the last ones compared.
+
+    Attributes:
+        gains: estimate gain and bias of new keyframes, not only their white balance.
+    """
 
     def __init__(self, options: WhiteBalanceOptions) -> None:
-        self.options = options
+        self.options, self.gains = options, True
         self._cache: LruCache[_Cells] = LruCache(_CACHED)
 
     def estimate(self, keyframe: Keyframe, others: Sequence[Keyframe]) -> None:
-        """Set the white balance of a new keyframe.
+        """Set the exposure and the white balance of a new keyframe.
 
         Args:
-            keyframe: at its pose; it changes.
+            keyframe: at its pose; it changes. Where too few surfaces determine gain and bias,
+                its own remain.
             others: keyframes of the same map, in order. Without any, the keyframe is a reference
                 and stays as it is.
         """
-        chosen = self._chosen(keyframe, others) if self.options.use else []
+        use = self.gains or self.options.use
+        chosen = self._chosen(keyframe, others) if use else []
         if not chosen:
             return
-        links = self._links(chosen, keyframe, len(chosen), range(len(chosen)))
+        common = [self._common(other, keyframe) for other in chosen]
+        if self.gains:
+            self._set_gain(keyframe, chosen, common)
+        if not self.options.use:
+            return
+        links = _links(chosen, keyframe, common, range(len(chosen)), len(chosen))
         known = np.array([_log_balance(k) for k in chosen])
         values = solve_balances(known, len(chosen) + 1, links)
-        self._set(keyframe, values[-1], is_neutral(values[-1], self.options.min_change))
+        self._set_balance(keyframe, values[-1], is_neutral(values[-1], self.options.min_change))
 
     def adjust(self, keyframes: Sequence[Keyframe]) -> None:
         """Set the white balance of all keyframes but the first jointly.
@@ -123,11 +151,12 @@ class WhiteBalance:
         links: list[BalanceLink] = []
         for number, keyframe in enumerate(keyframes):
             chosen = self._chosen(keyframe, keyframes[:number])
-            links += self._links(chosen, keyframe, number, [numbers[id(k)] for k in chosen])
+            common = [self._common(other, keyframe) for other in chosen]
+            links += _links(chosen, keyframe, common, [numbers[id(k)] for k in chosen], number)
         values = solve_balances(_log_balance(keyframes[0])[None], len(keyframes), links)
         neutral = is_neutral(values, self.options.min_change)
         for keyframe, value in zip(keyframes[1:], values[1:], strict=True):
-            self._set(keyframe, value, neutral)
+            self._set_balance(keyframe, value, neutral)
 
     def _chosen(self, new: Keyframe, others: Sequence[Keyframe]) -> list[Keyframe]:
         """Earlier keyframes that show the same surfaces: the newest ones, and evenly spaced others.
@@ -148,21 +177,8 @@ class WhiteBalance:
         recent = self.options.recent
         return [*evenly_spaced(near[:-recent], self.options.older), *near[-recent:]]
 
-    def _links(
-        self, chosen: Sequence[Keyframe], new: Keyframe, number: int, numbers: Sequence[int]
-    ) -> list[BalanceLink]:
-        """Links from some keyframes with `numbers` to a new one with a `number`."""
-        found = [self._difference(keyframe, new) for keyframe in chosen]
-        links = [
-            BalanceLink(other, number, difference)
-            for other, difference in zip(numbers, found, strict=True)
-            if difference is not None
-        ]
-        # Where no colours determine the balance, it stays as it was.
-        return [*links, BalanceLink(numbers[-1], number, _UNCHANGED)] if chosen else links
-
-    def _difference(self, old: Keyframe, new: Keyframe) -> BalanceDifference | None:
-        """Difference of the balances of two keyframes where both measured the same surface."""
+    def _common(self, old: Keyframe, new: Keyframe) -> _Common:
+        """Colours of two keyframes where both measured the same surface."""
         cells, own = self._cells(old), self._cells(new)
         T_old_new = se3.inverse(old.T_map_camera) @ new.T_map_camera
         points = se3.transform_points(T_old_new, own.points)
@@ -177,18 +193,55 @@ class WhiteBalance:
         same = np.abs(z - depth_m) < _SAME_SURFACE * depth_m
         same &= _cosines(points[inside], T_old_new[:3, 3]) > _MIN_COSINE
         # No interpolation, which would smooth one of the images: the pair would not be symmetric.
-        colours = cells.colours[row[same], column[same]]
-        return balance_difference(colours, own.of_points[inside][same])
+        return _Common(cells.colours[row[same], column[same]], own.of_points[inside][same])
 
-    def _set(self, keyframe: Keyframe, log_balance: Array, neutral: bool) -> None:
+    @staticmethod
+    def _set_gain(new: Keyframe, chosen: Sequence[Keyframe], common: Sequence[_Common]) -> None:
+        reference = [
+            _with_gain(other.exposure, pair.old @ LUMA)
+            for other, pair in zip(chosen, common, strict=True)
+        ]
+        image = np.concatenate([pair.new @ LUMA for pair in common])
+        found = exposure_between_images(np.concatenate(reference), image)
+        if found is not None:
+            new.exposure = found.with_balance(new.exposure.balance)
+
+    def _set_balance(self, keyframe: Keyframe, log_balance: Array, neutral: bool) -> None:
         keyframe.log_balance = log_balance
-        balance = NEUTRAL if neutral else balance_gains(log_balance, self._cells(keyframe).mean)
-        keyframe.exposure = keyframe.exposure.with_balance(balance)
+        exposure, mean = keyframe.exposure, self._cells(keyframe).mean
+        balance = NEUTRAL if neutral else balance_gains(log_balance, _with_gain(exposure, mean))
+        keyframe.exposure = exposure.with_balance(balance)
 
     def _cells(self, keyframe: Keyframe) -> _Cells:
-        exposure = keyframe.exposure
-        key = (keyframe.index, exposure.gain, exposure.bias)
-        return self._cache.get(key, lambda: _Cells.of(keyframe))
+        return self._cache.get(keyframe.index, lambda: _Cells.of(keyframe))
+
+
+def _links(
+    chosen: Sequence[Keyframe],
+    new: Keyframe,
+    common: Sequence[_Common],
+    numbers: Sequence[int],
+    number: int,
+) -> list[BalanceLink]:
+    """Links from some keyframes with `numbers` to a new one with a `number`."""
+    if not chosen:
+        return []
+    found = [
+        pair.difference(old.exposure, new.exposure)
+        for old, pair in zip(chosen, common, strict=True)
+    ]
+    links = [
+        BalanceLink(other, number, difference)
+        for other, difference in zip(numbers, found, strict=True)
+        if difference is not None
+    ]
+    # Where no colours determine the balance, it stays as it was.
+    return [*links, BalanceLink(numbers[-1], number, _UNCHANGED)]
+
+
+def _with_gain(exposure: Exposure, colours: NDArray) -> NDArray:
+    """Colours with the gain and bias of an exposure, without its white balance."""
+    return exposure.with_balance(NEUTRAL).apply(colours)
 
 
 def _cosines(points: Array, centre: Array) -> Array:
