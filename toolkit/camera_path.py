@@ -63,10 +63,10 @@ class CameraPath:
         """
         self.lost_in_a_row = 0
         last = atlas.mapper.keyframes[-1]
+        # The map follows the exposures of its keyframes, not those of tracking.
+        exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
         self._frames.append(
-            _TrackedFrame(
-                frame.index, frame.timestamp_s, atlas.active, last.index, exposure_of(tracking)
-            )
+            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure)
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
 
