@@ -7,8 +7,8 @@ therefore computed from mean and standard deviation, which are symmetric in the 
 
 That of a keyframe decides the colours of the map and must not depend on the map at all, see
 `exposure_between_images`: where the map is too smooth even at the coarsest level, the contrast of
-each keyframe would become that of the map, and the map would fade. After 800 frames of two rooms
-of 160x120 pixels a third of the contrast remained, and cameras slid along walls.
+each keyframe would become that of the map. In 1,100 frames of two rooms of 160x120 pixels, gains
+wandered between 0.8 and 1.25 and biases up to 0.15, and the camera slid along walls.
 """
 
 from __future__ import annotations

@@ -40,6 +40,11 @@ from toolkit.tracking.health import has_depth
 
 _log = logging.getLogger(__name__)
 
+# Fine texture is hardly visible in images of fewer pixels, so that tracking needs a map that fits
+# them better, at no more cost: with 3 iterations at 160x120, a camera slid along a corridor by
+# 15 cm in a frame (trajectory error 5.4 cm; 0.5 cm with 12).
+_REFERENCE_PIXELS, _MAX_MORE_ITERATIONS = 320 * 240, 4.0
+
 
 @dataclass(frozen=True)
 class MappingResult:
@@ -157,7 +162,7 @@ class Mapper:
                 self._remove(torch.cat([mask.new_zeros(before), mask]))
                 seeded -= int(mask.sum())
         all_new = seeded == len(self.gaussians)
-        steps = self.options.first_iterations if all_new else self.options.iterations
+        steps = self.options.first_iterations if all_new else self._iterations(keyframe.camera)
         if self.deferred is None:
             loss = self._optimise(steps)
         else:
@@ -355,6 +360,12 @@ class Mapper:
         for number in range(steps):
             loss = self.step(self._pick(window), (number, steps), objective)
         return loss
+
+    def _iterations(self, camera: Camera) -> int:
+        """Number of optimisation iterations on a new keyframe; more for small images."""
+        pixels = camera.width * camera.height
+        factor = min(max(_REFERENCE_PIXELS / pixels, 1.0), _MAX_MORE_ITERATIONS)
+        return round(factor * self.options.iterations)
 
     def _window(self, keyframes: list[Keyframe]) -> list[Keyframe]:
         """Keyframes to optimise together with the newest of some keyframes, which comes first."""
