@@ -200,3 +200,12 @@ def test_colours_brighter_than_the_reference_keep_their_texture():
     target = views[1].target_rgb()
     assert float(target.max()) > 1.0
     np.testing.assert_allclose(target / 4.0, views[1].rgb / 255.0, atol=1e-6)
+
+
+def test_a_drifting_white_balance_does_not_change_the_brightness_of_the_map():
+    """The total gain of each channel undoes its drift, not only up to a common factor."""
+    views = estimated(keyframes(drift(0.03)))
+    first, last = views[0], views[-1]
+    undone = last.exposure.apply(drift(0.03)[-1] * np.full(3, 0.5))
+    np.testing.assert_allclose(undone, drift(0.03)[0] * 0.5, rtol=0.005)
+    assert first.exposure == Exposure()

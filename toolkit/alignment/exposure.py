@@ -30,6 +30,8 @@ _MIN_CONTRAST_CHANGE = 0.05
 # Images of the same camera are equally smooth. Their contrasts, relative to the brightness, differ
 # by 0.3 % in a noisy room with varying exposure, and by 0.8 % per 6 frames of RedKitchen.
 _MIN_CONTRAST_CHANGE_OF_IMAGES = 0.02
+# Later keyframes refer to one whose small change was ignored, so that ignored changes add up.
+_MIN_BRIGHTNESS_CHANGE_OF_IMAGES = 0.003
 # Smaller changes of brightness are ignored: in 300 frames of a room with constant light the
 # estimates vary by 1.4 %.
 _MIN_BRIGHTNESS_CHANGE = 0.02
@@ -101,12 +103,13 @@ def exposure_between_images(
     if len(image) < _MIN_CELLS:
         return None
     statistics = IntensityStatistics.of(image), IntensityStatistics.of(reference)
-    return _if_significant(exposure_between(*statistics, _MIN_CONTRAST_CHANGE_OF_IMAGES))
+    exposure = exposure_between(*statistics, _MIN_CONTRAST_CHANGE_OF_IMAGES)
+    return _if_significant(exposure, _MIN_BRIGHTNESS_CHANGE_OF_IMAGES)
 
 
-def _if_significant(exposure: Exposure) -> Exposure:
+def _if_significant(exposure: Exposure, min_change: float = _MIN_BRIGHTNESS_CHANGE) -> Exposure:
     """The exposure, or the identity for a small change of brightness."""
-    unchanged = exposure.bias == 0.0 and abs(exposure.gain - 1.0) < _MIN_BRIGHTNESS_CHANGE
+    unchanged = exposure.bias == 0.0 and abs(exposure.gain - 1.0) < min_change
     return IDENTITY if unchanged else exposure
 
 

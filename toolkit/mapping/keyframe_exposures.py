@@ -26,7 +26,7 @@ from toolkit.alignment.white_balance import (
     solve_balances,
 )
 from toolkit.caching import LruCache
-from toolkit.exposure import NEUTRAL, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.options import WhiteBalanceOptions
@@ -139,6 +139,9 @@ class KeyframeExposures:
         known = np.array([_log_balance(k) for k in chosen])
         values = solve_balances(known, len(chosen) + 1, links)
         self._set_balance(keyframe, values[-1], is_neutral(values[-1], self.options.min_change))
+        if self.gains:
+            # The white balance changes the intensities of coloured surfaces.
+            self._set_gain(keyframe, chosen, common)
 
     def adjust(self, keyframes: Sequence[Keyframe]) -> None:
         """Set the white balance of all keyframes but the first jointly.
@@ -198,10 +201,11 @@ class KeyframeExposures:
     @staticmethod
     def _set_gain(new: Keyframe, chosen: Sequence[Keyframe], common: Sequence[_Common]) -> None:
         reference = [
-            _with_gain(other.exposure, pair.old @ LUMA)
+            other.exposure.apply(pair.old) @ LUMA
             for other, pair in zip(chosen, common, strict=True)
         ]
-        image = np.concatenate([pair.new @ LUMA for pair in common])
+        balance = IDENTITY.with_balance(new.exposure.balance)
+        image = np.concatenate([balance.apply(pair.new) @ LUMA for pair in common])
         found = exposure_between_images(np.concatenate(reference), image)
         if found is not None:
             new.exposure = found.with_balance(new.exposure.balance)
