@@ -132,6 +132,9 @@ class KeyframeExposures:
             return
         common = [self._common(other, keyframe) for other in chosen]
         if self.gains:
+            # Near that of the newest one; a relocalised keyframe has none yet.
+            balance = chosen[-1].exposure.balance
+            keyframe.exposure = keyframe.exposure.with_balance(balance)
             self._set_gain(keyframe, chosen, common)
         if not self.options.use:
             return
