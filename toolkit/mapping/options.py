@@ -151,8 +151,7 @@ class MapperOptions:
     # Trajectories do not gain from more. With 12, a room and three recordings gained 0.1 to 0.3 dB,
     # in more than twice the time.
     iterations: NonNegativeInt = 3
-    """Number of optimisation iterations per keyframe during mapping; up to four times as many for
-    images of less than 320x240 pixels, in proportion to the missing pixels."""
+    """Number of optimisation iterations per keyframe, up to fourfold below 320x240 pixels."""
     first_iterations: NonNegativeInt = 20
     """Number of optimisation iterations on the first keyframe."""
     final_iterations: NonNegativeInt = 6
