@@ -24,6 +24,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import masked_psnr_db, mean_or_none, psnr_db
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.white_balance import balanced
+from toolkit.exposure import Exposure
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -54,9 +55,9 @@ The synthetic room (`semsplat make-room`, 300 frames of 320x240) as it is, with 
 `--real`: drifting white balance, flying pixels, missing depth on shiny objects, at edges and at
 grazing angles, and the walker. All have the same camera path. Runs have default settings; in rows
 with "all mapped", `--mapping.moving-objects.no-use`. At most {MAX_VIEWS} tracked frames are
-rendered at their estimated poses and compared with the images of the clean room outside of the
-walker's mask, which is the same for every row: after fitting one gain and one bias for each view,
-and after fitting one gain for each channel and view. Behind the walker: within the mask instead,
+rendered at their estimated poses and at the exposure of the first frame, and compared with the
+images of the clean room outside of the walker's mask, which is the same for every row: after
+fitting one gain and one bias for each view, and after fitting one gain for each channel and view. Behind the walker: within the mask instead,
 with the gain and bias from outside. Hidden: share of the walker's pixels in keyframes that are left
 out of the map, and share of all pixels farther than {TOLERANCE_PIXELS} pixels from the walker that
 are."""
@@ -161,7 +162,7 @@ def against_clean(
         frame = tracked[number]
         image, mask = clean[frame.index], walker(frame.index)
         truth = image.rgb
-        rendered = rendered_view(scene, frame, image.camera)
+        rendered = rendered_view(scene, frame, image.camera, tracked[0].exposure)
         fitted = affinely_fitted(rendered, truth, ~mask)
         affine.append(masked_psnr_db(fitted, truth, ~mask))
         pixels, true_pixels = rendered[~mask][None], truth[~mask][None]
@@ -175,11 +176,13 @@ def against_clean(
     }
 
 
-def rendered_view(scene: GaussianScene, frame: TrackedFrame, camera: Camera) -> Array:
-    """Colour [H, W, 3] of a map at the pose of a frame."""
+def rendered_view(
+    scene: GaussianScene, frame: TrackedFrame, camera: Camera, exposure: Exposure
+) -> Array:
+    """Colour [H, W, 3] of a map at the pose of a frame and at an exposure."""
     gaussians = scene.visible_from(camera, frame.T_map_camera)
     output = render(gaussians, camera, se3.inverse(frame.T_map_camera))
-    return np.asarray(output.colour.numpy().clip(0.0, 1.0), np.float32)
+    return np.asarray(exposure.undo(output.colour).numpy().clip(0.0, 1.0), np.float32)
 
 
 def affinely_fitted(rendered: Array, truth: Array, mask: Mask) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import Exposure
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry.trajectory import Trajectory
@@ -59,12 +59,14 @@ class SubmapSummary:
         T_world_submap: [4, 4] pose of its anchor.
         keyframe_indices: frame indices of its keyframes, in order.
         readable: False if its file was lost or damaged when the run was resumed.
+        exposure: its exposure relative to the map; the identity before `finish`.
     """
 
     number: int
     T_world_submap: NDArray[np.float64]
     keyframe_indices: list[int]
     readable: bool
+    exposure: Exposure = IDENTITY
 
 
 @dataclass(frozen=True, eq=False)

@@ -221,8 +221,9 @@ class Slam:
     def result(self) -> SlamResult:
         """The current state of the run."""
         atlas, path = self.atlas, self._path
-        fused, covariances = self._fused, None
+        fused, covariances, exposures = self._fused, None, {}
         if fused is not None:
+            exposures = fused.exposures
             poses = path.poses_in_submaps(atlas)
             covariances = self._closer.covariances(atlas, path.submaps, poses)
         submaps = [
@@ -231,6 +232,7 @@ class Slam:
                 atlas.T_world_submap(number),
                 list(atlas.keyframe_poses(number)),
                 readable=number not in atlas.unreadable,
+                exposure=exposures.get(number, IDENTITY),
             )
             for number in range(len(atlas))
         ]
@@ -238,7 +240,7 @@ class Slam:
         return SlamResult(
             trajectory=path.trajectory(atlas),
             frame_indices=path.indices,
-            exposures=path.exposures(atlas, {} if fused is None else fused.exposures),
+            exposures=path.exposures(atlas, exposures),
             lost_frames=list(path.lost_frames),
             keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
             submaps=submaps,

@@ -65,6 +65,18 @@ def test_ply_properties_follow_the_convention_of_viewers(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", splats.SUFFIXES)
+def test_only_ply_preserves_colours_above_1(tmp_path, suffix):
+    colours = torch.tensor([[1.2, 0.5, -0.1]])
+    one = GaussianCloud.from_values(
+        torch.zeros(1, 3), torch.full((1,), 0.5), torch.full((1,), 0.9), colours
+    )
+    splats.export_splats(tmp_path / f"map{suffix}", one)
+    read = splats.read_splats(tmp_path / f"map{suffix}").colours
+    expected = colours if suffix == ".ply" else colours.clamp(0.0, 1.0)
+    np.testing.assert_allclose(read, expected, atol=1e-6 if suffix == ".ply" else 0.02)
+
+
+@pytest.mark.parametrize("suffix", splats.SUFFIXES)
 def test_exports_are_reproducible_and_preserve_the_map(tmp_path, cloud, suffix):
     for name in ("a", "b"):
         splats.export_splats(tmp_path / f"{name}{suffix}", cloud)

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
-from toolkit.refinement.exposures import estimate_exposures
+from toolkit.refinement.exposures import (
+    at_typical_exposure,
+    estimate_exposures,
+    typical_exposure,
+)
 
 
 def submap(keys, truth, gain, bias=0.0, noise=0.0, seed=0):
@@ -75,3 +79,19 @@ def test_white_balance_propagates_along_overlaps(truth):
     for number in (3, 5):
         total = found[number].gain * np.array(found[number].balance)
         np.testing.assert_allclose(total / total[1], gains, atol=0.03)
+
+
+def test_a_map_has_the_typical_exposure_of_its_keyframes():
+    """The first image was exposed twice as long as the others, and has a blue cast."""
+    bright = Exposure(2.0, 0.1, balance=(1.1, 1.0, 0.9))
+    keyframes = {0: [IDENTITY, bright, bright], 1: [Exposure(1.25), Exposure(1.25)]}
+    submaps = at_typical_exposure({0: IDENTITY, 1: Exposure(1.6)}, keyframes)
+    of_keyframes = [submaps[n].after(e) for n in keyframes for e in keyframes[n]]
+    gains = [exposure.gain for exposure in of_keyframes]
+    assert gains == pytest.approx([0.5, 1.0, 1.0, 1.0, 1.0])
+    assert np.median([exposure.bias for exposure in of_keyframes]) == pytest.approx(0.0, abs=0.06)
+
+
+def test_small_differences_from_the_typical_exposure_are_ignored():
+    assert typical_exposure([IDENTITY, Exposure(1.01, 0.015), Exposure(1.01)]) is IDENTITY
+    assert typical_exposure([]) is IDENTITY

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
+import pytest
 import torch
 
-from toolkit.exposure import IDENTITY
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.refinement.fusion import fuse_submaps
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.options import FreeSpaceOptions
+from toolkit.refinement.fusion import fuse_submaps, single_submap
 from toolkit.rendering import render
 from toolkit.submaps.submap import Submap
+
+
+OFF = FreeSpaceOptions(use=False)
 
 
 def wall(number, left_m, right_m, steps, colour=0.5):
@@ -53,6 +63,22 @@ def test_colours_are_converted_to_the_exposure_of_the_first_submap():
     truth = 0.4 * (1.0 + 0.2 * means)
     assert np.abs(colours - truth).max() < 0.02
     assert fused.exposures[0] == IDENTITY
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_the_map_has_the_typical_exposure_of_its_keyframes(several):
+    """The first keyframe was exposed half as long as the others."""
+    one = wall(0, 0.0, 2.0, 10, 0.4)
+    later = Exposure(0.5, 0.1)
+    keyframes = [cast(Keyframe, SimpleNamespace(exposure=e)) for e in (IDENTITY, later, later)]
+    one = replace(one, keyframes=keyframes)
+    parts = {0: one, 1: wall(1, 1.0, 3.0, 50, 0.4)}
+    read = parts.__getitem__
+    fused = fuse_submaps([0, 1], read, free_space=OFF) if several else single_submap(0, read)
+    means, colours = fused.gaussians.means.numpy(), fused.gaussians.colours.numpy()
+    truth = later.undo(0.4 * (1.0 + 0.2 * means))
+    assert np.abs(colours - truth).max() < 0.03
+    assert np.abs(fused.exposures[0].apply(np.array([0.35])) - 0.5).max() < 1e-6
 
 
 def test_view_uses_only_visible_parts():

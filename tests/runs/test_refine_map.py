@@ -212,9 +212,13 @@ def test_frames_keep_their_exposure_relative_to_their_submap(submaps_run):
     frames = json.loads(read(submaps_run, "frames.json"))
     anchors = {row["number"]: np.array(row["T_world_submap"]) for row in frames["submaps"]}
     text = (submaps_run / "trajectory.txt").read_bytes()
-    brighter = {1: Exposure(2.0, 0.1)}
+    old = Exposure.from_values(frames["submaps"][1]["exposure"])
+    brighter = {1: Exposure(2.0, 0.1).after(old)}
     same, moved = moved_frames(text, frames, anchors, anchors, brighter)
     assert same == text
+    assert Exposure.from_values(moved["submaps"][1]["exposure"]) == brighter[1]
+    _, same = moved_frames(text, frames, anchors, anchors, {1: old})
+    assert json.loads(json.dumps(same)) == frames
     first = frames["submaps"][1]["keyframes"][0]
     last = frames["submaps"][2]["keyframes"][0]
     for old, new in zip(frames["frames"], moved["frames"], strict=True):

@@ -166,7 +166,7 @@ def write_splat_ply(
 
     Args:
         path: the file, ending in `.ply`.
-        splats: the Gaussians; colours are clamped to [0, 1].
+        splats: the Gaussians; colours outside [0, 1] are kept.
         extra: additional columns [N] by name, for example `SplatLabels.columns`; integers are
             stored as int32, other types as float32.
 
@@ -194,8 +194,8 @@ def export_splats(
 ) -> None:
     """Write splats for viewers as `.ply`, `.splat` or `.spz`, depending on the suffix.
 
-    `.splat` and `.spz` quantise colour, opacity and scale to about 8 bits and do not support
-    additional columns; only `.ply` stores `extra`.
+    `.splat` and `.spz` quantise colour, opacity and scale to about 8 bits, clamp colours to [0, 1]
+    and do not support additional columns; only `.ply` stores `extra`.
 
     Raises:
         ValueError: the suffix is not supported.
@@ -206,7 +206,7 @@ def export_splats(
     if Path(path).suffix == ".ply":
         write_splat_ply(path, splats, extra)
     else:
-        _write(path, _open3d_cloud(path, splats))
+        _write(path, _open3d_cloud(path, splats, clamped=True))
 
 
 def read_splats(path: PathLike) -> Splats:
@@ -262,14 +262,16 @@ def read_splats(path: PathLike) -> Splats:
     )
 
 
-def _open3d_cloud(path: PathLike, splats: SplatLike) -> Any:
+def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> Any:
     """Convert splats to an Open3D tensor point cloud."""
     means = _array(splats.means)
     if len(means) == 0:
         raise RunFolderError(f"cannot write {path}: the map contains no Gaussians")
     o3d = open3d()
     radii_m = np.exp(_array(splats.log_radii))[:, None]
-    colours = np.clip(_array(splats.colours), 0.0, 1.0)
+    colours = _array(splats.colours)
+    if clamped:
+        colours = np.clip(colours, 0.0, 1.0)
     upright = np.zeros((len(means), 4), np.float32)
     upright[:, 0] = 1.0
     attributes = {

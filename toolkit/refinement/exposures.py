@@ -7,10 +7,14 @@ relative to the first one is estimated from all overlapping pairs.
 The estimate of a pair is symmetric (`exposure_between`). Ordinary least squares from one submap to
 the next underestimates the gain when colours are noisy: after twenty submaps a quarter of the
 contrast was left.
+
+The map itself is at the typical exposure of its keyframes. Other programs show colours above 1 as
+1, and the first image may be exposed longer than the others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +28,7 @@ from toolkit.alignment.white_balance import (
     is_neutral,
     solve_balances,
 )
-from toolkit.exposure import NEUTRAL, Balance, Exposure
+from toolkit.exposure import IDENTITY, NEUTRAL, Balance, Exposure
 from toolkit.geometry.linear_systems import solve_reproducibly
 
 # Minimum number of common voxels of a pair.
@@ -40,6 +44,8 @@ _MIN_CHANGE = 0.02
 _BALANCE_PRIOR = 0.005
 # Scale of the robust weight of a pair's white balance, in logarithms.
 _BALANCE_SCALE = 0.05
+# Smaller differences in gain, bias and white balance of the typical exposure are ignored.
+_TYPICAL = 0.02
 # Weight of the prior that keeps the exposure of a submap without overlaps.
 _PRIOR = 1.0
 
@@ -81,6 +87,34 @@ def estimate_exposures(submaps: dict[int, Voxels]) -> dict[int, Exposure]:
         n: exposure.with_balance(balance)
         for n, exposure, balance in zip(numbers, exposures, balances, strict=True)
     }
+
+
+def at_typical_exposure(
+    submaps: Mapping[int, Exposure], keyframes: Mapping[int, Sequence[Exposure]]
+) -> dict[int, Exposure]:
+    """Exposures of submaps relative to a map at the typical exposure of all keyframes.
+
+    Args:
+        submaps: exposure of each submap relative to one of them.
+        keyframes: exposures of the keyframes of each submap, relative to their submap.
+    """
+    of_keyframes = [
+        submap.after(exposure) for n, submap in submaps.items() for exposure in keyframes[n]
+    ]
+    change = typical_exposure(of_keyframes).inverse()
+    return {n: change.after(exposure) for n, exposure in submaps.items()}
+
+
+def typical_exposure(exposures: Sequence[Exposure]) -> Exposure:
+    """The medians of gain, bias and white balance; the identity where they are close to it."""
+    values = np.array([(e.gain, e.bias, *e.balance) for e in exposures]).reshape(-1, 5)
+    if not len(values):
+        return IDENTITY
+    gain, bias, *balance = np.median(values, axis=0)
+    if np.abs([gain - 1.0, bias, *(np.array(balance) - 1.0)]).max() < _TYPICAL:
+        return IDENTITY
+    red, green, blue = map(float, balance)
+    return Exposure(float(gain), float(bias), balance=(red, green, blue))
 
 
 def _common(a: Voxels, b: Voxels) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.free_space import Evidence, is_measured
 from toolkit.mapping.options import FreeSpaceOptions
-from toolkit.refinement.exposures import estimate_exposures
+from toolkit.refinement.exposures import at_typical_exposure, estimate_exposures
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 
@@ -92,7 +92,9 @@ class FusedMap:
         cloud = submap.gaussians
         if kept is not None:
             cloud = cloud.select(kept).transformed(submap.T_world_submap)
-            cloud = replace(cloud, colours=self.exposures[number].apply(cloud.colours))
+        exposure = self.exposures[number]
+        if exposure != IDENTITY:
+            cloud = replace(cloud, colours=exposure.apply(cloud.colours))
         self._cache[number] = cloud
         while len(self._cache) > 1 and sum(map(_megabytes, self._cache.values())) > _CACHE_MB:
             self._cache.popitem(last=False)
@@ -150,11 +152,17 @@ def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> b
 
 
 def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
-    """Fuse all readable submaps. A single submap is returned unchanged."""
+    """Fuse all readable submaps."""
     if len(atlas) == 1:
-        return FusedMap(atlas.submap, {0: None}, {0: IDENTITY})
+        return single_submap(0, atlas.submap)
     free_space = atlas.mapper.options.free_space
     return fuse_submaps(atlas.readable(), atlas.submap, voxel_m, free_space)
+
+
+def single_submap(number: int, submap: Callable[[int], Submap]) -> FusedMap:
+    """The map of one submap, in its frame and at the typical exposure of its keyframes."""
+    keyframes = {number: _keyframe_exposures(submap(number))}
+    return FusedMap(submap, {number: None}, at_typical_exposure({number: IDENTITY}, keyframes))
 
 
 def fuse_submaps(
@@ -163,7 +171,7 @@ def fuse_submaps(
     voxel_m: float = VOXEL_M,
     free_space: FreeSpaceOptions | None = None,
 ) -> FusedMap:
-    """Fuse submaps placed by their `T_world_submap`; the first keeps its exposure.
+    """Fuse submaps placed by their `T_world_submap`, at the typical exposure of their keyframes.
 
     Args:
         numbers: submap numbers, at least one.
@@ -173,7 +181,13 @@ def fuse_submaps(
         free_space: removes Gaussians that keyframes of all submaps measured through; defaults if
             absent.
     """
-    statistics = {number: _voxel_statistics(submap(number), voxel_m) for number in numbers}
+    statistics: dict[int, _VoxelStatistics] = {}
+    keyframes: dict[int, list[Exposure]] = {}
+    for number in numbers:
+        one = submap(number)
+        statistics[number] = _voxel_statistics(one, voxel_m)
+        keyframes[number] = _keyframe_exposures(one)
+    exposures = estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
     owners = _owners(statistics)
     views = _FreeSpaceViews(numbers, submap, free_space or FreeSpaceOptions())
     kept: dict[int, Tensor | None] = {}
@@ -181,18 +195,11 @@ def fuse_submaps(
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
         mask = torch.from_numpy(owners.submap[index] == number)
         kept[number] = mask & ~views.contradict(submap(number))
-    return FusedMap(submap, kept, _exposures(statistics))
+    return FusedMap(submap, kept, at_typical_exposure(exposures, keyframes))
 
 
-def submap_exposures(
-    numbers: Sequence[int], submap: Callable[[int], Submap], voxel_m: float = VOXEL_M
-) -> dict[int, Exposure]:
-    """Exposures of submaps relative to the first one, as `fuse_submaps` estimates them.
-
-    Args:
-        numbers, submap, voxel_m: as for `fuse_submaps`.
-    """
-    return _exposures({number: _voxel_statistics(submap(number), voxel_m) for number in numbers})
+def _keyframe_exposures(submap: Submap) -> list[Exposure]:
+    return [keyframe.exposure for keyframe in submap.keyframes]
 
 
 class _FreeSpaceViews:
@@ -239,10 +246,6 @@ class _FreeSpaceViews:
             return []
         keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
         return [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]
-
-
-def _exposures(statistics: dict[int, _VoxelStatistics]) -> dict[int, Exposure]:
-    return estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
 
 
 @dataclass(frozen=True)

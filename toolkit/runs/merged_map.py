@@ -81,7 +81,7 @@ def merge(
     submaps_b: SavedSubmaps,
     T_a_b: NDArray[np.float64],
 ) -> MergedMap:
-    """Merge both maps in A's frame and at A's exposure, without duplicated surfaces.
+    """Merge both maps in A's frame, without duplicated surfaces.
 
     Raises:
         ToolkitError: a submap cannot be read.

@@ -222,6 +222,7 @@ def _frames(result: SlamResult, tracked: list[TrackedFrame]) -> dict[str, Any]:
                 "T_world_submap": submap.T_world_submap.tolist(),
                 "keyframes": submap.keyframe_indices,
                 "lost": not submap.readable,
+                "exposure": asdict(submap.exposure),
             }
             for submap in result.submaps
         ],

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import Exposure
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
-from toolkit.refinement.fusion import FusedMap, fuse_submaps, submap_exposures
+from toolkit.refinement.fusion import FusedMap, fuse_submaps, single_submap
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.refining.stored_map import StoredMap
 from toolkit.runs.refining.tasks import Work
@@ -37,12 +37,10 @@ class Assembled:
 
     Attributes:
         gaussians: number of Gaussians.
-        exposures_before, exposures: exposure of each submap relative to the old and to the new
-            map, by number.
+        exposures: exposure of each submap relative to the map, by number.
     """
 
     gaussians: int
-    exposures_before: Mapping[int, Exposure]
     exposures: Mapping[int, Exposure]
 
 
@@ -74,9 +72,6 @@ def assemble(task: AssemblyTask) -> Assembled:
         versions=dict.fromkeys(source.versions, 0),
     )
     fused = _fused(refined)
-    before = fused.exposures
-    if len(source.anchors) > 1:
-        before = submap_exposures(sorted(source.anchors), source.submap)
     with TemporaryDirectory() as name:
         folder = RunFolder(Path(name))
         semantics = source.semantics()
@@ -100,11 +95,10 @@ def assemble(task: AssemblyTask) -> Assembled:
             for file in ("arrays.npz", "metadata.json"):
                 place = storage.join(task.work.out, "semantics", file)
                 storage.upload(folder.semantics / file, place)
-    return Assembled(len(fused), before, fused.exposures)
+    return Assembled(len(fused), fused.exposures)
 
 
 def _fused(source: StoredMap) -> FusedMap:
     if len(source.anchors) == 1:
-        number = next(iter(source.anchors))
-        return FusedMap(source.submap, {number: None}, {number: IDENTITY})
+        return single_submap(next(iter(source.anchors)), source.submap)
     return fuse_submaps(sorted(source.anchors), source.submap)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from toolkit.errors import RunFolderError
-from toolkit.exposure import IDENTITY, Exposure
 from toolkit.io import storage
 from toolkit.runs.refining.anchors import (
     Anchors,
@@ -130,8 +129,9 @@ def _write(
     """Write all files but the map."""
     source, out = work.source, work.out
     trajectory = storage.read_bytes(storage.join(source.place, "trajectory.txt"))
-    changes = {number: _change(assembled, number) for number in source.anchors}
-    text, frames = moved_frames(trajectory, frames, source.anchors, anchors.T_world_submap, changes)
+    text, frames = moved_frames(
+        trajectory, frames, source.anchors, anchors.T_world_submap, assembled.exposures
+    )
     storage.write_bytes(storage.join(out, "trajectory.txt"), text)
     storage.write_bytes(storage.join(out, "frames.json"), _json(frames))
     for name in ("taxonomy.yaml", "loops.jsonl"):
@@ -142,13 +142,6 @@ def _write(
     # Last, so that a folder with settings is complete.
     config = storage.read_bytes(storage.join(source.place, "config.yaml"))
     storage.write_bytes(storage.join(out, "config.yaml"), config)
-
-
-def _change(assembled: Assembled, number: int) -> Exposure:
-    """Exposure of the old map relative to the new one, as far as a submap shows it."""
-    old = assembled.exposures_before.get(number, IDENTITY)
-    new = assembled.exposures.get(number, IDENTITY)
-    return new.after(old.inverse())
 
 
 def _report(work: Work, anchors: Anchors, results: list[PairResult]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import Exposure
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_tum, write_tum
@@ -33,7 +33,7 @@ def moved_frames(
         trajectory: content of trajectory.txt.
         frames: content of frames.json.
         T_old, T_new: T_world_submap [4, 4] before and after, by number.
-        exposures: exposure of the old map relative to the new one, by submap.
+        exposures: exposure of each submap relative to the new map, by number.
 
     Returns:
         The new content of both files.
@@ -52,17 +52,35 @@ def moved_frames(
         poses_array = np.array(poses).reshape(-1, 4, 4)
         write_tum(path, Trajectory(old.timestamps_s, poses_array))
         text = _with_lines_kept(path.read_bytes(), trajectory, [n in changed for n in submaps])
+    changes = _changes(frames, exposures)
     rows = []
     for row, number in zip(frames["frames"], submaps, strict=True):
         exposure = Exposure.from_values(row)
-        if number in exposures:
-            exposure = exposures[number].after(exposure)
+        if number in changes:
+            exposure = changes[number].after(exposure)
         rows.append(row | asdict(exposure))
     anchored = [
-        row | {"T_world_submap": T_new[row["number"]].tolist()} if row["number"] in T_new else row
+        row | _anchor(T_new[row["number"]], exposures.get(row["number"], _exposure_of(row)))
+        if row["number"] in T_new
+        else row
         for row in frames["submaps"]
     ]
     return text, frames | {"frames": rows, "submaps": anchored}
+
+
+def _changes(frames: dict[str, Any], new: Mapping[int, Exposure]) -> dict[int, Exposure]:
+    """Exposure of the old map relative to the new one, by submaps whose exposure changed."""
+    old = {row["number"]: _exposure_of(row) for row in frames["submaps"]}
+    return {n: new[n].after(old[n].inverse()) for n in old if n in new and new[n] != old[n]}
+
+
+def _exposure_of(row: dict[str, Any]) -> Exposure:
+    """Exposure of a submap relative to its map; older versions did not store it."""
+    return Exposure.from_values(row["exposure"]) if "exposure" in row else IDENTITY
+
+
+def _anchor(T_world_submap: Array, exposure: Exposure) -> dict[str, Any]:
+    return {"T_world_submap": T_world_submap.tolist(), "exposure": asdict(exposure)}
 
 
 def _with_lines_kept(text: bytes, before: bytes, changed: list[bool]) -> bytes:
