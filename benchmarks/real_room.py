@@ -57,10 +57,10 @@ grazing angles, and the walker. All have the same camera path. Runs have default
 with "all mapped", `--mapping.moving-objects.no-use`. At most {MAX_VIEWS} tracked frames are
 rendered at their estimated poses and at the exposure of the first frame, and compared with the
 images of the clean room outside of the walker's mask, which is the same for every row: after
-fitting one gain and one bias for each view, and after fitting one gain for each channel and view. Behind the walker: within the mask instead,
-with the gain and bias from outside. Hidden: share of the walker's pixels in keyframes that are left
-out of the map, and share of all pixels farther than {TOLERANCE_PIXELS} pixels from the walker that
-are."""
+fitting one gain and one bias for each view, and after fitting one gain for each channel and view.
+Behind the walker: within the mask instead, with the gain and bias from outside. Hidden: share of
+the walker's pixels in keyframes that are left out of the map, and share of all pixels farther than
+{TOLERANCE_PIXELS} pixels from the walker that are."""
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ by 1 - 0.2 sin, with a period of 150 frames, in a room of 300 (`semsplat make-ro
 poses of the run. The other PSNRs compare with the images that the run was given: at the gain, bias
 and white balance that the run estimated for each view (`psnr_db`), at its gain and bias only
 (`one_gain`), and after fitting one gain per channel to the view (`per_channel`). The largest change
-is that of a channel's gain between the first and any other frame. RedKitchen and fr1/rpy are resized to
-320x240."""
+is that of a channel's gain between the first and any other frame. RedKitchen and fr1/rpy are
+resized to 320x240."""
 _SWING, _PERIOD_FRAMES = 0.2, 150
 _MAX_VIEWS = 100
 CONSTANT, DRIFT = "room, constant", "room, drift"

@@ -11,6 +11,7 @@ from toolkit.alignment.exposure import (
     IntensityStatistics,
     estimate_exposure,
     exposure_between,
+    exposure_between_images,
     intensity_statistics,
 )
 from toolkit.alignment.levels import model_level, pyramid
@@ -68,6 +69,17 @@ def test_a_smooth_map_and_a_noisy_image_do_not_reduce_the_contrast(image, factor
 @pytest.mark.parametrize(("gain", "bias"), [(1.2, 0.1), (0.8, 0.1), (0.75, -0.05)])
 def test_changes_of_contrast_are_estimated(image, gain, bias):
     assert estimated(image, gain * image + bias) == pytest.approx((gain, bias), abs=1e-6)
+
+
+def test_the_bias_between_images_is_bounded(image):
+    small = exposure_between_images(0.9 * image + 0.03, image)
+    assert small is not None
+    assert gain_and_bias(small) == pytest.approx((0.9, 0.03), abs=1e-3)
+    reference = 0.8 * image + 0.08
+    large = exposure_between_images(reference, image)
+    assert large is not None
+    assert large.bias == 0.04
+    assert large.apply(image).mean() == pytest.approx(reference.mean(), abs=0.01)
 
 
 def test_a_flat_view_gives_a_gain_and_a_black_one_no_exposure(image):

@@ -20,7 +20,6 @@ from toolkit.refinement.fusion import fuse_submaps, single_submap
 from toolkit.rendering import render
 from toolkit.submaps.submap import Submap
 
-
 OFF = FreeSpaceOptions(use=False)
 
 

@@ -13,6 +13,7 @@ wandered between 0.8 and 1.25 and biases up to 0.15, and the camera slid along w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,6 +31,9 @@ _MIN_CONTRAST_CHANGE = 0.05
 # Images of the same camera are equally smooth. Their contrasts, relative to the brightness, differ
 # by 0.3 % in a noisy room with varying exposure, and by 0.8 % per 6 frames of RedKitchen.
 _MIN_CONTRAST_CHANGE_OF_IMAGES = 0.02
+# Maximum bias between images. Biases of cameras with automatic exposure are below it (RedKitchen,
+# fr1_rpy); tone mapping of parts of images causes larger ones, which add up along keyframes.
+_MAX_BIAS_OF_IMAGES = 0.04
 # Later keyframes refer to one whose small change was ignored, so that ignored changes add up.
 _MIN_BRIGHTNESS_CHANGE_OF_IMAGES = 0.003
 # Smaller changes of brightness are ignored: in 300 frames of a room with constant light the
@@ -102,8 +106,11 @@ def exposure_between_images(
         reference, image = reference[near], image[near]
     if len(image) < _MIN_CELLS:
         return None
-    statistics = IntensityStatistics.of(image), IntensityStatistics.of(reference)
-    exposure = exposure_between(*statistics, _MIN_CONTRAST_CHANGE_OF_IMAGES)
+    new, old = IntensityStatistics.of(image), IntensityStatistics.of(reference)
+    exposure = exposure_between(new, old, _MIN_CONTRAST_CHANGE_OF_IMAGES)
+    if abs(exposure.bias) > _MAX_BIAS_OF_IMAGES:
+        bias = math.copysign(_MAX_BIAS_OF_IMAGES, exposure.bias)
+        exposure = Exposure((old.mean - bias) / new.mean, bias)
     return _if_significant(exposure, _MIN_BRIGHTNESS_CHANGE_OF_IMAGES)
 
 
