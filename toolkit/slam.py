@@ -30,6 +30,7 @@ from toolkit.result import FrameResult, SlamResult, SubmapSummary
 from toolkit.semantics.labeller import Labeller
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
+from toolkit.threads import single_threaded_blas
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
@@ -123,6 +124,7 @@ class Slam:
             frame = self._filter.prepare(frame)
         self.tracker.prepare(frame, self.mapper.device)
 
+    @single_threaded_blas()
     def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
         """Track one frame, and map it if it becomes a keyframe.
 
@@ -185,11 +187,13 @@ class Slam:
         self._closer.defer()
         return self.mapper.deferred
 
+    @single_threaded_blas()
     def take_deferred_step(self) -> None:
         """Take one of the deferred optimisation steps, if there are any."""
         with self._recorder.timed("mapping"):
             self.mapper.take_deferred_step()
 
+    @single_threaded_blas()
     def map_intermediate_frame(self) -> bool:
         """Map the first intermediate frame that waits; return False if none does."""
         between = self._between.take()
@@ -207,6 +211,7 @@ class Slam:
                 self.mapper.seed_pixels(frame, T_map_camera, mask, keyframes[0])
         return True
 
+    @single_threaded_blas()
     def finish(self) -> SlamResult:
         """Close the remaining loops, refine every submap over its keyframes, and fuse them."""
         if self.mapper.keyframes:
