@@ -40,6 +40,6 @@ def single_threaded_blas() -> Iterator[None]:
 @functools.cache
 def _libraries() -> Any:
     """The thread pools of the libraries that are loaded at the first call, NumPy's among them."""
-    from threadpoolctl import ThreadpoolController  # noqa: PLC0415 - not needed by renderers
+    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -69,19 +69,30 @@ def balance_difference(first: NDArray, second: NDArray) -> BalanceDifference | N
     Returns:
         The difference; None if too few pixels determine it.
     """
-    bright = (np.minimum(first, second) >= MIN_COLOUR).all(axis=1)
+    # By rows of pixels: reductions over an axis of three are slow.
+    one, other = np.ascontiguousarray(first.T), np.ascontiguousarray(second.T)
+    red, green, blue = np.minimum(one, other) >= MIN_COLOUR
+    bright = red & green & blue
     count = int(bright.sum())
     if count < _MIN_PIXELS:
         return None
-    ratios = np.log(first[bright].astype(np.float64)) - np.log(second[bright].astype(np.float64))
-    hues = ratios - ratios.mean(axis=1, keepdims=True)
-    median = np.median(hues, axis=0)
+    ratios = np.log(one[:, bright].astype(np.float64) / other[:, bright])
+    hues = ratios - ratios.sum(axis=0) / 3.0
+    median = _medians(hues)
     # For a normal distribution, from the median absolute deviation.
-    deviation = 1.48 * float(np.median(np.abs(hues - median), axis=0).max())
+    deviation = 1.48 * float(_medians(np.abs(hues - median[:, None])).max())
     error = 1.25 * deviation / count**0.5
     return BalanceDifference(
         median - median.mean(), 1.0 / (1.0 + (error / _HALF_WEIGHT_ERROR) ** 2)
     )
+
+
+def _medians(values: Array) -> Array:
+    """Medians of rows; `np.median` takes three times as long for rows of a few thousand values."""
+    count = values.shape[1]
+    low, high = (count - 1) // 2, count // 2
+    parts = np.partition(values, (low, high), axis=1)
+    return np.asarray(0.5 * (parts[:, low] + parts[:, high]))
 
 
 def solve_balances(

@@ -16,13 +16,15 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import free_space_margin_m
 from toolkit.keyframe import Keyframe
+from toolkit.native import address, kernels_for
 
 # Distance in metres up to which depth has full confidence; the noise of triangulation grows with
 # the square of the distance.
 _FULL_CONFIDENCE_M = 3.0
 # Confidence of a surface at a grazing angle, relative to one that faces the camera.
 _MIN_OBLIQUE = 0.2
-_MIN_DEPTH_M = 0.05
+# Nearer points are ignored.
+MIN_DEPTH_M = 0.05
 # Maximum number of depth images in the cache: several times those compared with a keyframe.
 _MAX_IMAGES = 32
 
@@ -88,6 +90,14 @@ class DepthView:
         """Measured depth [H, W], 0 where missing."""
         return self.image.depth_m
 
+    @property
+    def geometry(self) -> tuple[tuple[float, ...], tuple[int, int], NDArray[np.float64]]:
+        """Intrinsics, size [W, H] and pose [12] in the form that the kernels expect."""
+        camera = self.image.camera
+        intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+        T = self.T_camera_map[:3].astype(np.float64).ravel()
+        return intrinsics, (camera.width, camera.height), T
+
     def pixels_of(self, means: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Indices [n] of the points [N, 3] in the image, their pixels by row, and their depths."""
         camera, T = self.image.camera, self.T_camera_map
@@ -99,10 +109,10 @@ class DepthView:
             .add_(float(row[3]))
             for row in T[:3]
         )
-        inverse = 1.0 / z.clamp(min=_MIN_DEPTH_M)
+        inverse = 1.0 / z.clamp(min=MIN_DEPTH_M)
         u = (x.mul_(inverse) * camera.fx).add_(camera.cx + 0.5)
         v = (y.mul_(inverse) * camera.fy).add_(camera.cy + 0.5)
-        inside = (z > _MIN_DEPTH_M) & (u >= 0) & (v >= 0)
+        inside = (z > MIN_DEPTH_M) & (u >= 0) & (v >= 0)
         inside &= (u < camera.width) & (v < camera.height)
         chosen = inside.nonzero().squeeze(1)
         z, u, v = (a.index_select(0, chosen) for a in (z, u, v))
@@ -123,6 +133,19 @@ class DepthView:
 
     def measures_through(self, means: Tensor) -> Tensor:
         """Mask [N] of the points [N, 3] on the CPU in space that was measured as empty."""
+        module = kernels_for(means)
+        if module is not None:
+            marks = torch.empty(len(means), dtype=torch.bool)
+            points, empty = means.contiguous(), torch.from_numpy(self.image.empty_m)
+            module.mark_empty(
+                address(points),
+                len(points),
+                *self.geometry,
+                address(empty),
+                MIN_DEPTH_M,
+                address(marks),
+            )
+            return marks
         chosen, pixel, z = self.pixels_of(means)
         empty = torch.from_numpy(self.image.empty_m.reshape(-1)).index_select(0, pixel)
         mask = torch.zeros(len(means), dtype=torch.bool)

@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit.geometry.free_space import free_space_margin_m
+from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_margin_m
 from toolkit.keyframe import Keyframe, evenly_spaced
-from toolkit.mapping.depth_views import DepthView, DepthViews
+from toolkit.mapping.depth_views import MIN_DEPTH_M, DepthView, DepthViews
 from toolkit.mapping.options import FreeSpaceOptions
+from toolkit.native import address, kernels_for
 
 # Maximum fraction of the seeds of a keyframe that earlier keyframes may rule out.
 _MAX_DROPPED = 0.2
@@ -69,6 +70,24 @@ class Evidence:
 
     def add(self, view: DepthView, means: Tensor, whole_map: bool) -> None:
         """Add the evidence of a view about the points [N, 3], in place."""
+        module = kernels_for(means)
+        if module is None:
+            self._add_torch(view, means, whole_map)
+            return
+        image, points = view.image, means.contiguous()
+        images = [torch.from_numpy(a) for a in (image.depth_m, image.empty_m, image.confidence)]
+        module.add_evidence(
+            address(points),
+            len(points),
+            *view.geometry,
+            [address(values) for values in images],
+            (MIN_DEPTH_M, FREE_SPACE_M, FREE_SPACE),
+            whole_map,
+            [address(values) for values in (self.through, self.support, self.nearest_m)],
+        )
+
+    def _add_torch(self, view: DepthView, means: Tensor, whole_map: bool) -> None:
+        """As `add`, in torch: reference and fallback of the native kernel, and for GPUs."""
         chosen, pixel, z = view.pixels_of(means)
         if not len(chosen):
             return

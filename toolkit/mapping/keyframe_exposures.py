@@ -8,6 +8,7 @@ estimates.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.options import WhiteBalanceOptions
+from toolkit.native import address, kernels
 
 Array = NDArray[np.float64]
 
@@ -75,11 +77,15 @@ class _Cells:
         """Divide the images of a keyframe into cells."""
         size = max(1, round(keyframe.camera.width / _CELLS_PER_ROW))
         height, width = (length // size for length in keyframe.depth_m.shape)
-        rgb = keyframe.rgb.permute(1, 2, 0).numpy()[: height * size, : width * size]
-        blocks = rgb.reshape(height, size, width, size, 3)
-        colours = blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255.0)
-        mean = colours.reshape(-1, 3).mean(axis=0, dtype=np.float64)
-        colours[(blocks >= _SATURATED).any(axis=(1, 3, 4))] = 0.0
+        rgb = keyframe.rgb.numpy()[:, : height * size, : width * size]
+        # The pixels at the same place of all cells; reductions over short axes are slow.
+        places = [rgb[:, j::size, i::size] for j in range(size) for i in range(size)]
+        sums = functools.reduce(np.add, places, np.zeros((3, height, width), np.float32))
+        brightest = functools.reduce(np.maximum, places).max(axis=0)
+        planes = sums / np.float32(255.0 * size * size)
+        mean = planes.reshape(3, -1).mean(axis=1, dtype=np.float64)
+        colours = np.ascontiguousarray(planes.transpose(1, 2, 0))
+        colours[brightest >= _SATURATED] = 0.0
         rows, columns = np.arange(height) * size, np.arange(width) * size
         depth_m = keyframe.measured_m.numpy()[np.ix_(rows + size // 2, columns + size // 2)]
         used = (depth_m > 0) & (colours > 0).all(axis=-1)
@@ -100,7 +106,8 @@ class _Common:
     def difference(self, old: Exposure, new: Exposure) -> BalanceDifference | None:
         """Difference of the white balances of keyframes with known gains and biases."""
         # A large gain does not make the hue of a dark channel any better.
-        bright = (np.minimum(self.old, self.new) >= MIN_COLOUR).all(axis=1)
+        red, green, blue = np.minimum(self.old, self.new).T >= MIN_COLOUR
+        bright = red & green & blue
         return balance_difference(
             _with_gain(old, self.old[bright]), _with_gain(new, self.new[bright])
         )
@@ -187,19 +194,10 @@ class KeyframeExposures:
         """Colours of two keyframes where both measured the same surface."""
         cells, own = self._cells(old), self._cells(new)
         T_old_new = se3.inverse(old.T_map_camera) @ new.T_map_camera
-        points = se3.transform_points(T_old_new, own.points)
-        height, width = cells.colours.shape[:2]
-        ahead = points[:, 2] > 0
-        uv = old.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
-        cell = np.floor((uv + 0.5) / cells.size).astype(np.intp)
-        inside = ahead & (cell >= 0).all(axis=1) & (cell < (width, height)).all(axis=1)
-        z, uv, (column, row) = points[inside, 2], uv[inside], cell[inside].T
-        at = np.rint(uv).astype(np.intp)
-        depth_m = old.measured_m.numpy()[at[:, 1], at[:, 0]]
-        same = np.abs(z - depth_m) < _SAME_SURFACE * depth_m
-        same &= _cosines(points[inside], T_old_new[:3, 3]) > _MIN_COSINE
+        numbers = _common_cells(old, cells.size, own.points, T_old_new)
+        same = numbers >= 0
         # No interpolation, which would smooth one of the images: the pair would not be symmetric.
-        return _Common(cells.colours[row[same], column[same]], own.of_points[inside][same])
+        return _Common(cells.colours.reshape(-1, 3)[numbers[same]], own.of_points[same])
 
     @staticmethod
     def _set_gain(new: Keyframe, chosen: Sequence[Keyframe], common: Sequence[_Common]) -> None:
@@ -249,6 +247,52 @@ def _links(
 def _with_gain(exposure: Exposure, colours: NDArray) -> NDArray:
     """Colours with the gain and bias of an exposure, without its white balance."""
     return exposure.with_balance(NEUTRAL).apply(colours)
+
+
+def _common_cells(old: Keyframe, size: int, points: Array, T_old_new: Array) -> NDArray[np.int32]:
+    """Cells [P] of a keyframe that measured the same surfaces as a newer one; -1 for none.
+
+    Args:
+        size: width of a cell in pixels.
+        points: [P, 3] measured by the newer keyframe, in its camera's coordinates.
+        T_old_new: [4, 4].
+    """
+    module = kernels()
+    if module is None:
+        return _common_cells_numpy(old, size, points, T_old_new)
+    camera, depth_m = old.camera, old.measured_m
+    cells = np.empty(len(points), np.int32)
+    module.find_common_cells(
+        points.ctypes.data,
+        len(points),
+        T_old_new[:3].ravel(),
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        (camera.width, camera.height),
+        address(depth_m),
+        size,
+        (_SAME_SURFACE, _MIN_COSINE),
+        cells.ctypes.data,
+    )
+    return cells
+
+
+def _common_cells_numpy(
+    old: Keyframe, size: int, points: Array, T_old_new: Array
+) -> NDArray[np.int32]:
+    """As `_common_cells`, in NumPy: reference and fallback of the native kernel."""
+    camera = old.camera
+    points = se3.transform_points(T_old_new, points)
+    ahead = points[:, 2] > 0
+    uv = camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+    cell = np.floor((uv + 0.5) / size).astype(np.int32)
+    columns, rows = camera.width // size, camera.height // size
+    inside = ahead & (cell >= 0).all(axis=1) & (cell < (columns, rows)).all(axis=1)
+    at = np.rint(uv[inside]).astype(np.intp)
+    depth_m, z = old.measured_m.numpy()[at[:, 1], at[:, 0]], points[inside, 2]
+    same = np.abs(z - depth_m) < _SAME_SURFACE * depth_m
+    same &= _cosines(points[inside], T_old_new[:3, 3]) > _MIN_COSINE
+    inside[inside] = same
+    return np.where(inside, cell[:, 1] * columns + cell[:, 0], -1).astype(np.int32)
 
 
 def _cosines(points: Array, centre: Array) -> Array:

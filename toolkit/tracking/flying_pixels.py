@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.native import kernels
+
 # Half-size of the window around a pixel.
 _RADIUS = 2
 # Maximum change of depth between neighbouring pixels of one surface: in standard deviations of the
@@ -46,9 +48,37 @@ def without_flying_pixels(inverse: _Image, focal: float, noise: float) -> _Image
     known = np.where(inverse > 0, inverse, np.float32(np.inf))
     between = cv2.dilate(inverse, window) - inverse > step
     between &= inverse - cv2.erode(known, window) > step
-    rows, columns = np.nonzero(between & (inverse > 0))
-    if not len(rows):
+    between &= inverse > 0
+    if not between.any():
         return inverse
+    module = kernels()
+    if module is None:
+        return _without_numpy(inverse, between, focal, least, step)
+    inverse = np.ascontiguousarray(inverse)
+    out = inverse.copy()
+    module.remove_flying_pixels(
+        inverse.shape[::-1],
+        inverse.ctypes.data,
+        between.ctypes.data,
+        (_RADIUS, _MIN_DIRECTIONS),
+        (least, _MAX_TANGENT / focal, _MIN_SUPPORT, _LINEAR, _MAX_LINE_TANGENT / focal),
+        out.ctypes.data,
+    )
+    return out
+
+
+def _without_numpy(
+    inverse: _Image, between: _Mask, focal: float, least: np.float32, step: _Image
+) -> _Image:
+    """The pixels that neither neighbours nor lines support are set to 0: NumPy reference.
+
+    Args:
+        inverse, focal: as in `without_flying_pixels`.
+        between: [H, W] mask of the pixels with nearer and farther neighbours.
+        least: smallest change of inverse depth that counts.
+        step: [H, W] maximum change of inverse depth between neighbours of one surface.
+    """
+    rows, columns = np.nonzero(between)
     width = inverse.shape[1] + 2 * _RADIUS
     padded = np.pad(inverse, _RADIUS).reshape(-1)
     places = (rows + _RADIUS) * width + columns + _RADIUS

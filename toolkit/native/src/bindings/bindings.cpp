@@ -14,9 +14,12 @@
 #include "alignment/normal_equations.hpp"
 #include "bundle_adjustment/bundle_adjustment.hpp"
 #include "depth_filter/depth_filter.hpp"
+#include "depth_filter/flying_pixels.hpp"
 #include "losses/rgbd_loss.hpp"
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
+#include "mapping/common_cells.hpp"
+#include "mapping/free_space.hpp"
 #include "optimisation/adam.hpp"
 #include "plane_sweep/upsampling.hpp"
 #include "plane_sweep/consensus.hpp"
@@ -221,6 +224,53 @@ void smoothed(const Size& size, Address inverse, const std::vector<int>& radii, 
     smooth_inverse_depth(at<const float>(inverse), size[0], size[1], filter, at<float>(out));
 }
 
+// limits: noise, maximum slope, minimum support, linearity, maximum slope of a line.
+void without_flying_pixels(const Size& size, Address inverse, Address candidates, const std::array<int, 2>& counts,
+                           const std::array<double, 5>& limits, Address out) {
+    const py::gil_scoped_release release;
+    const FlyingPixels flying = {counts[0],        (float)limits[0], (float)limits[1], (float)limits[2],
+                                 (float)limits[3], (float)limits[4], counts[1]};
+    remove_flying_pixels(at<const float>(inverse), at<const uint8_t>(candidates), size[0], size[1], flying,
+                         at<float>(out));
+}
+
+DepthView depth_view(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_points,
+                     Address empty, double min_depth) {
+    DepthView view = {pinhole(intrinsics, size), {}, at<const float>(empty), (float)min_depth};
+    for (int k = 0; k < 12; ++k) view.T_camera_points[k] = (float)T_camera_points[k];
+    return view;
+}
+
+// images: depth, empty depth, confidence. limits: minimum depth, margin, margin as a fraction.
+// sums: through, support, nearest.
+void add_evidence_of(Address points, int64_t count, const Intrinsics& intrinsics, const Size& size,
+                     const std::array<double, 12>& T_camera_points, const std::array<Address, 3>& images,
+                     const std::array<double, 3>& limits, bool weighted, const std::array<Address, 3>& sums) {
+    const py::gil_scoped_release release;
+    const MeasuredDepth measured = {at<const float>(images[0]), at<const float>(images[2]), (float)limits[1],
+                                    (float)limits[2]};
+    add_evidence(at<const float>(points), count,
+                 depth_view(intrinsics, size, T_camera_points, images[1], limits[0]), measured, weighted,
+                 {at<float>(sums[0]), at<float>(sums[1]), at<float>(sums[2])});
+}
+
+void mark_empty_of(Address points, int64_t count, const Intrinsics& intrinsics, const Size& size,
+                   const std::array<double, 12>& T_camera_points, Address empty, double min_depth, Address marks) {
+    const py::gil_scoped_release release;
+    mark_empty(at<const float>(points), count, depth_view(intrinsics, size, T_camera_points, empty, min_depth),
+               at<uint8_t>(marks));
+}
+
+// limits: maximum difference of depths, minimum cosine.
+void common_cells(Address points, int64_t count, const std::array<double, 12>& T_old_new,
+                  const Intrinsics& intrinsics, const Size& size, Address depth, int cell_size,
+                  const std::array<double, 2>& limits, Address cells) {
+    const py::gil_scoped_release release;
+    find_common_cells(at<const double>(points), count, T_old_new.data(),
+                      {pinhole(intrinsics, size), at<const float>(depth), cell_size}, {limits[0], limits[1]},
+                      at<int32_t>(cells));
+}
+
 double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double weight, Address gradient) {
     const py::gil_scoped_release release;
     return ssim(at<const float>(x), at<const float>(y), shape[0], shape[1], shape[2], (float)weight,
@@ -376,6 +426,10 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("find_consensus", &find_consensus);
     m.def("adam", &adam);
     m.def("smooth_inverse_depth", &smoothed);
+    m.def("remove_flying_pixels", &without_flying_pixels);
+    m.def("add_evidence", &add_evidence_of);
+    m.def("mark_empty", &mark_empty_of);
+    m.def("find_common_cells", &common_cells);
     m.def("mean_ssim", &mean_ssim);
     m.def("rgbd_loss", &loss_of_rgbd);
     m.def("semantic_loss", &loss_of_semantics);
