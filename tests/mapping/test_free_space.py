@@ -15,10 +15,12 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
+from toolkit.mapping import depth_views, free_space
 from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
 from toolkit.mapping.free_space import Evidence, FreeSpace, is_measured
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
+from toolkit.native import available_instruction_sets, load_variant
 
 CAMERA = Camera(40.0, 40.0, 20.0, 15.0, 40, 30)
 
@@ -163,3 +165,29 @@ def test_opacity_in_empty_space_is_measured_by_majority_and_by_any_frame():
     assert found["free_space_opacity_percent"] == pytest.approx(30.0)
     assert found["free_space_opacity_any_percent"] == pytest.approx(50.0)
     assert free_space_metrics(InMemoryScene(cloud), [])["free_space_opacity_percent"] is None
+
+
+@pytest.mark.parametrize("whole_map", [True, False])
+@pytest.mark.parametrize("name", available_instruction_sets())
+def test_the_kernels_agree_with_torch(
+    room: MappedRoom, name: str, whole_map: bool, monkeypatch: pytest.MonkeyPatch
+):
+    views = [
+        DepthView.of(Keyframe.from_frame(frame, T))
+        for frame, T in zip(room.frames[:5], room.T_map_camera, strict=False)
+    ]
+    corners = np.concatenate([view.box for view in views])
+    low, high = corners.min(axis=0) - 0.5, corners.max(axis=0) + 0.5
+    means = torch.from_numpy(np.random.default_rng(0).uniform(low, high, (5000, 3))).float()
+    found = []
+    for variant in (None, load_variant(name)):
+        for module in (depth_views, free_space):
+            monkeypatch.setattr(module, "kernels_for", lambda tensor, variant=variant: variant)
+        empty = torch.stack([view.measures_through(means) for view in views])
+        evidence = Evidence.of(means, views, whole_map)
+        found.append((empty.float(), evidence.through, evidence.support, evidence.nearest_m))
+    for expected, value in zip(*found, strict=True):
+        assert expected.isfinite().any() and (expected != expected.reshape(-1)[0]).any()
+        # Rounding may move a point on the border of a pixel into the next one.
+        differs = ~torch.isclose(expected, value, rtol=1e-4, atol=1e-5)
+        assert differs.float().mean() < 0.002

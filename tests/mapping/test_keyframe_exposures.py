@@ -10,9 +10,12 @@ import torch
 
 from tests.painted_box import box_frames, path
 from toolkit.exposure import NEUTRAL, Exposure
+from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.mapping import keyframe_exposures
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.options import WhiteBalanceOptions
+from toolkit.native import available_instruction_sets, load_variant
 
 POSES = path(12)
 FRAMES = box_frames(POSES, 160, 120)
@@ -209,3 +212,20 @@ def test_a_drifting_white_balance_does_not_change_the_brightness_of_the_map():
     undone = last.exposure.apply(drift(0.03)[-1] * np.full(3, 0.5))
     np.testing.assert_allclose(undone, drift(0.03)[0] * 0.5, rtol=0.005)
     assert first.exposure == Exposure()
+
+
+@pytest.mark.parametrize("name", available_instruction_sets())
+def test_the_kernels_find_the_same_cells(name: str, monkeypatch: pytest.MonkeyPatch):
+    old, new = (Keyframe.from_frame(FRAMES[i], POSES[i]) for i in (0, 7))
+    old.depth_m[:, 100:120] = 0.0
+    points = new.camera.unproject(new.depth_m.numpy())[::2, ::2].reshape(-1, 3).astype(np.float64)
+    points = np.concatenate([points, -points[:10]])
+    T_old_new = se3.inverse(old.T_map_camera) @ new.T_map_camera
+    found = []
+    for variant in (None, load_variant(name)):
+        monkeypatch.setattr(keyframe_exposures, "kernels", lambda variant=variant: variant)
+        found.append(keyframe_exposures._common_cells(old, 2, points, T_old_new))
+    expected, cells = found
+    assert 0.3 < (expected >= 0).mean() < 0.99
+    # Rounding may move a point on the border of a pixel into the next one.
+    assert (expected == cells).mean() > 0.998

@@ -1,4 +1,4 @@
-"""The waiting policy of OpenMP is limited before torch loads it, unless the user has chosen one."""
+"""The waiting policy of OpenMP is limited unless the user has chosen one; BLAS has one thread."""
 
 from __future__ import annotations
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from slam_room import FEW, SlamRoom, fed, fingerprint, new_semantic_slam, new_slam
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame
+from toolkit.frame import Frame, NullRecorder
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
@@ -33,6 +35,21 @@ def errors_m(slam: Slam, room: SlamRoom) -> np.ndarray:
     path = slam.result().trajectory
     true = np.stack([room.truth.at(t) for t in path.timestamps_s])
     return np.linalg.norm(path.positions_m - true[:, :3, 3], axis=1)
+
+
+def blas_threads() -> set[int]:
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+class BlasRecorder(NullRecorder):
+    """Keeps the numbers of threads that BLAS may use in any stage."""
+
+    def __init__(self) -> None:
+        self.threads: set[int] = set()
+
+    def timed(self, stage: str) -> AbstractContextManager[None]:
+        self.threads |= blas_threads()
+        return super().timed(stage)
 
 
 def blind(frame: Frame) -> Frame:
@@ -276,3 +293,16 @@ class TestExposures:
         exposures = slam.result().exposures
         assert len(exposures) == 3
         assert np.allclose([(e.gain, e.bias) for e in exposures], [1.0, 0.0], atol=0.05)
+
+
+def test_blas_has_one_thread_while_frames_are_processed_and_its_own_number_afterwards():
+    """Its waiting threads would take cores from the kernels."""
+    recorder = BlasRecorder()
+    frames, _ = tiny_room(2, 64, 48)
+    slam = Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(0)), recorder)
+    with threadpool_limits(2, "blas"):
+        before = blas_threads()
+        fed(slam, frames)
+        slam.finish()
+        assert 2 in before and blas_threads() == before
+    assert recorder.threads == {1}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toolkit.native import available_instruction_sets, load_variant
+from toolkit.tracking import depth_gaps
 from toolkit.tracking.depth_filter import denoised
 from toolkit.tracking.depth_gaps import without_gaps
 
@@ -42,3 +44,16 @@ def test_depth_without_noise_is_not_changed(noise: float):
     depth_m = (1.0 / inverse).astype(np.float32)
     depth_m[10, :] = 0.0
     assert (denoised(depth_m)[10, 1:-1] > 0).all() == (noise > 0)
+
+
+@pytest.mark.parametrize("name", available_instruction_sets())
+def test_the_kernels_fill_the_same_gaps(name: str, monkeypatch: pytest.MonkeyPatch):
+    inverse = slanted()
+    inverse[:, 30:] *= 2.0
+    inverse[np.random.default_rng(0).random(inverse.shape) < 0.3] = 0.0
+    filled = []
+    for variant in (None, load_variant(name)):
+        monkeypatch.setattr(depth_gaps, "kernels", lambda variant=variant: variant)
+        filled.append(without_gaps(inverse))
+    assert 0.5 < (filled[0] > 0)[inverse == 0].mean() < 1.0
+    np.testing.assert_allclose(*filled, rtol=1e-6)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from toolkit.datasets.synthetic.imperfections import with_flying_pixels
+from toolkit.native import available_instruction_sets, load_variant
+from toolkit.tracking import flying_pixels
 from toolkit.tracking.depth_filter import denoised
 from toolkit.tracking.flying_pixels import without_flying_pixels
 
@@ -78,3 +80,19 @@ def test_the_filter_removes_them_from_frames_without_noise():
     assert denoised(depth_m) is depth_m
     clean = box_before_wall()
     assert denoised(clean, FOCAL) is clean
+
+
+@pytest.mark.parametrize("name", available_instruction_sets())
+def test_the_kernels_remove_the_same_pixels(name: str, monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(0)
+    columns = np.arange(SHAPE[1], dtype=np.float32)
+    true_m = box_before_wall() + np.float32(0.01) * columns
+    noise = rng.normal(0.0, 0.002, SHAPE).astype(np.float32)
+    depth_m = with_flying_pixels(true_m + noise * true_m**2, true_m, rng).astype(np.float32)
+    depth_m[rng.random(SHAPE) < 0.05] = 0.0
+    masks = []
+    for variant in (None, load_variant(name)):
+        monkeypatch.setattr(flying_pixels, "kernels", lambda variant=variant: variant)
+        masks.append(removed(depth_m, 0.002))
+    assert masks[0].any()
+    np.testing.assert_array_equal(*masks)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.native import kernels
+
 # Maximum difference of the inverse depths on both sides of a gap, relative to their mean.
 _MAX_DIFFERENCE = 0.05
 
@@ -23,6 +25,17 @@ def without_gaps(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
     Returns:
         [H, W] with the mean of the pairs of opposite neighbours in the gaps, otherwise unchanged.
     """
+    module = kernels()
+    if module is None:
+        return _without_gaps_numpy(inverse)
+    inverse, filled = np.ascontiguousarray(inverse), np.empty(inverse.shape, np.float32)
+    size = inverse.shape[::-1]
+    module.fill_depth_gaps(size, inverse.ctypes.data, _MAX_DIFFERENCE, filled.ctypes.data)
+    return filled
+
+
+def _without_gaps_numpy(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
+    """As `without_gaps`, in NumPy: reference and fallback of the native kernel."""
     width = inverse.shape[1] + 2
     padded = np.pad(inverse, 1).reshape(-1)
     rows, columns = np.nonzero(inverse == 0)

@@ -14,6 +14,7 @@
 #include "alignment/normal_equations.hpp"
 #include "bundle_adjustment/bundle_adjustment.hpp"
 #include "depth_filter/depth_filter.hpp"
+#include "depth_filter/depth_gaps.hpp"
 #include "depth_filter/flying_pixels.hpp"
 #include "losses/rgbd_loss.hpp"
 #include "losses/semantic_loss.hpp"
@@ -224,6 +225,11 @@ void smoothed(const Size& size, Address inverse, const std::vector<int>& radii, 
     smooth_inverse_depth(at<const float>(inverse), size[0], size[1], filter, at<float>(out));
 }
 
+void fill_gaps(const Size& size, Address inverse, double max_difference, Address out) {
+    const py::gil_scoped_release release;
+    fill_depth_gaps(at<const float>(inverse), size[0], size[1], (float)max_difference, at<float>(out));
+}
+
 // limits: noise, maximum slope, minimum support, linearity, maximum slope of a line.
 void without_flying_pixels(const Size& size, Address inverse, Address candidates, const std::array<int, 2>& counts,
                            const std::array<double, 5>& limits, Address out) {
@@ -426,6 +432,7 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("find_consensus", &find_consensus);
     m.def("adam", &adam);
     m.def("smooth_inverse_depth", &smoothed);
+    m.def("fill_depth_gaps", &fill_gaps);
     m.def("remove_flying_pixels", &without_flying_pixels);
     m.def("add_evidence", &add_evidence_of);
     m.def("mark_empty", &mark_empty_of);

@@ -17,14 +17,20 @@ struct Image {
 
 bool has_neighbours(const Image& image, int x, int y, const FlyingPixels& limits) {
     const float own = image.at(x, y), step = std::max(limits.noise, limits.max_slope * own);
+    const int side = 2 * limits.radius + 1;
+    const float enough = limits.min_support * (float)(side * side - 1);
     int alike = 0, measured = 0;
-    for (int j = -limits.radius; j <= limits.radius; ++j) {
-        for (int i = -limits.radius; i <= limits.radius; ++i) {
-            const float other = image.at(x + i, y + j);
-            if ((!i && !j) || !(other > 0)) continue;
-            ++measured;
-            alike += std::abs(other - own) <= (float)std::max(std::abs(i), std::abs(j)) * step;
+    // By rings: on most surfaces the nearest neighbours suffice.
+    for (int ring = 1; ring <= limits.radius; ++ring) {
+        for (int j = -ring; j <= ring; ++j) {
+            const int columns = std::abs(j) == ring ? 1 : 2 * ring;
+            for (int i = -ring; i <= ring; i += columns) {
+                const float other = image.at(x + i, y + j);
+                measured += other > 0;
+                alike += other > 0 && std::abs(other - own) <= (float)ring * step;
+            }
         }
+        if ((float)alike >= enough) return true;
     }
     return (float)alike >= limits.min_support * (float)measured;
 }
@@ -50,7 +56,7 @@ bool continues(const Image& image, int x, int y, const FlyingPixels& limits) {
 void remove_flying_pixels(const float* inverse, const uint8_t* candidates, int width, int height,
                           const FlyingPixels& limits, float* out) {
     const Image image{inverse, width, height};
-#pragma omp parallel for schedule(static)
+#pragma omp parallel for schedule(dynamic, 8)
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; ++x) {
             const size_t i = (size_t)y * width + x;
