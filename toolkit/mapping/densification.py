@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -34,13 +35,19 @@ class Densification:
         self._start_values = semantics.start_values
 
     def seed(
-        self, gaussian_map: GaussianMap, keyframe: Keyframe, view: SurfaceView, observed: Observed
+        self,
+        gaussian_map: GaussianMap,
+        keyframe: Keyframe,
+        view: SurfaceView,
+        observed: Observed,
+        in_empty_space: Callable[[Tensor], Tensor] | None = None,
     ) -> int:
         """Seed Gaussians at the pixels that the map does not explain; return how many.
 
         Args:
             view: the map rendered from the keyframe.
             observed: images of the keyframe on the map's device.
+            in_empty_space: mask [N] of the points [N, 3] where nothing is seeded.
         """
         options = self._options
         mask = uncovered_pixels(
@@ -54,6 +61,8 @@ class Densification:
             # Inferred depth does not contradict a surface of the map.
             mask |= observed.inferred & ~self.covered(view)
         seeds = self.seeds(keyframe.as_frame(), keyframe.T_map_camera, mask.cpu().numpy())
+        if in_empty_space is not None and len(seeds):
+            seeds = seeds.select(~in_empty_space(seeds.means))
         if len(seeds):
             gaussian_map.append(seeds, keyframe)
         return len(seeds)

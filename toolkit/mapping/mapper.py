@@ -148,19 +148,14 @@ class Mapper:
             with self._recorder.timed("free space"):
                 mask = self._free_space.contradicted(self.gaussians.means, keyframe, others)
                 self._remove(mask)
-        before = len(self.gaussians)
         with self._recorder.timed("seeding"):
             view, options = self.view(keyframe), self.options
             hide_moving_objects(
                 keyframe, view, others, options.moving_objects, options.min_silhouette
             )
             observed = self._observations.of(keyframe)
-            seeded = self._densification.seed(self.map, keyframe, view, observed)
-        if free_space and seeded:
-            with self._recorder.timed("free space"):
-                mask = self._free_space.seen_through(self.gaussians.means[before:], others)
-                self._remove(torch.cat([mask.new_zeros(before), mask]))
-                seeded -= int(mask.sum())
+            empty = partial(self._free_space.seen_through, others=others) if free_space else None
+            seeded = self._densification.seed(self.map, keyframe, view, observed, empty)
         all_new = seeded == len(self.gaussians)
         steps = self.options.first_iterations if all_new else self._iterations(keyframe.camera)
         if self.deferred is None:
