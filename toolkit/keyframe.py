@@ -75,6 +75,8 @@ class Keyframe:
         depth_moments: [7] float64 scale, shift and the state of their optimiser, or None.
         log_balance: [3] float64 estimated white balance, logarithms of gains with the sum 0; None
             is neutral. `exposure.balance` is neutral for small ones.
+        balance_links: [L, 5] float64 differences of white balance to earlier keyframes: frame
+            index, log gains and weight; None before they are estimated.
         transient: [H, W] bool, where a moving object hides the scene, or None; see `hide`.
         observed_m: [H, W] float32 depth with that of moving objects; None without any.
     """
@@ -93,12 +95,14 @@ class Keyframe:
     prior_m: Tensor | None = None
     depth_moments: NDArray[np.float64] | None = None
     log_balance: NDArray[np.float64] | None = None
+    balance_links: NDArray[np.float64] | None = None
     transient: Tensor | None = None
     observed_m: Tensor | None = None
 
     ARRAYS: ClassVar = (
         *("T_map_camera", "rgb", "depth_m", "points", "class_ids", "pose_moments"),
-        *("inferred", "prior_m", "depth_moments", "log_balance", "transient", "observed_m"),
+        *("inferred", "prior_m", "depth_moments", "log_balance", "balance_links"),
+        *("transient", "observed_m"),
     )
 
     def arrays(self) -> dict[str, NDArray]:
@@ -118,8 +122,10 @@ class Keyframe:
     @classmethod
     def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Keyframe:
         """Restore a keyframe from its `arrays` and `values`."""
-        moments, adjusted = arrays.get("pose_moments"), arrays.get("depth_moments")
-        log_balance = arrays.get("log_balance")
+        optional = {
+            name: None if name not in arrays else np.array(arrays[name])
+            for name in ("pose_moments", "depth_moments", "log_balance", "balance_links")
+        }
         return cls(
             index=int(values["index"]),
             timestamp_s=float(values["timestamp_s"]),
@@ -130,13 +136,11 @@ class Keyframe:
             exposure=Exposure.from_values(values),
             points=np.array(arrays["points"]),
             class_ids=_tensor(arrays.get("class_ids")),
-            pose_moments=None if moments is None else np.array(moments),
             inferred=_tensor(arrays.get("inferred")),
             prior_m=_tensor(arrays.get("prior_m")),
-            depth_moments=None if adjusted is None else np.array(adjusted),
-            log_balance=None if log_balance is None else np.array(log_balance),
             transient=_tensor(arrays.get("transient")),
             observed_m=_tensor(arrays.get("observed_m")),
+            **optional,
         )
 
     @classmethod
@@ -252,14 +256,6 @@ class Keyframe:
         depth_m = self._measured_at(self.camera.project(points_camera))
         return _not_behind(points_camera[:, 2], depth_m)
 
-    def fraction_observed(self, points_map: NDArray[np.float64]) -> float:
-        """Fraction of map points [P, 3] that lie on the surface measured by this keyframe."""
-        if len(points_map) == 0:
-            return 0.0
-        _, z, depth_m = self._depths_at(points_map)
-        near = np.abs(z - depth_m) < _ON_SURFACE * depth_m
-        return float(near.sum() / len(points_map))
-
     def _depths_at(
         self, points_map: NDArray[np.float64], depth_m: Tensor | None = None
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
@@ -302,6 +298,30 @@ class Keyframe:
         points = self.points @ R_transposed + T_others_self[:, None, :3, 3]
         inside, _ = self._projected(points)
         return np.asarray(inside.mean(axis=-1))
+
+
+def fractions_observed(
+    keyframes: Sequence[Keyframe], points_map: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Fractions [K] of map points [P, 3] on the surfaces that each of K keyframes measured."""
+    if len(points_map) == 0 or not keyframes:
+        return np.zeros(len(keyframes))
+    T_cameras_map = se3.inverse(np.array([k.T_map_camera for k in keyframes]))
+    R_transposed = np.swapaxes(T_cameras_map[:, :3, :3], -1, -2)
+    x, y, z = np.moveaxis(points_map @ R_transposed + T_cameras_map[:, None, :3, 3], -1, 0)
+    cameras = [k.camera for k in keyframes]
+    fx, fy, cx, cy, width, height = np.array(
+        [[(c.fx, c.fy, c.cx, c.cy, c.width, c.height)] for c in cameras]
+    ).T.swapaxes(1, 2)
+    ahead = z > _MIN_DEPTH_M
+    safe_z = np.where(ahead, z, 1.0)
+    u, v = fx * x / safe_z + cx, fy * y / safe_z + cy
+    inside = ahead & (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+    columns, rows = (np.rint(np.where(inside, a, 0.0)).astype(np.intp) for a in (u, v))
+    images = zip(keyframes, rows, columns, strict=True)
+    depth_m = np.stack([k.depth_m.numpy()[row, column] for k, row, column in images])
+    on_surface = inside & (np.abs(z - depth_m) < _ON_SURFACE * depth_m)
+    return np.asarray(on_surface.mean(axis=1))
 
 
 def evenly_spaced(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:

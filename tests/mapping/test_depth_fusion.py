@@ -12,9 +12,12 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.depth_fusion import MeasuredCentres, measured_centres
+from toolkit.mapping import depth_fusion
+from toolkit.mapping.depth_fusion import MeasuredCentres, fuse_depth, measured_centres
+from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
+from toolkit.mapping.options import LearningRates, MapperOptions
+from toolkit.native import available_instruction_sets, load_variant
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=19.5, cy=14.5)
 WALL_M = 4.0
@@ -136,3 +139,28 @@ def test_gaussians_measured_anew_belong_to_the_newest_keyframe(room):
     seeded_by = mapper.map.seeded_by[:count]
     assert (seeded_by == 9).any()
     assert (seeded_by == frame.index).any()
+
+
+@pytest.mark.parametrize("name", available_instruction_sets())
+def test_the_kernel_agrees_with_torch(name: str, monkeypatch: pytest.MonkeyPatch):
+    generator = np.random.default_rng(0)
+    views = [keyframe(index, z, slope=0.3) for index, z in ((3, 0.0), (5, -3.0), (8, 2.0))]
+    views[-1].depth_m[5:9, 7:20] = 0.0
+    means = generator.uniform((-3, -2, -1), (3, 2, 5), (5000, 3))
+    means[::2, 2] = WALL_M + 0.3 * means[::2, 0] + generator.normal(0.0, 0.05, 2500)
+    cloud = at(*means.astype(np.float32).tolist())
+    seeded_by = torch.from_numpy(generator.choice([3, 4, 5, 8], len(cloud)).astype(np.int32))
+    found = []
+    for variant in (None, load_variant(name)):
+        monkeypatch.setattr(depth_fusion, "kernels_for", lambda _, variant=variant: variant)
+        fused = GaussianMap(LearningRates(), 0, torch.device("cpu"), centred_colours=False)
+        fused.gaussians, fused.seeded_by, fused.keyframes = cloud, seeded_by, views
+        fuse_depth(fused, views[-1].depth_m)
+        found.append((fused.gaussians.means, fused.seeded_by))
+    (expected, expected_by), (moved, moved_by) = found
+    assert torch.equal(cloud.means, torch.tensor(means.astype(np.float32)))
+    changed = (expected != cloud.means).any(dim=1)
+    assert 0.02 < changed.float().mean() < 0.9 and int((expected_by != seeded_by).sum()) > 100
+    # Rounding may move a point into another cell of the image, or across a limit.
+    differs = ~torch.isclose(expected, moved, rtol=1e-5, atol=1e-5).all(dim=1)
+    assert int((differs | (expected_by != moved_by)).sum()) < 5

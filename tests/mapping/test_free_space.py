@@ -191,3 +191,22 @@ def test_the_kernels_agree_with_torch(
         # Rounding may move a point on the border of a pixel into the next one.
         differs = ~torch.isclose(expected, value, rtol=1e-4, atol=1e-5)
         assert differs.float().mean() < 0.002
+
+
+@pytest.mark.parametrize("name", available_instruction_sets())
+@pytest.mark.parametrize("size", [(53, 37), (1, 20)])
+def test_the_confidence_of_the_kernel_agrees_with_opencv(
+    name: str, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+):
+    width, height = size
+    camera = Camera(fx=40.0, fy=45.0, cx=20.0, cy=15.0, width=width, height=height)
+    generator = np.random.default_rng(0)
+    depth_m = (2.0 + 3.0 * generator.random((height, width))).astype(np.float32)
+    depth_m[height // 2 :] = 1.0 + 0.01 * np.arange(width, dtype=np.float32)
+    depth_m[generator.random(depth_m.shape) < 0.1] = 0.0
+    found = []
+    for variant in (None, load_variant(name)):
+        monkeypatch.setattr(depth_views, "kernels", lambda variant=variant: variant)
+        found.append(depth_views.depth_confidence(depth_m, camera))
+    assert ((found[0] == 0) == (depth_m == 0)).all() and np.unique(found[0]).size > 5
+    assert np.allclose(*found, rtol=1e-4, atol=1e-5)

@@ -10,7 +10,7 @@ import torch
 from registered_room import Scene, error, motion, scene, seen_by, stranger
 
 from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
+from toolkit.keyframe import Keyframe, fractions_observed
 from toolkit.tracking.options import PlacementOptions
 from toolkit.tracking.placement import KeyframePlacement
 
@@ -103,8 +103,17 @@ def test_what_was_held_changes_no_bit(room: Scene):
 def test_a_keyframe_observed_its_own_points_and_none_before_or_behind(room: Scene):
     own = keyframe(room, 2)
     points = own.points_in_map()
-    assert own.fraction_observed(points) > 0.95
+    assert fractions_observed([own], points)[0] > 0.95
     camera = own.T_map_camera[:3, 3]
     for stretch in (0.8, 1.2):
-        assert own.fraction_observed(camera + stretch * (points - camera)) < 0.2
-    assert own.fraction_observed(np.zeros((0, 3))) == 0.0
+        assert fractions_observed([own], camera + stretch * (points - camera))[0] < 0.2
+    assert fractions_observed([own], np.zeros((0, 3)))[0] == 0.0
+
+
+def test_several_keyframes_are_compared_as_each_alone(room: Scene):
+    points = keyframe(room, 2).points_in_map()
+    others = [keyframe(room, place) for place in (1, 3)]
+    others[1] = replace(others[1], camera=replace(others[1].camera, fx=0.9 * others[1].camera.fx))
+    together = fractions_observed(others, points)
+    assert together.tolist() == [fractions_observed([k], points)[0] for k in others]
+    assert together[0] > 0.5

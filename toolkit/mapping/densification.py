@@ -89,7 +89,7 @@ class Densification:
         mask = prune_mask(gaussian_map.gaussians, options.min_opacity, options.max_radius_m)
         count = int(mask.sum())
         if count:
-            gaussian_map.keep(~mask)
+            gaussian_map.remove(mask)
         return count
 
 

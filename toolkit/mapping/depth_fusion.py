@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.gaussian_map import GaussianMap
+from toolkit.native import address, kernels_for
 
 # Weight of a new measurement at the same distance as before, similar to a mean over the last ten.
 _WEIGHT = 0.2
@@ -57,11 +59,43 @@ def fuse_depth(gaussian_map: GaussianMap, depth_m: Tensor) -> None:
     Args:
         depth_m: [H, W] measured depth of that keyframe, on the map's device.
     """
-    keyframes = gaussian_map.keyframes
+    keyframes, means = gaussian_map.keyframes, gaussian_map.gaussians.means
+    module = kernels_for(means)
+    if module is not None:
+        moved, seeded_by = means.clone(), gaussian_map.seeded_by.clone()
+        _fuse_depth_native(module, moved, seeded_by, keyframes, depth_m)
+        gaussian_map.move(moved)
+        gaussian_map.seeded_by = seeded_by
+        return
     found = measured_centres(gaussian_map.gaussians, gaussian_map.seeded_by, keyframes, depth_m)
-    gaussian_map.move(gaussian_map.gaussians.means.index_copy(0, found.indices, found.centres))
+    gaussian_map.move(means.index_copy(0, found.indices, found.centres))
     gaussian_map.seeded_by = gaussian_map.seeded_by.index_fill(
         0, found.indices[found.replaced], keyframes[-1].index
+    )
+
+
+def _fuse_depth_native(
+    module: ModuleType,
+    means: Tensor,
+    seeded_by: Tensor,
+    keyframes: Sequence[Keyframe],
+    depth_m: Tensor,
+) -> None:
+    """As `measured_centres`; changes the centres [N, 3] and their keyframes [N] in place."""
+    newest, camera = keyframes[-1], keyframes[-1].camera
+    indices = np.array([k.index for k in keyframes], np.int32)
+    positions = np.array([k.T_map_camera[:3, 3] for k in keyframes], np.float32)
+    module.fuse_depth(
+        (address(means), address(seeded_by)),
+        len(means),
+        address(depth_m),
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        (camera.width, camera.height),
+        se3.inverse(newest.T_map_camera)[:3].ravel(),
+        newest.T_map_camera[:3, 3],
+        (indices.ctypes.data, positions.ctypes.data),
+        len(keyframes),
+        (_WEIGHT, _MIN_WEIGHT, _MAX_INVERSE_DISTANCE, _MAX_DISTANCE, _EDGE, _MIN_DEPTH_M),
     )
 
 
@@ -72,6 +106,8 @@ def measured_centres(
     depth_m: Tensor,
 ) -> MeasuredCentres:
     """Update the centres with the depth of the newest keyframe.
+
+    In torch: reference and fallback of the native kernel, and for GPUs.
 
     Args:
         gaussians: N Gaussians.

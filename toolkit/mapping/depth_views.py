@@ -16,7 +16,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import free_space_margin_m
 from toolkit.keyframe import Keyframe
-from toolkit.native import address, kernels_for
+from toolkit.native import address, kernels, kernels_for
 
 # Distance in metres up to which depth has full confidence; the noise of triangulation grows with
 # the square of the distance.
@@ -180,6 +180,22 @@ def empty_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def depth_confidence(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Confidence [H, W] in [0, 1] of measured depth [H, W], from obliqueness and distance."""
+    module = kernels()
+    if module is None:
+        return _depth_confidence_opencv(depth_m, camera)
+    depth_m = np.ascontiguousarray(depth_m)
+    confidence = np.empty(depth_m.shape, np.float32)
+    module.depth_confidence(
+        depth_m.ctypes.data,
+        (camera.width, camera.height),
+        (camera.fx, camera.fy, _FULL_CONFIDENCE_M, _MIN_OBLIQUE),
+        confidence.ctypes.data,
+    )
+    return confidence
+
+
+def _depth_confidence_opencv(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """As `depth_confidence`, with OpenCV: reference and fallback of the native kernel."""
     known = depth_m > 0
     inverse = np.divide(1.0, depth_m, out=np.zeros_like(depth_m), where=known)
     smooth = cv2.blur(inverse, (3, 3))

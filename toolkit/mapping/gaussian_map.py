@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.rows import Removal, append_rows
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.options import LearningRates
@@ -82,18 +83,24 @@ class GaussianMap:
 
     def append(self, seeds: GaussianCloud, keyframe: Keyframe) -> None:
         """Add Gaussians that a keyframe seeded."""
-        centred = self.gaussians.centred_colours
-        seeds = replace(seeds.to(self.device), centred_colours=centred)
-        self.gaussians = GaussianCloud.concatenate([self.gaussians, seeds])
+        seeds, cloud = seeds.to(self.device), self.gaussians
+        self.gaussians = GaussianCloud(
+            *(append_rows(getattr(cloud, name), getattr(seeds, name)) for name in PARAMETERS),
+            centred_colours=cloud.centred_colours,
+        )
         self.optimiser.extend(len(seeds))
         seeded_by = self.seeded_by.new_full((len(seeds),), keyframe.index)
-        self.seeded_by = torch.cat([self.seeded_by, seeded_by])
+        self.seeded_by = append_rows(self.seeded_by, seeded_by)
 
-    def keep(self, mask: Tensor) -> None:
-        """Remove the Gaussians outside a mask [N]."""
-        self.gaussians = self.gaussians.select(mask)
-        self.optimiser.keep(mask)
-        self.seeded_by = self.seeded_by[mask]
+    def remove(self, mask: Tensor) -> None:
+        """Remove the Gaussians in a mask [N]; the order of the others changes."""
+        removal, cloud = Removal.of(mask), self.gaussians
+        self.gaussians = GaussianCloud(
+            *(removal.apply(getattr(cloud, name)) for name in PARAMETERS),
+            centred_colours=cloud.centred_colours,
+        )
+        self.optimiser.remove(removal)
+        self.seeded_by = removal.apply(self.seeded_by)
 
     def move(self, means: Tensor) -> None:
         """Replace the centres [N, 3]."""

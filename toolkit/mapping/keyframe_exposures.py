@@ -29,7 +29,7 @@ from toolkit.alignment.white_balance import (
 from toolkit.caching import LruCache
 from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe, evenly_spaced
+from toolkit.keyframe import Keyframe, evenly_spaced, fractions_observed
 from toolkit.mapping.options import WhiteBalanceOptions
 from toolkit.native import address, kernels
 
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 # Colours are compared at about this number of cells per row; averages contain little noise and
 # are robust against small errors of poses.
-_CELLS_PER_ROW = 80
+_CELLS_PER_ROW = 64
 # Level of 8 bits from which a channel may be saturated.
 _SATURATED = 250
 # Maximum difference of the depths of a surface in two keyframes, as a fraction of depth.
@@ -145,9 +145,9 @@ class KeyframeExposures:
             self._set_gain(keyframe, chosen, common)
         if not self.options.use:
             return
-        links = _links(chosen, keyframe, common, range(len(chosen)), len(chosen))
+        keyframe.balance_links = _links(chosen, keyframe, common)
         known = np.array([_log_balance(k) for k in chosen])
-        values = solve_balances(known, len(chosen) + 1, links)
+        values = solve_balances(known, len(chosen) + 1, _numbered([*chosen, keyframe]))
         self._set_balance(keyframe, values[-1], is_neutral(values[-1], self.options.min_change))
         if self.gains:
             # The white balance changes the intensities of coloured surfaces.
@@ -160,13 +160,8 @@ class KeyframeExposures:
         """
         if not self.options.use or len(keyframes) < 2:
             return
-        numbers = {id(keyframe): number for number, keyframe in enumerate(keyframes)}
-        links: list[BalanceLink] = []
-        for number, keyframe in enumerate(keyframes):
-            chosen = self._chosen(keyframe, keyframes[:number])
-            common = [self._common(other, keyframe) for other in chosen]
-            links += _links(chosen, keyframe, common, [numbers[id(k)] for k in chosen], number)
-        values = solve_balances(_log_balance(keyframes[0])[None], len(keyframes), links)
+        known = _log_balance(keyframes[0])[None]
+        values = solve_balances(known, len(keyframes), _numbered(keyframes))
         neutral = is_neutral(values, self.options.min_change)
         for keyframe, value in zip(keyframes[1:], values[1:], strict=True):
             self._set_balance(keyframe, value, neutral)
@@ -180,13 +175,8 @@ class KeyframeExposures:
         candidates = [*evenly_spaced(others[:newest], _MAX_CANDIDATES), *others[newest:]]
         if not candidates:
             return []
-        shown = new.fractions_seen_by(np.array([k.T_map_camera for k in candidates]))
-        points = new.points_in_map()
-        near = [
-            keyframe
-            for keyframe, fraction in zip(candidates, shown, strict=True)
-            if fraction >= _MIN_OVERLAP and keyframe.fraction_observed(points) >= _MIN_OVERLAP
-        ]
+        observed = fractions_observed(candidates, new.points_in_map())
+        near = [k for k, f in zip(candidates, observed, strict=True) if f >= _MIN_OVERLAP]
         recent = self.options.recent
         return [*evenly_spaced(near[:-recent], self.options.older), *near[-recent:]]
 
@@ -221,27 +211,27 @@ class KeyframeExposures:
         return self._cache.get(keyframe.index, lambda: _Cells.of(keyframe))
 
 
-def _links(
-    chosen: Sequence[Keyframe],
-    new: Keyframe,
-    common: Sequence[_Common],
-    numbers: Sequence[int],
-    number: int,
-) -> list[BalanceLink]:
-    """Links from some keyframes with `numbers` to a new one with a `number`."""
-    if not chosen:
-        return []
+def _links(chosen: Sequence[Keyframe], new: Keyframe, common: Sequence[_Common]) -> Array:
+    """Differences of white balance between a new keyframe and earlier ones; see `Keyframe`."""
     found = [
-        pair.difference(old.exposure, new.exposure)
+        (old.index, pair.difference(old.exposure, new.exposure))
         for old, pair in zip(chosen, common, strict=True)
     ]
-    links = [
-        BalanceLink(other, number, difference)
-        for other, difference in zip(numbers, found, strict=True)
-        if difference is not None
-    ]
     # Where no colours determine the balance, it stays as it was.
-    return [*links, BalanceLink(numbers[-1], number, _UNCHANGED)]
+    found.append((chosen[-1].index, _UNCHANGED))
+    return np.array([[index, *d.log_gains, d.weight] for index, d in found if d is not None])
+
+
+def _numbered(keyframes: Sequence[Keyframe]) -> list[BalanceLink]:
+    """The links among some keyframes, which have their positions as numbers."""
+    numbers = {keyframe.index: number for number, keyframe in enumerate(keyframes)}
+    return [
+        BalanceLink(numbers[int(link[0])], number, BalanceDifference(link[1:4], float(link[4])))
+        for number, keyframe in enumerate(keyframes)
+        if keyframe.balance_links is not None
+        for link in keyframe.balance_links
+        if int(link[0]) in numbers
+    ]
 
 
 def _with_gain(exposure: Exposure, colours: NDArray) -> NDArray:

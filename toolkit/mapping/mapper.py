@@ -334,7 +334,7 @@ class Mapper:
     def _remove(self, mask: Tensor) -> None:
         """Remove the Gaussians in a mask [N]."""
         if mask.any():
-            self.map.keep(~mask)
+            self.map.remove(mask)
 
     def _fill_holes(self) -> None:
         views = [DepthView.of(keyframe) for keyframe in self.keyframes]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.rows import Removal, append_rows
 from toolkit.mapping.options import LearningRates
 from toolkit.native import address, kernels_for
 
@@ -31,18 +32,18 @@ class SparseAdam:
 
     def extend(self, count: int) -> None:
         """Append zero moments for new Gaussians."""
-        self.steps = torch.cat([self.steps, self.steps.new_zeros(count)])
+        self.steps = append_rows(self.steps, self.steps.new_zeros(count))
         for moments in (self._first, self._second):
             for name, moment in moments.items():
-                moments[name] = torch.cat([moment, moment.new_zeros(count, *moment.shape[1:])])
+                zeros = moment.new_zeros(count, *moment.shape[1:])
+                moments[name] = append_rows(moment, zeros)
 
-    def keep(self, mask: Tensor) -> None:
-        """Remove the Gaussians outside a mask [N]."""
-        index = mask.nonzero().squeeze(1)
-        self.steps = self.steps.index_select(0, index)
+    def remove(self, removal: Removal) -> None:
+        """Remove Gaussians."""
+        self.steps = removal.apply(self.steps)
         for moments in (self._first, self._second):
             for name, moment in moments.items():
-                moments[name] = moment.index_select(0, index)
+                moments[name] = removal.apply(moment)
 
     def reset(self, name: str) -> None:
         """Set the moments of a parameter to zero, for instance after its values were replaced."""

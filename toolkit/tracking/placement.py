@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from toolkit.alignment.levels import keyframe_level, limited_to_width, model_lev
 from toolkit.alignment.matching import correction_too_large
 from toolkit.caching import LruCache
 from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe, evenly_spaced
+from toolkit.keyframe import Keyframe, evenly_spaced, fractions_observed
 from toolkit.tracking.options import PlacementOptions
 
 Array = NDArray[np.float64]
@@ -30,12 +31,16 @@ Array = NDArray[np.float64]
 _CACHED = 12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Levels:
-    """A keyframe's pyramid, as the model and as the frame of an alignment."""
+    """A keyframe's pyramid, as the frame and, when it is first needed, as the model."""
 
-    model: list[ModelLevel]
     frame: list[FrameLevel]
+
+    @cached_property
+    def model(self) -> list[ModelLevel]:
+        """The pyramid as the model of an alignment."""
+        return [model_level(level) for level in self.frame]
 
 
 class KeyframePlacement:
@@ -73,14 +78,8 @@ class KeyframePlacement:
         """Earlier keyframes that overlap with the new one, in order."""
         options, points = self.options, new.points_in_map()
         first_recent = max(len(keyframes) - options.recent, 0)
-        recent = [
-            k for k in keyframes[first_recent:] if k.fraction_observed(points) >= options.min_recent
-        ]
-        older = [
-            k
-            for k in keyframes[: first_recent : options.every]
-            if k.fraction_observed(points) >= options.min_older
-        ]
+        recent = _observing(keyframes[first_recent:], points, options.min_recent)
+        older = _observing(keyframes[: first_recent : options.every], points, options.min_older)
         return [*evenly_spaced(older, options.older), *recent]
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
@@ -89,5 +88,12 @@ class KeyframePlacement:
 
     def _new_levels(self, keyframe: Keyframe) -> _Levels:
         finest = limited_to_width(keyframe_level(keyframe), self.options.max_width)
-        frame = pyramid(finest, self.options.dense.levels)
-        return _Levels([model_level(level) for level in frame], frame)
+        return _Levels(pyramid(finest, self.options.dense.levels))
+
+
+def _observing(
+    keyframes: Sequence[Keyframe], points_map: Array, min_fraction: float
+) -> list[Keyframe]:
+    """The keyframes that measured at least a fraction of the points [P, 3]."""
+    fractions = fractions_observed(keyframes, points_map)
+    return [k for k, f in zip(keyframes, fractions, strict=True) if f >= min_fraction]

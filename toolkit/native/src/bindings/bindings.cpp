@@ -20,6 +20,8 @@
 #include "losses/semantic_loss.hpp"
 #include "losses/ssim.hpp"
 #include "mapping/common_cells.hpp"
+#include "mapping/depth_confidence.hpp"
+#include "mapping/depth_fusion.hpp"
 #include "mapping/free_space.hpp"
 #include "optimisation/adam.hpp"
 #include "plane_sweep/upsampling.hpp"
@@ -277,6 +279,31 @@ void common_cells(Address points, int64_t count, const std::array<double, 12>& T
                       at<int32_t>(cells));
 }
 
+// limits: focal lengths, depth with full confidence, confidence of grazing angles.
+void confidence_of_depth(Address depth, const Size& size, const std::array<double, 4>& limits,
+                         Address confidence) {
+    const py::gil_scoped_release release;
+    depth_confidence(at<const float>(depth), size[0], size[1],
+                     {(float)limits[0], (float)limits[1], (float)limits[2], (float)limits[3]},
+                     at<float>(confidence));
+}
+
+// keyframes: indices, positions. limits: as FusionLimits.
+void fuse_measured_depth(const std::array<Address, 2>& gaussians, int64_t count, Address depth,
+                         const Intrinsics& intrinsics, const Size& size,
+                         const std::array<double, 12>& T_camera_map, const std::array<double, 3>& position,
+                         const std::array<Address, 2>& keyframes, int64_t keyframe_count,
+                         const std::array<double, 6>& limits) {
+    const py::gil_scoped_release release;
+    MeasuringView view = {pinhole(intrinsics, size), at<const float>(depth), {}, {}};
+    std::copy(T_camera_map.begin(), T_camera_map.end(), view.T_camera_map);
+    std::copy(position.begin(), position.end(), view.position);
+    fuse_depth(at<float>(gaussians[0]), at<int32_t>(gaussians[1]), count, view,
+               {at<const int32_t>(keyframes[0]), at<const float>(keyframes[1]), keyframe_count},
+               {(float)limits[0], (float)limits[1], (float)limits[2], (float)limits[3], (float)limits[4],
+                (float)limits[5]});
+}
+
 double mean_ssim(Address x, Address y, const std::array<int, 3>& shape, double weight, Address gradient) {
     const py::gil_scoped_release release;
     return ssim(at<const float>(x), at<const float>(y), shape[0], shape[1], shape[2], (float)weight,
@@ -437,6 +464,8 @@ PYBIND11_MODULE(SEMSPLAT_INSTRUCTION_SET, m) {
     m.def("add_evidence", &add_evidence_of);
     m.def("mark_empty", &mark_empty_of);
     m.def("find_common_cells", &common_cells);
+    m.def("depth_confidence", &confidence_of_depth);
+    m.def("fuse_depth", &fuse_measured_depth);
     m.def("mean_ssim", &mean_ssim);
     m.def("rgbd_loss", &loss_of_rgbd);
     m.def("semantic_loss", &loss_of_semantics);
