@@ -47,7 +47,8 @@ class Exposure:
 
     def apply(self, image: Image) -> Image:
         """Convert colours [..., 3] to the exposure of the reference."""
-        image = image * self.gain + self.bias
+        if (self.gain, self.bias) != (1.0, 0.0):
+            image = image * self.gain + self.bias
         return image if self.balance == NEUTRAL else image * _channels(self.balance, image)
 
     def undo(self, reference: Image) -> Image:

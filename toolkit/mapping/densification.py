@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -117,7 +118,13 @@ def uncovered_pixels(
 
 def prune_mask(gaussians: GaussianCloud, min_opacity: float, max_radius_m: float) -> Tensor:
     """Mask [N] of the Gaussians that are transparent, too large or not finite."""
-    mask = gaussians.opacities < min_opacity
-    mask |= gaussians.radii_m > max_radius_m
-    mask |= ~torch.isfinite(gaussians.means).all(dim=1)
+    mask = gaussians.opacity_logits < _logit(min_opacity)
+    mask |= gaussians.log_radii > math.log(max_radius_m)
+    # A sum of coordinates is finite if all of them are; reductions over short axes are slow.
+    x, y, z = gaussians.means.unbind(dim=1)
+    mask |= ~torch.isfinite(x + y + z)
     return mask
+
+
+def _logit(probability: float) -> float:
+    return math.log(probability / (1.0 - probability)) if probability > 0.0 else -math.inf

@@ -137,15 +137,11 @@ def denoised(depth_m: NDArray[np.float32], focal: float | None = None) -> NDArra
     Args:
         focal: focal length in pixels, to remove flying pixels as well.
     """
-    noise = inverse_depth_noise(depth_m)
-    if focal is not None:
-        inverse = _inverse(depth_m)
-        kept = without_flying_pixels(inverse, focal, noise)
-        if kept is not inverse:
-            depth_m = np.where(kept > 0, depth_m, np.float32(0.0))
+    noise, inverse = inverse_depth_noise(depth_m), _inverse(depth_m)
+    kept = inverse if focal is None else without_flying_pixels(inverse, focal, noise)
     if noise < _MIN_NOISE:
-        return depth_m
-    return _inverse(_smoothed(without_gaps(_inverse(depth_m)), noise))
+        return depth_m if kept is inverse else np.where(kept > 0, depth_m, np.float32(0.0))
+    return _inverse(_smoothed(without_gaps(kept), noise))
 
 
 def _smoothed(inverse: NDArray[np.float32], noise: float) -> NDArray[np.float32]:

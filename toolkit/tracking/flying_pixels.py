@@ -44,27 +44,23 @@ def without_flying_pixels(inverse: _Image, focal: float, noise: float) -> _Image
     size = 2 * _RADIUS + 1
     window = np.ones((size, size), np.uint8)
     least = np.float32(_NOISE_SIGMAS * noise)
-    step = np.maximum(least, np.float32(_MAX_TANGENT / focal) * inverse)
-    known = np.where(inverse > 0, inverse, np.float32(np.inf))
-    between = cv2.dilate(inverse, window) - inverse > step
-    between &= inverse - cv2.erode(known, window) > step
-    between &= inverse > 0
-    if not between.any():
-        return inverse
+    nearest = cv2.dilate(inverse, window)
+    farthest = cv2.erode(np.where(inverse > 0, inverse, np.float32(np.inf)), window)
     module = kernels()
     if module is None:
-        return _without_numpy(inverse, between, focal, least, step)
+        step = np.maximum(least, np.float32(_MAX_TANGENT / focal) * inverse)
+        between = (inverse > 0) & (nearest - inverse > step) & (inverse - farthest > step)
+        return _without_numpy(inverse, between, focal, least, step) if between.any() else inverse
     inverse = np.ascontiguousarray(inverse)
-    out = inverse.copy()
-    module.remove_flying_pixels(
+    out = np.empty_like(inverse)
+    removed = module.remove_flying_pixels(
         inverse.shape[::-1],
-        inverse.ctypes.data,
-        between.ctypes.data,
+        [image.ctypes.data for image in (inverse, nearest, farthest)],
         (_RADIUS, _MIN_DIRECTIONS),
         (least, _MAX_TANGENT / focal, _MIN_SUPPORT, _LINEAR, _MAX_LINE_TANGENT / focal),
         out.ctypes.data,
     )
-    return out
+    return out if removed else inverse
 
 
 def _without_numpy(

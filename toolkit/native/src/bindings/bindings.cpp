@@ -233,13 +233,14 @@ void fill_gaps(const Size& size, Address inverse, double max_difference, Address
 }
 
 // limits: noise, maximum slope, minimum support, linearity, maximum slope of a line.
-void without_flying_pixels(const Size& size, Address inverse, Address candidates, const std::array<int, 2>& counts,
-                           const std::array<double, 5>& limits, Address out) {
+int64_t without_flying_pixels(const Size& size, const std::array<Address, 3>& inverse,
+                              const std::array<int, 2>& counts, const std::array<double, 5>& limits, Address out) {
     const py::gil_scoped_release release;
     const FlyingPixels flying = {counts[0],        (float)limits[0], (float)limits[1], (float)limits[2],
                                  (float)limits[3], (float)limits[4], counts[1]};
-    remove_flying_pixels(at<const float>(inverse), at<const uint8_t>(candidates), size[0], size[1], flying,
-                         at<float>(out));
+    return remove_flying_pixels({at<const float>(inverse[0]), at<const float>(inverse[1]),
+                                 at<const float>(inverse[2]), size[0], size[1]},
+                                flying, at<float>(out));
 }
 
 DepthView depth_view(const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_points,

@@ -53,16 +53,23 @@ bool continues(const Image& image, int x, int y, const FlyingPixels& limits) {
 
 }  // namespace
 
-void remove_flying_pixels(const float* inverse, const uint8_t* candidates, int width, int height,
-                          const FlyingPixels& limits, float* out) {
-    const Image image{inverse, width, height};
-#pragma omp parallel for schedule(dynamic, 8)
-    for (int y = 0; y < height; ++y) {
-        for (int x = 0; x < width; ++x) {
-            const size_t i = (size_t)y * width + x;
-            if (candidates[i] && !has_neighbours(image, x, y, limits) && !continues(image, x, y, limits)) out[i] = 0;
+int64_t remove_flying_pixels(const InverseDepth& inverse, const FlyingPixels& limits, float* out) {
+    const Image image{inverse.own, inverse.width, inverse.height};
+    int64_t removed = 0;
+#pragma omp parallel for schedule(dynamic, 8) reduction(+ : removed)
+    for (int y = 0; y < inverse.height; ++y) {
+        for (int x = 0; x < inverse.width; ++x) {
+            const size_t i = (size_t)y * inverse.width + x;
+            const float own = inverse.own[i], step = std::max(limits.noise, limits.max_slope * own);
+            const bool between =
+                own > 0 && inverse.nearest[i] - own > step && own - inverse.farthest[i] > step;
+            const bool flies =
+                between && !has_neighbours(image, x, y, limits) && !continues(image, x, y, limits);
+            out[i] = flies ? 0.0f : own;
+            removed += flies;
         }
     }
+    return removed;
 }
 
 }  // namespace semsplat

@@ -16,9 +16,15 @@ struct FlyingPixels {
     int min_directions;  // minimum number of lines that continue in a pixel
 };
 
-// Sets the candidates of inverse [H, W] that no surface and no lines support to 0.
-// candidates: [H, W], 1 or 0; out: [H, W], a copy of inverse on entry.
-void remove_flying_pixels(const float* inverse, const uint8_t* candidates, int width, int height,
-                          const FlyingPixels& limits, float* out);
+// Inverse depth [H, W] in 1 / m, 0 where missing, and its largest and smallest values in the window around
+// each pixel; smallest leaves out missing pixels.
+struct InverseDepth {
+    const float *own, *nearest, *farthest;
+    int width, height;
+};
+
+// Copies the inverse depth without the pixels between nearer and farther ones that no surface and no lines
+// support, which are set to 0. Returns their number.
+int64_t remove_flying_pixels(const InverseDepth& inverse, const FlyingPixels& limits, float* out);
 
 }  // namespace semsplat
