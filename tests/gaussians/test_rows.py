@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from toolkit.gaussians.rows import Removal, append_rows
+from toolkit.gaussians.rows import append_rows, select_rows
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (0,)])
@@ -41,22 +41,11 @@ def test_two_tensors_may_follow_the_same_one():
     assert one[8:].tolist() == [1.0, 1.0] and other[8:].tolist() == [2.0, 2.0]
 
 
-@pytest.mark.parametrize("removed", [[], [0], [9], [1, 8], [3, 4, 5, 6, 7, 8, 9], range(10)])
-def test_removal_leaves_every_other_row_once(removed):
-    mask = torch.zeros(10, dtype=torch.bool)
-    mask[list(removed)] = True
-    removal = Removal.of(mask)
-    tensor = append_rows(torch.zeros(0, 2), torch.arange(20.0).reshape(10, 2))
-    rest = tensor[~mask].tolist()
-    left = removal.apply(tensor)
-    assert sorted(left.tolist()) == rest
-    # All tensors of a map are reordered alike.
-    assert torch.equal(removal.apply(torch.arange(10.0)), left[:, 0] / 2)
-
-
-def test_rows_are_appended_in_place_of_removed_ones():
-    tensor = append_rows(torch.zeros(0), torch.arange(100.0))
-    left = Removal.of(torch.arange(100) < 30).apply(tensor)
-    joined = append_rows(left, torch.full((30,), -1.0))
-    assert joined.data_ptr() == tensor.data_ptr() and len(joined) == 100
-    assert sorted(joined.tolist()) == [-1.0] * 30 + list(range(30, 100))
+def test_selected_rows_have_room_for_more():
+    tensor = torch.arange(12.0).reshape(6, 2)
+    indices = torch.tensor([0, 3, 5])
+    selected = select_rows(tensor, indices)
+    assert torch.equal(selected, tensor[indices])
+    joined = append_rows(selected, torch.zeros(1, 2))
+    assert joined.data_ptr() == selected.data_ptr()
+    assert torch.equal(joined, torch.cat([tensor[indices], torch.zeros(1, 2)]))

@@ -34,7 +34,8 @@ SCALE = 0.01
 _HALF_WEIGHT_ERROR = 0.003
 # Minimum number of pixels of a pair.
 _MIN_PIXELS = 250
-_ROUNDS = 10
+# Maximum number of rounds, and the change of log gains that ends them.
+_ROUNDS, _CONVERGED = 10, 1e-6
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,10 @@ def solve_balances(
     for _ in range(_ROUNDS):
         H, g = _normal_equations(values, first, second, differences, weights * robust)
         H, g = H + prior * np.eye(count), g - prior * values
-        values[fixed:] += solve_reproducibly(H[fixed:, fixed:], g[fixed:])
+        change = solve_reproducibly(H[fixed:, fixed:], g[fixed:])
+        values[fixed:] += change
+        if np.abs(change).max() < _CONVERGED:
+            break
         residuals = values[second] - values[first] - differences
         robust = 1.0 / (1.0 + (residuals**2).sum(axis=1) / scale**2)
     return values

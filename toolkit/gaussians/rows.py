@@ -1,10 +1,11 @@
-"""Rows of tensors: appended and removed without copying all the others."""
+"""Rows of tensors in memory with spare room, so that appending does not copy all rows before."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 # Memory of a tensor that grows, relative to its rows. Pages that are never written take no memory.
@@ -41,38 +42,12 @@ def append_rows(tensor: Tensor, rows: Tensor) -> Tensor:
     return joined
 
 
-@dataclass(frozen=True)
-class Removal:
-    """Removal of some rows, in whose places the last of the others move.
-
-    Attributes:
-        count: number of rows that are left.
-        places: [K] int64 removed rows among the first `count`.
-        moved: [K] int64 rows behind them that are left.
-    """
-
-    count: int
-    places: Tensor
-    moved: Tensor
-
-    @classmethod
-    def of(cls, mask: Tensor) -> Removal:
-        """Removal of the rows in a mask [N]."""
-        count = len(mask) - int(mask.sum())
-        places = mask[:count].nonzero().squeeze(1)
-        moved = (~mask[count:]).nonzero().squeeze(1) + count
-        return cls(count, places, moved)
-
-    def apply(self, tensor: Tensor) -> Tensor:
-        """Remove the rows of a tensor [N, ...] in place, and return the others.
-
-        The order changes, but only as many rows are copied as are removed.
-        """
-        tensor.index_copy_(0, self.places, tensor.index_select(0, self.moved))
-        room = getattr(tensor, _ATTRIBUTE, None)
-        if room is None or room.used != len(tensor):
-            return tensor[: self.count]
-        return _first_rows(tensor, self.count, room)
+def select_rows(tensor: Tensor, indices: Tensor) -> Tensor:
+    """The rows `indices` [M] of a tensor [N, ...], in memory with room for more."""
+    count = len(indices)
+    memory = tensor.new_empty(math.ceil(_GROWTH * count), *tensor.shape[1:])
+    selected = _first_rows(memory, count, _Room(len(memory), 0))
+    return torch.index_select(tensor, 0, indices, out=selected)
 
 
 def _first_rows(memory: Tensor, count: int, room: _Room) -> Tensor:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
-from toolkit.gaussians.rows import Removal, append_rows
+from toolkit.gaussians.rows import append_rows, select_rows
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.options import LearningRates
@@ -93,14 +93,14 @@ class GaussianMap:
         self.seeded_by = append_rows(self.seeded_by, seeded_by)
 
     def remove(self, mask: Tensor) -> None:
-        """Remove the Gaussians in a mask [N]; the order of the others changes."""
-        removal, cloud = Removal.of(mask), self.gaussians
+        """Remove the Gaussians in a mask [N]."""
+        kept, cloud = (~mask).nonzero().squeeze(1), self.gaussians
         self.gaussians = GaussianCloud(
-            *(removal.apply(getattr(cloud, name)) for name in PARAMETERS),
+            *(select_rows(getattr(cloud, name), kept) for name in PARAMETERS),
             centred_colours=cloud.centred_colours,
         )
-        self.optimiser.remove(removal)
-        self.seeded_by = removal.apply(self.seeded_by)
+        self.optimiser.keep(kept)
+        self.seeded_by = select_rows(self.seeded_by, kept)
 
     def move(self, means: Tensor) -> None:
         """Replace the centres [N, 3]."""

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 # Colours are compared at about this number of cells per row; averages contain little noise and
 # are robust against small errors of poses.
-_CELLS_PER_ROW = 64
+_CELLS_PER_ROW = 80
 # Level of 8 bits from which a channel may be saturated.
 _SATURATED = 250
 # Maximum difference of the depths of a surface in two keyframes, as a fraction of depth.

@@ -71,13 +71,16 @@ def hide_moving_objects(
     nearer = _nearer_than_map(measured_m, map_m - measured_m, covered, options)
     if nearer is None:
         return
+    map_m = torch.where(mapped, map_m, torch.inf)
+    new = nearer & ~_displaced(measured_m.numpy(), map_m.numpy())
+    regions = _regions(new, options.min_area)
+    if not regions:
+        return
     difference = _colour_difference(keyframe, view)
     usual = float(np.median(difference[~nearer]))
     limit = max(_MIN_COLOUR, _COLOUR_FACTOR * usual)
     mask = np.zeros(nearer.shape, bool)
-    map_m = torch.where(mapped, map_m, torch.inf)
-    new = nearer & ~_displaced(measured_m.numpy(), map_m.numpy())
-    for region in _regions(new, options.min_area):
+    for region in regions:
         if np.median(difference[region]) > limit and _has_moved(region, keyframe, others, options):
             mask |= _continued(region, nearer)
     if mask.any():

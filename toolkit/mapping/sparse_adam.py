@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
-from toolkit.gaussians.rows import Removal, append_rows
+from toolkit.gaussians.rows import append_rows, select_rows
 from toolkit.mapping.options import LearningRates
 from toolkit.native import address, kernels_for
 
@@ -38,12 +38,15 @@ class SparseAdam:
                 zeros = moment.new_zeros(count, *moment.shape[1:])
                 moments[name] = append_rows(moment, zeros)
 
-    def remove(self, removal: Removal) -> None:
-        """Remove Gaussians."""
-        self.steps = removal.apply(self.steps)
+    def keep(self, indices: Tensor) -> None:
+        """Keep the Gaussians `indices` [M], and remove the others.
+
+        Those of a view stay consecutive, which the kernel is fast for.
+        """
+        self.steps = select_rows(self.steps, indices)
         for moments in (self._first, self._second):
             for name, moment in moments.items():
-                moments[name] = removal.apply(moment)
+                moments[name] = select_rows(moment, indices)
 
     def reset(self, name: str) -> None:
         """Set the moments of a parameter to zero, for instance after its values were replaced."""

@@ -84,8 +84,9 @@ class PlacementOptions:
     # a quarter of a decibel in mapped views of fr1_rpy.
     max_width: Annotated[int, Range(ge=16)] = 400
     """Maximum image width for the alignment, in pixels. Wider images are halved."""
-    # Tracked poses are accurate to one or two pixels, so that few levels suffice.
-    dense: JointOptions = JointOptions(levels=2)
+    # Tracked poses are accurate to one or two pixels, so few levels suffice. With half of these
+    # limits, alignment takes a quarter longer, and trajectories and maps are the same.
+    dense: JointOptions = JointOptions(levels=2, small_translation_m=2e-4, small_rotation_rad=1e-4)
 
 
 @dataclass(frozen=True)
