@@ -46,7 +46,7 @@ class Exposure:
         return cls(float(values["gain"]), float(values["bias"]), balance=(red, green, blue))
 
     def apply(self, image: Image) -> Image:
-        """Convert colours [..., 3] to the exposure of the reference."""
+        """Convert colours [..., 3] to the exposure of the reference; the image itself if equal."""
         if (self.gain, self.bias) != (1.0, 0.0):
             image = image * self.gain + self.bias
         return image if self.balance == NEUTRAL else image * _channels(self.balance, image)

@@ -123,6 +123,8 @@ def test_a_checkpoint_contains_it():
     restored = Keyframe.from_state(view.arrays(), view.values())
     assert restored.exposure == view.exposure
     np.testing.assert_array_equal(restored.log_balance, view.log_balance)
+    assert view.balance_links is not None and len(view.balance_links) > 3
+    np.testing.assert_array_equal(restored.balance_links, view.balance_links)
 
 
 def test_checkpoints_of_older_versions_are_neutral():

@@ -12,9 +12,11 @@ from mapped_room import depth_error_m, fed, psnr_db, same_bits
 
 from toolkit.exposure import Exposure
 from toolkit.features.builtin import BuiltinEncoder
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.losses import photometric
 from toolkit.mapping import sparse_adam
+from toolkit.mapping.densification import prune_mask
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.mapping.surfaces import Surfaces
@@ -161,6 +163,17 @@ def test_useless_gaussians_are_pruned(room):
     assert len(mapper.gaussians) == count - 3
     assert torch.equal(mapper.gaussians.means, expected)
     assert len(mapper.map.optimiser.steps) == count - 3
+
+
+@pytest.mark.parametrize(("min_opacity", "pruned"), [(0.0, 0), (0.3, 1), (1.0, 3)])
+def test_gaussians_below_an_opacity_are_pruned(min_opacity: float, pruned: int):
+    cloud = GaussianCloud.from_values(
+        torch.zeros(3, 3),
+        torch.full((3,), 0.1),
+        torch.tensor([0.29, 0.31, 0.999]),
+        torch.zeros(3, 3),
+    )
+    assert int(prune_mask(cloud, min_opacity, max_radius_m=0.5).sum()) == pruned
 
 
 def test_the_newest_frame_is_wanted_as_the_policy_says(room):

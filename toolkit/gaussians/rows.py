@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-# Memory of a tensor that grows, relative to its rows. Pages that are never written take no memory.
+# Memory of a tensor that grows, relative to its rows. On a CPU, pages take memory when written.
 _GROWTH = 1.5
 _ATTRIBUTE = "_room"
 

@@ -127,4 +127,7 @@ def prune_mask(gaussians: GaussianCloud, min_opacity: float, max_radius_m: float
 
 
 def _logit(probability: float) -> float:
-    return math.log(probability / (1.0 - probability)) if probability > 0.0 else -math.inf
+    """The logit of a probability, infinite at 0 and from 1 on."""
+    if 0.0 < probability < 1.0:
+        return math.log(probability / (1.0 - probability))
+    return -math.inf if probability <= 0.0 else math.inf

@@ -82,7 +82,7 @@ def _fuse_depth_native(
     depth_m: Tensor,
 ) -> None:
     """As `measured_centres`; changes the centres [N, 3] and their keyframes [N] in place."""
-    newest, camera = keyframes[-1], keyframes[-1].camera
+    newest, camera, depth_m = keyframes[-1], keyframes[-1].camera, depth_m.contiguous()
     indices = np.array([k.index for k in keyframes], np.int32)
     positions = np.array([k.T_map_camera[:3, 3] for k in keyframes], np.float32)
     module.fuse_depth(
