@@ -17,7 +17,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping import depth_views, free_space
 from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
-from toolkit.mapping.free_space import Evidence, FreeSpace, is_measured
+from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
 from toolkit.native import available_instruction_sets, load_variant
@@ -210,3 +210,42 @@ def test_the_confidence_of_the_kernel_agrees_with_opencv(
         found.append(depth_views.depth_confidence(depth_m, camera))
     assert ((found[0] == 0) == (depth_m == 0)).all() and np.unique(found[0]).size > 5
     assert np.allclose(*found, rtol=1e-4, atol=1e-5)
+
+
+def test_nothing_hides_the_view_of_a_frame():
+    """Frames between keyframes show that they are in empty space, too."""
+    camera = Camera(fx=40.0, fy=40.0, cx=19.5, cy=14.5, width=40, height=30)
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 0, 3] = [0.0, 1.0, -2.0]
+    poses[1, :3, :3] = np.diag([-1.0, 1.0, -1.0])  # looks back
+    offsets = {
+        "ahead": (0.01, 0.0, 0.1),
+        "beside": (0.1, 0.0, 0.02),
+        "behind": (0.0, 0.0, -0.1),
+        "farther": (0.0, 0.0, 0.16),
+    }
+    hidden = {
+        name: [bool(hides_view(torch.from_numpy((pose[:3, 3] + offset)[None]), camera, poses)[0])]
+        for name, offset in offsets.items()
+        for pose in poses[2:]
+    }
+    assert hidden == {"ahead": [True], "beside": [False], "behind": [False], "farther": [False]}
+    assert hides_view(torch.tensor([[1.0, 0.0, -0.1]]), camera, poses).tolist() == [True]
+    assert hides_view(torch.zeros(2, 3), camera, poses[1:]).tolist() == [False, False]
+    assert hides_view(torch.zeros(0, 3), camera, poses).tolist() == []
+
+
+def test_a_blob_before_a_frame_between_keyframes_is_removed(room: MappedRoom):
+    mapper = Mapper(MapperOptions(final_iterations=0, fill_holes=False))
+    for frame, T in list(zip(room.frames, room.T_map_camera, strict=False))[:2]:
+        mapper.add_keyframe(Keyframe.from_frame(frame, T))
+    count = len(mapper.gaussians)
+    # Turned to the left, to where no keyframe looks.
+    T_between = room.T_map_camera[1].copy()
+    T_between[:3, :3] = T_between[:3, :3] @ np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]])
+    blob = torch.from_numpy(T_between[:3, 3] + 0.1 * T_between[:3, 2]).float()
+    mapper.gaussians.means[0] = blob
+    for poses, left in ((None, 1), (np.stack([*room.T_map_camera[:2], T_between]), 0)):
+        mapper.refine(poses)
+        assert int((mapper.gaussians.means == blob).all(dim=1).sum()) == left
+    assert len(mapper.gaussians) > 0.9 * count

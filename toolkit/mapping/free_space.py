@@ -14,14 +14,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_margin_m
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.depth_views import MIN_DEPTH_M, DepthView, DepthViews
 from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.native import address, kernels_for
+
+Array = NDArray[np.float64]
 
 # Maximum fraction of the seeds of a keyframe that earlier keyframes may rule out.
 _MAX_DROPPED = 0.2
@@ -30,6 +36,10 @@ _MIN_THROUGH_UNMEASURED = 0.1
 # Maximum radius of Gaussians at such points, as an angle in any keyframe that shows them: ten times
 # that of a pixel of a usual camera.
 _MAX_UNMEASURED_RAD = 0.03
+
+# Distance in metres in front of a camera within which it sees no surface: sensors do not measure
+# that near, and a single Gaussian there would hide the scene.
+_CLEAR_M = 0.15
 
 
 def is_measured(options: FreeSpaceOptions, keyframes: Iterable[Keyframe]) -> bool:
@@ -125,6 +135,42 @@ class Evidence:
         in_doubt = self.through >= _MIN_THROUGH_UNMEASURED
         in_doubt |= radii_m > _MAX_UNMEASURED_RAD * self.nearest_m
         return self.contradicts(options) | ((self.support == 0) & in_doubt)
+
+
+def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
+    """Mask [N] of the points [N, 3] right in front of any camera of a path.
+
+    The path leads through empty space, also between keyframes.
+
+    Args:
+        camera: intrinsics of all frames.
+        T_map_cameras: [P, 4, 4] poses of the frames.
+    """
+    points = means.double().cpu().numpy()
+    cells = _cells(points)
+    steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 3)
+    around = _cells(T_map_cameras[:, :3, 3])[:, None] + steps
+    near = np.flatnonzero(np.isin(_keys(cells), _keys(around.reshape(-1, 3))))
+    hides = np.zeros(len(near), bool)
+    for T_camera_map in se3.inverse(T_map_cameras) if len(near) else ():
+        of_camera = se3.transform_points(T_camera_map, points[near])
+        ahead = (of_camera[:, 2] > 0) & (np.linalg.norm(of_camera, axis=1) < _CLEAR_M)
+        uv = camera.project(of_camera[ahead])
+        ahead[ahead] = ((uv > -0.5) & (uv < np.array(camera.size) - 0.5)).all(axis=1)
+        hides |= ahead
+    mask = torch.zeros(len(means), dtype=torch.bool)
+    mask[near] = torch.from_numpy(hides)
+    return mask.to(means.device)
+
+
+def _cells(points: Array) -> NDArray[np.int64]:
+    """Cells [N, 3] of a grid that contain points [N, 3]."""
+    return np.floor(points / _CLEAR_M).astype(np.int64)
+
+
+def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A number [N] for each cell [N, 3], unique within a million cells in each direction."""
+    return (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
 
 
 class FreeSpace:

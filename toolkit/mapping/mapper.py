@@ -24,7 +24,7 @@ from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.free_space import Evidence, FreeSpace, is_measured
+from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
@@ -258,8 +258,15 @@ class Mapper:
         """Take one optimisation step on one keyframe; see `MapOptimisation.step`."""
         return self._optimisation.step(self.map, keyframe, progress, objective)
 
-    def refine(self) -> None:
-        """Refine the map over all keyframes, at the end of a run; see `refinement.py`."""
+    def refine(self, T_map_cameras: NDArray[np.float64] | None = None) -> None:
+        """Refine the map over all keyframes, at the end of a run; see `refinement.py`.
+
+        Args:
+            T_map_cameras: [P, 4, 4] poses of all frames, in front of which space is cleared; only
+                those of the keyframes if absent.
+        """
+        if T_map_cameras is None:
+            T_map_cameras = np.array([k.T_map_camera for k in self.keyframes])
         with self._recorder.timed("exposure"):
             self.exposures.adjust(self.keyframes)
         if self.semantics.channels and self.options.consensus.use:
@@ -272,12 +279,12 @@ class Mapper:
                     self.options.consensus,
                 )
             self.map.optimiser.reset("features")
-        self._clear_free_space()
+        self._clear_free_space(T_map_cameras)
         if self.options.fill_holes:
             with self._recorder.timed("hole filling"):
                 self._fill_holes()
         refine(self.map, self._optimisation, self.options, self._generator)
-        self._clear_free_space()
+        self._clear_free_space(T_map_cameras)
         self._densification.prune(self.map)
 
     def replace_content(self, content: MapContent) -> None:
@@ -319,14 +326,19 @@ class Mapper:
         T_camera_map = se3.inverse(T_map_camera)
         return render_surface(self._backend, gaussians, camera, T_camera_map, options)
 
-    def _clear_free_space(self) -> None:
-        """Remove Gaussians from space that all keyframes together measured as empty."""
+    def _clear_free_space(self, T_map_cameras: NDArray[np.float64]) -> None:
+        """Remove Gaussians from space that all keyframes together measured as empty.
+
+        Args:
+            T_map_cameras: [P, 4, 4] poses of frames.
+        """
         if not is_measured(self.options.free_space, self.keyframes):
             return
         with self._recorder.timed("free space"):
             views = (DepthView.of(keyframe) for keyframe in self.keyframes)
             evidence = Evidence.of(self.gaussians.means, views)
             mask = evidence.contradicts_in_map(self.gaussians.radii_m, self.options.free_space)
+            mask |= hides_view(self.gaussians.means, self.keyframes[0].camera, T_map_cameras)
         self._remove(mask)
         if mask.any():
             _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
