@@ -144,13 +144,6 @@ class CameraPath:
             for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
         ]
 
-    def poses_by_submap(self, atlas: Atlas) -> dict[int, Array]:
-        """T_submap_camera [M, 4, 4] of the frames of each submap, by its number."""
-        poses: dict[int, list[Array]] = {}
-        for frame, T in zip(self._frames, self.poses_in_submaps(atlas), strict=True):
-            poses.setdefault(frame.submap, []).append(T)
-        return {number: np.array(of_submap) for number, of_submap in poses.items()}
-
     def exposures(self, atlas: Atlas, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
         """Exposure of each frame against the map.
 

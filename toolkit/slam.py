@@ -219,7 +219,7 @@ class Slam:
             self._map_intermediate_frames()
             with self._recorder.timed("refinement"):
                 self._closer.finish(self.atlas)
-                refine_submaps(self.atlas, self._path.poses_by_submap(self.atlas))
+                refine_submaps(self.atlas, self._path.trajectory(self.atlas).T_world_camera)
                 self._fused = fuse(self.atlas)
         return self.result()
 

@@ -73,7 +73,7 @@ def test_a_checkpoint_of_another_format_is_not_called_damaged(folder):
     metadata = json.loads(path.read_text())
     del metadata["format"]  # as versions before the first format wrote it
     path.write_text(json.dumps(metadata))
-    with pytest.raises(RunFolderError, match=r"checkpoint format 0.*reads format 1.*new run"):
+    with pytest.raises(RunFolderError, match=r"checkpoint format 0.*reads format 2.*new run"):
         folder.load_checkpoint()
 
 
