@@ -142,7 +142,7 @@ def _plan(options: Options, path: Path) -> Path:
 def _kill_worker(out: Path, frame: int) -> None:
     """Kill the worker of the first run that has a checkpoint at a frame or later."""
     while True:
-        for path in out.glob("ring/default/*/checkpoint/*/metadata.json"):
+        for path in out.glob("ring/default/*/checkpoint/[01]/metadata.json"):
             try:
                 reached = json.loads(path.read_text())["next_frame"] >= frame
             except (OSError, ValueError):

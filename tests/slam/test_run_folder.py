@@ -57,6 +57,18 @@ def test_a_damaged_newest_falls_back_to_the_one_before(folder, caplog, file, new
         assert str(folder.checkpoints / newest) in caplog.text
 
 
+def test_what_a_killed_process_was_writing_is_removed_when_the_run_is_resumed(folder):
+    save(folder, 1)
+    for parent in (folder.path, folder.checkpoints, folder.submaps):
+        (parent / ".writing-a").mkdir(parents=True)
+        (parent / ".writing-a/arrays.npz").write_bytes(b"half")
+        (parent / ".replaced-b").mkdir()
+        (parent / ".writing-c.ply").write_bytes(b"half")
+    folder.remove_leftovers()
+    assert not list(folder.path.rglob(".*"))
+    assert folder.load_checkpoint().next_frame == 1
+
+
 def test_after_a_damage_the_good_one_is_not_the_next_to_go(folder):
     for number in range(3):
         save(folder, number)

@@ -88,6 +88,7 @@ def run(
     if resume:
         folder = RunFolder.open(out)
         folder.check_config(config)
+        folder.remove_leftovers()
     else:
         folder = RunFolder.create(out, config)
     try:

@@ -125,6 +125,16 @@ class RunFolder:
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
 
+    def remove_leftovers(self) -> None:
+        """Remove what a killed process was writing or replacing; call it in the resumed run."""
+        for parent in (self.path, self.checkpoints, self.submaps):
+            for pattern in (".writing-*", ".replaced-*"):
+                for path in parent.glob(pattern):
+                    if path.is_dir():
+                        shutil.rmtree(path, ignore_errors=True)
+                    else:
+                        path.unlink(missing_ok=True)
+
     def check_config(self, config: str) -> None:
         """Check that a run is resumed with its own settings.
 
