@@ -17,8 +17,17 @@ from toolkit.loops.relocalisation import LastPosition
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
+from toolkit.tracking.rolling_shutter import velocity_between
 
 Array = NDArray[np.float64]
+
+# Number of poses from which the velocity is computed. From two, it contains more of the errors of
+# the poses, which it passes on to the next one; on fr1/rpy, the error between frames was a quarter
+# larger. Older poses (seconds) do not state the present velocity.
+_VELOCITY_POSES = 3
+_MAX_AGE_S = 0.25
+# Number of newest frames that may include these poses, if frames are dropped.
+_MAX_RECENT = 16
 
 
 @dataclass(frozen=True)
@@ -127,6 +136,34 @@ class CameraPath:
         last = self._frames[-1]
         T_submap_keyframe = atlas.keyframe_poses(last.submap)[last.keyframe]
         return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
+
+    def velocity(self, atlas: Atlas, frame: FrameStamp) -> Array | None:
+        """Mean velocity [6] (m/s, rad/s) of the camera in its own frame over its last poses.
+
+        Args:
+            frame: the next frame.
+
+        Returns:
+            None without two recent poses since a frame was lost.
+        """
+        first_allowed = max(self.lost_frames[-1:], default=-1) + 1
+        dropped = set(self.dropped_frames[-_MAX_RECENT:])
+        recent = [
+            (f, T)
+            for f, T in zip(
+                self._frames[-_MAX_RECENT:], self._T_keyframe_camera[-_MAX_RECENT:], strict=True
+            )
+            if f.index >= first_allowed
+            and f.index not in dropped
+            and frame.timestamp_s - f.timestamp_s <= _MAX_AGE_S
+        ][-_VELOCITY_POSES:]
+        if len(recent) < 2:
+            return None
+        first, last = (
+            atlas.T_world_submap(f.submap) @ atlas.keyframe_poses(f.submap)[f.keyframe] @ T
+            for f, T in (recent[0], recent[-1])
+        )
+        return velocity_between(first, last, recent[-1][0].timestamp_s - recent[0][0].timestamp_s)
 
     def last_position(self, atlas: Atlas) -> LastPosition | None:
         """Time and position in the world frame of the newest frame; None without frames."""

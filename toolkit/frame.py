@@ -26,6 +26,8 @@ class Frame:
         labels: [H, W] int32 class ids, 0 void, or None.
         inferred: [H, W] bool, where the depth was neither measured nor triangulated but follows
             from a depth prior; None if it does nowhere.
+        readout_s: time in seconds from the exposure of the first row to that of the last, of both
+            images; 0 for a global shutter.
 
     Raises:
         ValueError: shapes or types disagree with the camera.
@@ -38,6 +40,7 @@ class Frame:
     camera: Camera
     labels: NDArray[np.int32] | None = None
     inferred: NDArray[np.bool_] | None = None
+    readout_s: float = 0.0
 
     def __post_init__(self) -> None:
         height, width = self.camera.height, self.camera.width

@@ -34,6 +34,7 @@ from toolkit.threads import single_threaded_blas
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
+from toolkit.tracking.rolling_shutter import rectified
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
@@ -55,6 +56,7 @@ class Slam:
         denoise: bool = True,
         placement: KeyframePlacement | None = None,
         correction: DepthCorrection | None = None,
+        start_velocity: NDArray[np.float64] | None = None,
     ) -> None:
         """Assemble the system.
 
@@ -69,6 +71,8 @@ class Slam:
             placement: refines the poses of new keyframes against earlier keyframes.
             correction: gives frames that may become keyframes the depth of their priors, aligned
                 with the map; None if depth is measured.
+            start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling
+                shutter has bent; None if it is not known.
         """
         self.tracker = tracker
         self.mapper = mapper
@@ -78,6 +82,7 @@ class Slam:
         self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
         self._filter = DepthFilter() if denoise else None
         self._placement, self._correction = placement, correction
+        self._start_velocity = start_velocity
         self._path = CameraPath()
         self._between = IntermediateFrames()
         self._recovery = Recovery(
@@ -118,8 +123,8 @@ class Slam:
 
         Another thread may call this while earlier frames are processed (`prefetched`).
         """
-        if self.mapper.device.type == "cpu":
-            return  # tracking and mapping need all cores
+        if self.mapper.device.type == "cpu" or frame.readout_s > 0.0:
+            return  # tracking and mapping need all cores; rectification, the frames before
         if self._filter is not None:
             frame = self._filter.prepare(frame)
         self.tracker.prepare(frame, self.mapper.device)
@@ -132,7 +137,7 @@ class Slam:
             frame: the next frame of the sequence.
             may_map: False for a held-out view, which does not change the map.
         """
-        frame = self._denoised(frame)
+        frame = self._denoised(self._rectified(frame))
         if self._labels_first:
             frame = self._segmented(frame, None)
         frame = self._with_prior(frame)
@@ -257,6 +262,15 @@ class Slam:
             covariances=covariances,
             dropped_frames=list(path.dropped_frames),
         )
+
+    def _rectified(self, frame: Frame) -> Frame:
+        """The frame without the effect of its rolling shutter, from the camera's last motion."""
+        if frame.readout_s == 0.0:
+            return frame
+        with self._recorder.timed("rectification"):
+            velocity = self._path.velocity(self.atlas, frame)
+            starts = len(self._path.indices) < 2 and not self._path.lost_frames
+            return rectified(frame, self._start_velocity if starts else velocity)
 
     def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
         if self._filter is None:

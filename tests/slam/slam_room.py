@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,10 +41,10 @@ def first_steps(count: int = 14) -> SlamRoom:
     return SlamRoom(frames, truth.transformed(se3.inverse(truth.T_world_camera[0])))
 
 
-def new_slam(seed: int = 0, placed: bool = True) -> Slam:
+def new_slam(seed: int = 0, placed: bool = True, **more: Any) -> Slam:
     """With keyframes placed by earlier ones, or where they are tracked."""
-    mapper = Mapper(FEW, np.random.default_rng(seed))
-    return Slam(DenseTracker(), mapper, placement=KeyframePlacement() if placed else None)
+    mapper, placement = Mapper(FEW, np.random.default_rng(seed)), KeyframePlacement()
+    return Slam(DenseTracker(), mapper, placement=placement if placed else None, **more)
 
 
 def new_semantic_slam(kind: str, seed: int = 0) -> Slam:

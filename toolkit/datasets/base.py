@@ -120,6 +120,8 @@ class Recording:
             nothing is stated, so that a typical one is the initial value.
         depth_offset_px: (x, y) by which colour images are offset from depth images; depth is
             shifted by it.
+        readout_s: time in seconds from the exposure of the first row of an image to that of the
+            last, of colour and depth; 0 for a global shutter.
     """
 
     name: str
@@ -141,6 +143,7 @@ class Recording:
     calibrated: bool = True
     focal_sigma: float | None = None
     depth_offset_px: tuple[float, float] = (0.0, 0.0)
+    readout_s: float = 0.0
 
 
 class RecordedDataset:
@@ -179,6 +182,9 @@ class RecordedDataset:
         size = image_size or (recording.camera.size if any(offset_px) else None)
         self._grid = ImageGrid(recording.camera, size, offset_px) if size else None
         self.camera = self._grid.camera if self._grid else recording.camera
+        # A crop contains a part of the rows.
+        rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height
+        self._readout_s = recording.readout_s * rows
         self._videos: dict[Path, VideoFile] = {}
         self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)
 
@@ -213,7 +219,9 @@ class RecordedDataset:
             rgb = self._grid.colour(rgb)
             depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
-        return Frame(index, files.timestamp_s, rgb, depth_m, self.camera, labels)
+        return Frame(
+            index, files.timestamp_s, rgb, depth_m, self.camera, labels, readout_s=self._readout_s
+        )
 
     def __iter__(self) -> Iterator[Frame]:
         """Iterate over all frames in order, prefetched by a background thread."""

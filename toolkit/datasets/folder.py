@@ -22,7 +22,7 @@ from toolkit.io.trajectories import read_tum_lines
 
 DEFAULT_FPS = 30.0
 _REQUIRED = ("fx", "fy", "cx", "cy", "width", "height")
-_OPTIONAL = ("depth_scale", "distortion", "fisheye", "fps")
+_OPTIONAL = ("depth_scale", "distortion", "fisheye", "fps", "readout_ms")
 _COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -31,6 +31,7 @@ class Intrinsics:
     """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate.
 
     Without depth, `depth_scale` is 1. With `fisheye`, `distortion` is the key of that name.
+    `readout_s` is that of a rolling shutter, in seconds.
     """
 
     camera: Camera
@@ -38,6 +39,7 @@ class Intrinsics:
     distortion: tuple[float, ...] | None
     fps: float
     fisheye: bool = False
+    readout_s: float = 0.0
 
 
 def describe(path: Path) -> Recording:
@@ -79,6 +81,7 @@ def describe(path: Path) -> Recording:
         distortion=intrinsics.distortion,
         fisheye=intrinsics.fisheye,
         flaws=flaws,
+        readout_s=intrinsics.readout_s,
     )
 
 
@@ -108,6 +111,7 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
         numbers = {key: float(values[key]) for key in _REQUIRED}
         depth_scale = float(values.get("depth_scale", 1.0))
         fps = float(values.get("fps", DEFAULT_FPS))
+        readout_ms = float(values.get("readout_ms", 0.0))
         distortion = tuple(float(k) for k in values.get("distortion") or ())
         fisheye = tuple(float(k) for k in values.get("fisheye") or ())
         camera = Camera(
@@ -131,7 +135,13 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
     for key, value in (("depth_scale", depth_scale), ("fps", fps)):
         if not 0 < value < float("inf"):
             raise DatasetError(f"{path}: {key} must be positive, got {value}")
-    return Intrinsics(camera, depth_scale, fisheye or distortion or None, fps, bool(fisheye))
+    if not 0 <= readout_ms < 1e3:
+        raise DatasetError(
+            f"{path}: readout_ms must be milliseconds between 0 and 1000, got {readout_ms}"
+        )
+    return Intrinsics(
+        camera, depth_scale, fisheye or distortion or None, fps, bool(fisheye), 1e-3 * readout_ms
+    )
 
 
 def _load_mapping(path: Path) -> dict:

@@ -52,4 +52,8 @@ class DatasetOptions:
     depth_offset: Literal["auto"] | tuple[float, float] | None = None
     """Offset (x, y) in pixels of the colour images from the depth images; depth is shifted by it.
     auto estimates a constant offset from the edges of both. By default, depth is not shifted."""
+    readout_ms: Annotated[float, Range(ge=0, le=1000)] | None = None
+    """Time in milliseconds from the exposure of the first row of an image to that of the last
+    (rolling shutter), for input with depth. 0 for a global shutter. By default, 27 for tum and
+    seven-scenes, readout_ms in intrinsics.yaml for a folder, 0 otherwise."""
     topics: BagTopics = BagTopics()

@@ -63,6 +63,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     fov_deg: float | None = None,
     topics: BagTopics | None = None,
     depth_offset: Literal["auto"] | tuple[float, float] | None = None,
+    readout_ms: float | None = None,
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -79,6 +80,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         topics: names of topics of a bag; None to choose them.
         depth_offset: (x, y) in pixels of the files by which colour is offset from depth, or "auto"
             to estimate it; depth is shifted by it.
+        readout_ms: time in milliseconds from the exposure of the first row of an image to that of
+            the last; None for that of the format. Not used without depth.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
@@ -88,14 +91,15 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     if not needs_depth and recording.colour_camera is not None:
         recording = replace(recording, camera=recording.colour_camera)
     if fov_deg is not None:
-        if recording.calibrated:
-            raise DatasetError(f"{path} has intrinsics; remove the field of view")
-        camera = video.camera_with_fov(recording.camera, fov_deg)
-        recording = replace(recording, camera=camera, calibrated=True, focal_sigma=None)
+        recording = _with_fov(recording, fov_deg, path)
     if image_size is None and not needs_depth:
         image_size = _reduced(recording)
     if depth_offset is not None and needs_depth:
         recording = _with_offset(recording, depth_offset, max_frames)
+    if not needs_depth:  # motion is estimated from features of the images as they are
+        readout_ms = 0.0
+    if readout_ms is not None:
+        recording = replace(recording, readout_s=1e-3 * readout_ms)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
     depth = dataset.files(0).depth
@@ -121,6 +125,14 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     for note in dataset.recording.notes:
         _log.info("%s: %s", dataset.name, note)
     return dataset
+
+
+def _with_fov(recording: Recording, fov_deg: float, path: str | os.PathLike[str]) -> Recording:
+    """A recording without intrinsics, with a camera of a horizontal field of view."""
+    if recording.calibrated:
+        raise DatasetError(f"{path} has intrinsics; remove the field of view")
+    camera = video.camera_with_fov(recording.camera, fov_deg)
+    return replace(recording, camera=camera, calibrated=True, focal_sigma=None)
 
 
 def _with_offset(

@@ -40,6 +40,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.depth_views import DepthImage, DepthView
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.rolling_shutter import as_exposed, rectified, velocity_between
 
 _log = logging.getLogger(__name__)
 
@@ -68,11 +69,20 @@ class TrackedFrame:
 
 @dataclass(frozen=True)
 class View:
-    """A frame, its pose, and its exposure against the map."""
+    """A frame, its pose, and its exposure against the map.
+
+    Attributes:
+        velocity: [6] m/s and rad/s of the camera in its own frame; None if it is not known.
+    """
 
     frame: Frame
     T_map_camera: NDArray[np.float64]
     exposure: Exposure = IDENTITY
+    velocity: NDArray[np.float64] | None = None
+
+    def rectified(self) -> Frame:
+        """The frame without the effect of its rolling shutter."""
+        return rectified(self.frame, self.velocity)
 
 
 @dataclass(frozen=True)
@@ -207,8 +217,19 @@ def _tracked_views(
 ) -> Iterator[View]:
     chosen = [frames[i] for i in _evenly_spaced(len(frames), max_views)]
     images = prefetched(dataset, [frame.index for frame in chosen])
+    places = {frame.index: place for place, frame in enumerate(frames)}
     for frame, image in zip(chosen, images, strict=True):
-        yield View(image, frame.T_map_camera, frame.exposure)
+        around = frames[max(places[frame.index] - 1, 0) : places[frame.index] + 2]
+        yield View(image, frame.T_map_camera, frame.exposure, _velocity(around))
+
+
+def _velocity(frames: Sequence[TrackedFrame]) -> NDArray[np.float64] | None:
+    """Mean velocity [6] from the first to the last of a few frames in a row."""
+    first, last = frames[0], frames[-1]
+    if last.index - first.index != len(frames) - 1 or len(frames) < 2:
+        return None
+    elapsed_s = last.timestamp_s - first.timestamp_s
+    return velocity_between(first.T_map_camera, last.T_map_camera, elapsed_s)
 
 
 def _unseen_views(
@@ -255,7 +276,7 @@ def _surface_metrics(
 
 
 def _depth_view(view: View, scale: float) -> DepthView:
-    depth_m = view.frame.depth_m / np.float32(scale)
+    depth_m = view.rectified().depth_m / np.float32(scale)
     return DepthView.at(view.T_map_camera, DepthImage(view.frame.camera, depth_m))
 
 
@@ -270,7 +291,8 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: flo
     gaussians = replace(gaussians, centred_colours=False)
     balance = view.exposure.balance
     rgb = IDENTITY.with_balance(balance).apply(view.frame.rgb)
-    frame = replace(view.frame, rgb=rgb, depth_m=view.frame.depth_m / np.float32(scale))
+    frame = rectified(replace(view.frame, rgb=rgb), view.velocity)
+    frame = replace(frame, depth_m=frame.depth_m / np.float32(scale))
     result = tracker.locate(frame, gaussians, view.T_map_camera)
     if result.lost:
         return view
@@ -290,16 +312,21 @@ def _quality(
     render_options = RenderOptions(_MIN_SILHOUETTE, features=scores.needs_features)
     renderer = backend(options.backend_name)
     rendered = render_surface(renderer, gaussians, camera, T_camera_map, render_options)
-    scores.add(view.frame, rendered)
+    scores.add(view.rectified() if scores.needs_features else view.frame, rendered)
     # Apply the exposure to the rendered image, so that the observed image is not changed.
     reference, exposure = rendered.output.colour.numpy(), view.exposure
     colour, one_gain = (
         one.undo(reference).clip(0.0, 1.0).astype(np.float32)
         for one in (exposure, exposure.with_balance(NEUTRAL))
     )
+    depth_m = np.float32(scale) * rendered.depth_m.numpy()
+    # The sensor's images are not changed: the rendering is exposed like them.
+    (colour, depth_m), (one_gain, _) = (
+        as_exposed(image, depth_m, view.frame, view.velocity) for image in (colour, one_gain)
+    )
     quality = view_quality(
         view.frame.index,
-        (colour, np.float32(scale) * rendered.depth_m.numpy()),
+        (colour, depth_m),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,
     )

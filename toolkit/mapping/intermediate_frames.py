@@ -121,7 +121,9 @@ class IntermediateFrames:
         self._frames.clear()
         self._outside.clear()
         for number, saved in enumerate(values["frames"]):
-            own = {n: np.array(a) for n, a in arrays_below(arrays, f"{number}/").items()}
+            own: dict[str, Any] = {
+                name: np.array(a) for name, a in arrays_below(arrays, f"{number}/").items()
+            }
             T_keyframe_camera = own.pop("T_keyframe_camera")
             camera = Camera(**saved["camera"])
             frame = Frame(saved["index"], saved["timestamp_s"], camera=camera, **own)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.baselines.factory import build_tracker
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.errors import DatasetError
+from toolkit.errors import DatasetError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_semantic_mapping
@@ -25,6 +26,7 @@ from toolkit.submaps.factory import build_atlas
 from toolkit.taxonomy_building.factory import build_labeller
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.guided import GuidedTracker
+from toolkit.tracking.initial_velocity import initial_velocity
 from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.tracker import Tracker
 
@@ -82,7 +84,17 @@ def build_slam(
         # The papers' tracker is a baseline, whose keyframe poses are not refined.
         use_placement = settings.tracking.kind == "dense" and settings.placement.use
         placement = KeyframePlacement(settings.placement) if use_placement else None
-        return Slam(tracker, mapper, recorder, labeller, atlas, closer, settings.denoise, placement)
+        return Slam(
+            tracker,
+            mapper,
+            recorder,
+            labeller,
+            atlas,
+            closer,
+            settings.denoise,
+            placement,
+            start_velocity=None if dataset is None else _start_velocity(dataset),
+        )
     if dataset is None or dataset.ground_truth is None:
         name = "this sequence" if dataset is None else dataset.name
         raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
@@ -100,6 +112,18 @@ def build_slam(
         denoise=settings.denoise,
         correction=correction,
     )
+
+
+def _start_velocity(dataset: Dataset) -> NDArray[np.float64] | None:
+    """Velocity [6] of a camera with a rolling shutter at the start of a sequence, if known.
+
+    It is estimated before any thread reads the dataset.
+    """
+    try:
+        first = dataset[0]
+        return initial_velocity(first, dataset[1]) if first.readout_s > 0.0 else None
+    except (ToolkitError, IndexError):
+        return None  # the file is named when the frame is processed
 
 
 def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labeller | None:

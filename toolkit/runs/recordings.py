@@ -33,4 +33,5 @@ def open_recording(
         fov_deg=place.fov_deg,
         topics=place.topics,
         depth_offset=place.depth_offset,
+        readout_ms=place.readout_ms,
     )
