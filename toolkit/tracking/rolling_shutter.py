@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 # Smaller displacements (pixels) are not worth the resampling.
-_MIN_DISPLACEMENT = 0.1
+_MIN_DISPLACEMENT = 0.5
 # Larger displacements, as a fraction of the image's height, follow from wrong velocities.
 _MAX_DISPLACEMENT = 0.15
 # Every n-th row and column is used to fit the plane.
