@@ -163,6 +163,25 @@ def test_plain_folder(make_folder):
     assert dataset[3].timestamp_s == pytest.approx(0.3)
 
 
+def test_kinects_have_a_rolling_shutter(make_tum, make_seven_scenes, make_replica):
+    assert open_dataset("tum", make_tum())[0].readout_s == 0.027
+    assert open_dataset("seven-scenes", make_seven_scenes())[0].readout_s == 0.027
+    assert open_dataset("replica", make_replica())[0].readout_s == 0.0
+
+
+def test_the_readout_of_a_rolling_shutter_can_be_stated(make_folder):
+    folder = make_folder(intrinsics={"readout_ms": 20})
+    whole = open_dataset("folder", folder)
+    assert whole[0].readout_s == pytest.approx(0.02)
+    assert open_dataset("folder", folder, readout_ms=12)[0].readout_s == pytest.approx(0.012)
+    # Without depth, motion is estimated from the images as they are.
+    assert open_dataset("folder", folder, needs_depth=False, readout_ms=12)[0].readout_s == 0.0
+    # A crop contains a part of the rows.
+    width, height = whole.camera.size
+    cropped = open_dataset("folder", folder, image_size=(2 * width, height))[0]
+    assert cropped.readout_s == pytest.approx(0.01)
+
+
 def test_times_of_a_plain_folder_can_be_stated(make_folder):
     folder = make_folder(frames=3)
     (folder / "timestamps.txt").write_text("0 0.01\n1 0.13\n2 7.5\n")
@@ -210,6 +229,7 @@ def test_a_folder_without_depth_has_colour_alone(make_folder):
         ({"fx": "wide"}, "could not convert"),
         ({"fy": -1}, "fx, fy > 0"),
         ({"distortion": "[1, 2]"}, "distortion must be the 5 numbers"),
+        ({"readout_ms": -3}, "readout_ms must be milliseconds"),
     ],
 )
 def test_errors_in_intrinsics_name_the_file_and_the_key(make_folder, change, message):

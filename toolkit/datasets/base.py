@@ -149,6 +149,10 @@ class Recording:
 class RecordedDataset:
     """Dataset of a recording; frames are loaded on access and resized.
 
+    Attributes:
+        readout_s: time in seconds from the exposure of the first row of a frame to that of the
+            last; 0 for a global shutter.
+
     Args:
         recording: description of the files.
         image_size: (width, height) in pixels, or None for the native size.
@@ -184,7 +188,7 @@ class RecordedDataset:
         self.camera = self._grid.camera if self._grid else recording.camera
         # A crop contains a part of the rows.
         rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height
-        self._readout_s = recording.readout_s * rows
+        self.readout_s = recording.readout_s * rows
         self._videos: dict[Path, VideoFile] = {}
         self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)
 
@@ -220,7 +224,7 @@ class RecordedDataset:
             depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
         return Frame(
-            index, files.timestamp_s, rgb, depth_m, self.camera, labels, readout_s=self._readout_s
+            index, files.timestamp_s, rgb, depth_m, self.camera, labels, readout_s=self.readout_s
         )
 
     def __iter__(self) -> Iterator[Frame]:

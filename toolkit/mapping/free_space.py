@@ -22,6 +22,7 @@ from torch import Tensor
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_margin_m
+from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.depth_views import MIN_DEPTH_M, DepthView, DepthViews
 from toolkit.mapping.options import FreeSpaceOptions
@@ -147,10 +148,11 @@ def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
         T_map_cameras: [P, 4, 4] poses of the frames.
     """
     points = means.double().cpu().numpy()
-    cells = _cells(points)
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    voxels = voxels_of(points[finite], _CLEAR_M)
     steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 3)
-    around = _cells(T_map_cameras[:, :3, 3])[:, None] + steps
-    near = np.flatnonzero(np.isin(_keys(cells), _keys(around.reshape(-1, 3))))
+    around = voxels_of(T_map_cameras[:, :3, 3], _CLEAR_M)[:, None] + steps
+    near = finite[np.isin(voxel_keys(voxels), voxel_keys(around.reshape(-1, 3)))]
     hides = np.zeros(len(near), bool)
     for T_camera_map in se3.inverse(T_map_cameras) if len(near) else ():
         of_camera = se3.transform_points(T_camera_map, points[near])
@@ -161,16 +163,6 @@ def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
     mask = torch.zeros(len(means), dtype=torch.bool)
     mask[near] = torch.from_numpy(hides)
     return mask.to(means.device)
-
-
-def _cells(points: Array) -> NDArray[np.int64]:
-    """Cells [N, 3] of a grid that contain points [N, 3]."""
-    return np.floor(points / _CLEAR_M).astype(np.int64)
-
-
-def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A number [N] for each cell [N, 3], unique within a million cells in each direction."""
-    return (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
 
 
 class FreeSpace:

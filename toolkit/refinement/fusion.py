@@ -23,6 +23,7 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.free_space import Evidence, is_measured
 from toolkit.mapping.options import FreeSpaceOptions
@@ -306,5 +307,4 @@ def _owners(seen: dict[int, _VoxelStatistics]) -> _Owners:
 def _voxels(submap: Submap, voxel_m: float) -> NDArray[np.int64]:
     """Key [N] of the world voxel that contains each Gaussian."""
     means = submap.gaussians.transformed(submap.T_world_submap).means.double().numpy()
-    cell = np.floor(means / voxel_m).astype(np.int64) + (1 << 20)
-    return (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
+    return voxel_keys(voxels_of(means, voxel_m))

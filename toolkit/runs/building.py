@@ -119,9 +119,10 @@ def _start_velocity(dataset: Dataset) -> NDArray[np.float64] | None:
 
     It is estimated before any thread reads the dataset.
     """
+    if not isinstance(dataset, RecordedDataset) or dataset.readout_s == 0.0:
+        return None
     try:
-        first = dataset[0]
-        return initial_velocity(first, dataset[1]) if first.readout_s > 0.0 else None
+        return initial_velocity(dataset[0], dataset[1])
     except (ToolkitError, IndexError):
         return None  # the file is named when the frame is processed
 

@@ -15,6 +15,7 @@ from toolkit.errors import DatasetError, FormatError
 from toolkit.frame import Frame
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.geometry.se3 import transform_points
+from toolkit.geometry.voxels import voxel_keys, voxels_of, voxels_of_keys
 from toolkit.semantics.taxonomy_parsing import folded
 from toolkit.taxonomy_building.shape_statistics import instances, shape_statistics
 
@@ -26,7 +27,6 @@ MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
 
 _UP: tuple[float, float, float] = (0.0, 0.0, 1.0)
 _SAMPLES = 4000  # points sampled on a mesh
-_HALF_KEY = 1 << 20  # voxels on each side of the origin; three coordinates are packed in an int64
 _MAX_IDS = 1 << 16  # label images have 16 bits
 
 
@@ -79,8 +79,7 @@ def labelled_scan(
             raise DatasetError(f"frame {frame.index} has no labels; use a labelled sequence")
         seen = (frame.depth_m > 0) & (frame.labels > 0)
         points = transform_points(T_world_camera, frame.camera.unproject(frame.depth_m)[seen])
-        voxels = np.floor(points / voxel_m).astype(np.int64) + _HALF_KEY
-        keys.append((voxels[:, 0] << 42) | (voxels[:, 1] << 21) | voxels[:, 2])
+        keys.append(voxel_keys(voxels_of(points, voxel_m)))
         labels.append(frame.labels[seen].astype(np.int64))
     if not keys or not sum(map(len, keys)):
         raise DatasetError("no pixel has both depth and a label; check the labels of the sequence")
@@ -89,9 +88,7 @@ def labelled_scan(
     winner = np.zeros(len(voxels), np.int64)
     order = np.argsort(counts, kind="stable")  # the most frequent label is written last
     winner[votes[order] // _MAX_IDS] = votes[order] % _MAX_IDS
-    mask = (1 << 21) - 1
-    grid = np.stack([voxels >> 42, (voxels >> 21) & mask, voxels & mask], axis=1) - _HALF_KEY
-    return LabelledScan((grid + 0.5) * voxel_m, winner, names)
+    return LabelledScan((voxels_of_keys(voxels).astype(np.float64) + 0.5) * voxel_m, winner, names)
 
 
 class ScanShapes:
