@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 # as long, instead of 1.3 times; with 8,000 checks 2.3 times. With 500 checks or none, runs on an
 # idle machine take up to 15 % longer.
 _CHECKS = "2000"
+# Packages that bring a BLAS of their own, besides NumPy's.
+_WITH_BLAS = ("cv2", "faiss", "scipy.linalg")
 
 
 def limit_waiting() -> None:
@@ -33,13 +36,17 @@ def single_threaded_blas() -> Iterator[None]:
     for about 30 ms, on the cores that the kernels need. On two cores, four such products per
     keyframe made tracking and mapping 30 % slower. The products themselves take less than 1 ms.
     """
-    with _libraries().limit(limits=1, user_api="blas"):
+    present = tuple(name for name in _WITH_BLAS if name in sys.modules)
+    with _libraries(present).limit(limits=1, user_api="blas"):
         yield
 
 
 @functools.cache
-def _libraries() -> Any:
-    """The thread pools of the libraries that are loaded at the first call, NumPy's among them."""
+def _libraries(_present: tuple[str, ...]) -> Any:
+    """The thread pools of NumPy and of the packages that are present.
+
+    Finding them takes 4 ms, so it is repeated only when another package was imported.
+    """
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
