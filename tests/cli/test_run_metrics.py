@@ -18,6 +18,7 @@ from toolkit.exposure import Exposure
 from toolkit.frame import Frame
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
+from toolkit.tracking.rolling_shutter import as_exposed
 
 
 def tracked(T_map_camera, held_out=(), **exposure) -> list[TrackedFrame]:
@@ -133,3 +134,26 @@ def test_a_folder_that_happens_to_be_called_unseen_is_left_alone(tmp_path, caplo
     (tmp_path / "unseen").mkdir()
     assert open_unseen("replica", tmp_path) is None
     assert "not evaluated" in caplog.text
+
+
+def test_renderings_are_bent_like_the_images_of_a_rolling_shutter(gaussians):
+    step = np.array([0.01, 0.0, 0.02, 0.03, -0.02, 0.01])
+    start = poses(1, seed=1)[0]
+    T_map_camera = np.stack([start @ se3.exp(n * step) for n in range(5)])
+    frames = [
+        replace(frame, timestamp_s=n / 30.0, readout_s=0.03)
+        for n, frame in enumerate(frames_at(gaussians, T_map_camera))
+    ]
+    bent = []
+    for frame in frames:
+        rgb, depth_m = as_exposed(frame.rgb, frame.depth_m, frame, 30.0 * step)
+        assert np.abs(rgb - frame.rgb).mean() > 0.005
+        bent.append(replace(frame, rgb=rgb, depth_m=depth_m))
+    dataset = rendered_dataset(gaussians, T_map_camera)
+    path = tracked(T_map_camera, held_out={2})
+    metrics = measure_run(InMemoryScene(gaussians), path, replace(dataset, frames=bent))
+    assert metrics["psnr_db"] > 60.0 and metrics["psnr_unseen_db"] > 60.0
+    assert metrics["psnr_unseen_refined_db"] > 30.0
+    ignored = [replace(frame, readout_s=0.0) for frame in bent]
+    metrics = measure_run(InMemoryScene(gaussians), path, replace(dataset, frames=ignored))
+    assert metrics["psnr_db"] < 40.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -150,12 +151,13 @@ def measure_run(
     scale = 1.0 if alignment is None else alignment.scale
     mapped_quality = [
         _quality(scene, view, options, scores[0], scale)
-        for view in _tracked_views(mapped, dataset, options.max_views)
+        for view in _tracked_views(mapped, tracked, dataset, options.max_views)
     ]
     unseen_quality, refined_quality = [], []
     depth_views: list[DepthView] = []
     tracker = DenseTracker(backend_name=options.backend_name)
-    for view in _unseen_views(held_out, dataset, unseen, alignment, options.max_views):
+    seen = _tracked_views(held_out, tracked, dataset, options.max_views)
+    for view in chain(seen, _unseen_views(unseen, alignment, options.max_views)):
         unseen_quality.append(_quality(scene, view, options, scores[1], scale))
         if len(depth_views) < min(len(held_out), options.max_views):  # held-out frames come first
             depth_views.append(_depth_view(view, scale))
@@ -213,13 +215,17 @@ def _view_conventions(options: MeasureOptions) -> Metrics:
 
 
 def _tracked_views(
-    frames: Sequence[TrackedFrame], dataset: Dataset, max_views: int
+    frames: Sequence[TrackedFrame],
+    tracked: Sequence[TrackedFrame],
+    dataset: Dataset,
+    max_views: int,
 ) -> Iterator[View]:
+    """The views of some of the tracked frames."""
     chosen = [frames[i] for i in _evenly_spaced(len(frames), max_views)]
     images = prefetched(dataset, [frame.index for frame in chosen])
-    places = {frame.index: place for place, frame in enumerate(frames)}
+    places = {frame.index: place for place, frame in enumerate(tracked)}
     for frame, image in zip(chosen, images, strict=True):
-        around = frames[max(places[frame.index] - 1, 0) : places[frame.index] + 2]
+        around = tracked[max(places[frame.index] - 1, 0) : places[frame.index] + 2]
         yield View(image, frame.T_map_camera, frame.exposure, _velocity(around))
 
 
@@ -233,13 +239,8 @@ def _velocity(frames: Sequence[TrackedFrame]) -> NDArray[np.float64] | None:
 
 
 def _unseen_views(
-    held_out: Sequence[TrackedFrame],
-    dataset: Dataset,
-    unseen: Dataset | None,
-    alignment: Alignment | None,
-    max_views: int,
+    unseen: Dataset | None, alignment: Alignment | None, max_views: int
 ) -> Iterator[View]:
-    yield from _tracked_views(held_out, dataset, max_views)
     if unseen is None or unseen.ground_truth is None or alignment is None:
         return
     for image in prefetched(unseen, _evenly_spaced(len(unseen), max_views)):
