@@ -269,8 +269,9 @@ class Slam:
             return frame
         with self._recorder.timed("rectification"):
             velocity = self._path.velocity(self.atlas, frame)
-            starts = len(self._path.indices) < 2 and not self._path.lost_frames
-            return rectified(frame, self._start_velocity if starts else velocity)
+            if velocity is None and len(self._path.indices) < 2 and not self._path.lost_frames:
+                velocity = self._start_velocity
+            return rectified(frame, velocity)
 
     def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
         if self._filter is None:
