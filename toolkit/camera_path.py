@@ -36,6 +36,7 @@ class _TrackedFrame:
 
     Attributes:
         keyframe: frame index of the reference keyframe, which belongs to `submap`.
+        doubt: why the pose may be wrong; empty if it is reliable.
     """
 
     index: int
@@ -43,20 +44,21 @@ class _TrackedFrame:
     submap: int
     keyframe: int
     exposure: Exposure
+    doubt: str = ""
 
 
 class CameraPath:
     """The tracked and the lost frames of a run, in order.
 
     Attributes:
-        lost_frames: indices of the frames without a pose.
+        lost_frames: reason by index of the frames without a pose, in order.
         lost_in_a_row: number of lost frames with depth since the last tracked frame.
         dropped_frames: indices of the frames that were not processed; those dropped while the
             camera was lost are lost frames as well.
     """
 
     def __init__(self) -> None:
-        self.lost_frames: list[int] = []
+        self.lost_frames: dict[int, str] = {}
         self.lost_in_a_row = 0
         self.dropped_frames: list[int] = []
         self._frames: list[_TrackedFrame] = []
@@ -74,14 +76,15 @@ class CameraPath:
         last = atlas.mapper.keyframes[-1]
         # The map follows the exposures of its keyframes, not those of tracking.
         exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
+        doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
         self._frames.append(
-            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure)
+            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt)
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
 
-    def add_lost(self, frame: Frame) -> None:
-        """Add a frame without a pose."""
-        self.lost_frames.append(frame.index)
+    def add_lost(self, frame: Frame, reason: str) -> None:
+        """Add a frame without a pose, and why it has none."""
+        self.lost_frames[frame.index] = reason
         self.lost_in_a_row += has_depth(frame)
 
     def add_dropped(self, frame: FrameStamp) -> bool:
@@ -95,7 +98,7 @@ class CameraPath:
         """
         self.dropped_frames.append(frame.index)
         if self._is_lost:
-            self.lost_frames.append(frame.index)
+            self.lost_frames[frame.index] = "dropped while the camera was lost"
             return False
         last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
         self._frames.append(last)
@@ -107,12 +110,17 @@ class CameraPath:
         """Whether the newest frame has no pose, or there is none yet."""
         if not self._frames:
             return True
-        return bool(self.lost_frames) and self.lost_frames[-1] > self._frames[-1].index
+        return max(self.lost_frames, default=-1) > self._frames[-1].index
 
     @property
     def indices(self) -> list[int]:
         """Indices of the frames."""
         return [f.index for f in self._frames]
+
+    @property
+    def doubtful_frames(self) -> dict[int, str]:
+        """Reason by index of the frames whose pose may be wrong, in order."""
+        return {f.index: f.doubt for f in self._frames if f.doubt}
 
     @property
     def submaps(self) -> list[int]:
@@ -146,7 +154,7 @@ class CameraPath:
         Returns:
             None without two recent poses since a frame was lost.
         """
-        first_allowed = max(self.lost_frames[-1:], default=-1) + 1
+        first_allowed = max(self.lost_frames, default=-1) + 1
         dropped = set(self.dropped_frames[-_MAX_RECENT:])
         recent = [
             (f, T)
@@ -211,7 +219,7 @@ class CameraPath:
         """Arrays and JSON values from which `restore` continues identically."""
         return {"T_keyframe_camera": self.T_keyframe_camera}, {
             "tracked": [asdict(f) for f in self._frames],
-            "lost_frames": self.lost_frames,
+            "lost_frames": list(self.lost_frames.items()),
             "lost_in_a_row": self.lost_in_a_row,
             "dropped_frames": self.dropped_frames,
         }
@@ -223,7 +231,7 @@ class CameraPath:
             for f in values["tracked"]
         ]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
-        self.lost_frames = [int(i) for i in values["lost_frames"]]
+        self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.lost_in_a_row = int(values["lost_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
 

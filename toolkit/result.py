@@ -49,6 +49,18 @@ class FrameResult:
         """Whether the frame has no pose."""
         return self.T_map_camera is None
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether the pose may be wrong; `reason` states why."""
+        return not self.lost and self.tracking is not None and self.tracking.doubtful
+
+    @property
+    def reason(self) -> str:
+        """Why the frame is doubtful or lost; empty if it is neither."""
+        if not (self.lost or self.doubtful):
+            return ""
+        return "" if self.tracking is None else self.tracking.reason
+
 
 @dataclass(frozen=True, eq=False)
 class SubmapSummary:
@@ -78,7 +90,12 @@ class SlamResult:
         frame_indices: [M] indices of the tracked frames, in order.
         exposures: [M] exposures of the tracked frames against the map; before `finish`, against
             the frame's submap.
-        lost_frames: indices of the frames without a pose.
+        lost_frames: reason by index of the frames without a pose, in order.
+        doubtful_frames: reason by index of the frames whose pose may be wrong, in order. They did
+            not extend the map.
+        frame_submaps: [M] number of the submap of each tracked frame.
+        parts: numbers of the submaps of each part of the map, the part of the most frames first.
+            The relative poses of different parts are unknown.
         keyframe_indices: frame indices of all keyframes of this sequence, in order. A keyframe on
             the boundary of two submaps counts once; those of a loaded map do not count.
         submaps: all submaps by number.
@@ -96,7 +113,7 @@ class SlamResult:
     trajectory: Trajectory
     frame_indices: list[int]
     exposures: list[Exposure]
-    lost_frames: list[int]
+    lost_frames: dict[int, str]
     keyframe_indices: list[int]
     submaps: list[SubmapSummary]
     allocation: list[AllocationVerdict]
@@ -106,6 +123,9 @@ class SlamResult:
     taxonomy: Taxonomy | None = field(repr=False)
     covariances: NDArray[np.float64] | None = field(default=None, repr=False)
     dropped_frames: list[int] = field(default_factory=list)
+    doubtful_frames: dict[int, str] = field(default_factory=dict)
+    frame_submaps: list[int] = field(default_factory=list)
+    parts: list[tuple[int, ...]] = field(default_factory=list)
 
     @property
     def gaussians(self) -> GaussianCloud:

@@ -145,7 +145,7 @@ class Slam:
         located = self._locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
         if T_map_camera is None:
-            self._path.add_lost(frame)
+            self._path.add_lost(frame, "" if tracking is None else tracking.reason)
             return FrameResult(frame.index, None, tracking)
 
         mapping = None
@@ -251,7 +251,7 @@ class Slam:
             trajectory=path.trajectory(atlas),
             frame_indices=path.indices,
             exposures=path.exposures(atlas, exposures),
-            lost_frames=list(path.lost_frames),
+            lost_frames=dict(path.lost_frames),
             keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
             submaps=submaps,
             allocation=list(atlas.verdicts),
@@ -261,6 +261,8 @@ class Slam:
             taxonomy=None if self._labeller is None else self._labeller.taxonomy,
             covariances=covariances,
             dropped_frames=list(path.dropped_frames),
+            doubtful_frames=path.doubtful_frames,
+            frame_submaps=path.submaps,
         )
 
     def _rectified(self, frame: Frame) -> Frame:

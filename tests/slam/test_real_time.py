@@ -123,7 +123,7 @@ class TestOverload:
         for index in dropped:
             assert np.array_equal(poses[index], poses[index - 1])
             assert np.allclose(results[index].T_world_camera, poses[index])
-        assert result.lost_frames == []
+        assert not result.lost_frames
         assert len(system.slam.finish().trajectory) == 14
 
     def test_the_newest_frame_is_processed_however_slow_tracking_is(self, room: SlamRoom):
@@ -163,7 +163,7 @@ class TestLost:
         assert dropped.lost and dropped.dropped
         assert system.slam._path.lost_in_a_row == 1
         result = system.slam.result()
-        assert result.lost_frames[-1] == 7
+        assert list(result.lost_frames)[-1] == 7
         assert result.dropped_frames[-1] == 7
 
     def test_the_frame_after_a_recovery_is_processed(self, room: SlamRoom):

@@ -214,7 +214,7 @@ def _frames(result: SlamResult, tracked: list[TrackedFrame]) -> dict[str, Any]:
     ]
     return {
         "frames": rows,
-        "lost": result.lost_frames,
+        "lost": list(result.lost_frames),
         "keyframes": result.keyframe_indices,
         "submaps": [
             {

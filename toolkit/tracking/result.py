@@ -14,7 +14,8 @@ from toolkit.exposure import IDENTITY, Exposure
 class Health(Enum):
     """Whether the pose of a frame is reliable."""
 
-    GOOD = "good"
+    GOOD = "tracked"
+    DOUBTFUL = "doubtful"
     LOST = "lost"
 
 
@@ -32,8 +33,8 @@ class TrackingResult:
         visible_fraction: fraction of the frame's measured pixels that the map explains.
         information: [6, 6] inverse covariance of a perturbation in the camera's frame,
             T_map_camera exp(x) with x = (translation, rotation).
-        health: GOOD or LOST.
-        reason: why the frame is lost; empty if it is not.
+        health: GOOD; DOUBTFUL if the pose may be wrong and must not extend the map; or LOST.
+        reason: why the frame is doubtful or lost; empty if it is neither.
         exposure: exposure of the frame against the map.
     """
 
@@ -51,8 +52,13 @@ class TrackingResult:
 
     @property
     def lost(self) -> bool:
-        """Whether the pose must not be used for mapping."""
+        """Whether the frame has no pose."""
         return self.health is Health.LOST
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the pose may be wrong, so that the frame must not extend the map."""
+        return self.health is Health.DOUBTFUL
 
 
 def not_tracked(reason: str) -> TrackingResult:
