@@ -52,14 +52,14 @@ class CameraPath:
 
     Attributes:
         lost_frames: reason by index of the frames without a pose, in order.
-        lost_in_a_row: number of lost frames with depth since the last tracked frame.
+        unreliable_in_a_row: number of doubtful and lost frames with depth since the last other one.
         dropped_frames: indices of the frames that were not processed; those dropped while the
             camera was lost are lost frames as well.
     """
 
     def __init__(self) -> None:
         self.lost_frames: dict[int, str] = {}
-        self.lost_in_a_row = 0
+        self.unreliable_in_a_row = 0
         self.dropped_frames: list[int] = []
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
@@ -72,11 +72,11 @@ class CameraPath:
         Args:
             T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
         """
-        self.lost_in_a_row = 0
         last = atlas.mapper.keyframes[-1]
         # The map follows the exposures of its keyframes, not those of tracking.
         exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
         doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
+        self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
         self._frames.append(
             _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt)
         )
@@ -85,7 +85,7 @@ class CameraPath:
     def add_lost(self, frame: Frame, reason: str) -> None:
         """Add a frame without a pose, and why it has none."""
         self.lost_frames[frame.index] = reason
-        self.lost_in_a_row += has_depth(frame)
+        self.unreliable_in_a_row += has_depth(frame)
 
     def add_dropped(self, frame: FrameStamp) -> bool:
         """Add a frame that was not processed, at the pose of the frame before it.
@@ -162,6 +162,7 @@ class CameraPath:
                 self._frames[-_MAX_RECENT:], self._T_keyframe_camera[-_MAX_RECENT:], strict=True
             )
             if f.index >= first_allowed
+            and not f.doubt
             and f.index not in dropped
             and frame.timestamp_s - f.timestamp_s <= _MAX_AGE_S
         ][-_VELOCITY_POSES:]
@@ -220,7 +221,7 @@ class CameraPath:
         return {"T_keyframe_camera": self.T_keyframe_camera}, {
             "tracked": [asdict(f) for f in self._frames],
             "lost_frames": list(self.lost_frames.items()),
-            "lost_in_a_row": self.lost_in_a_row,
+            "unreliable_in_a_row": self.unreliable_in_a_row,
             "dropped_frames": self.dropped_frames,
         }
 
@@ -232,7 +233,7 @@ class CameraPath:
         ]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
-        self.lost_in_a_row = int(values["lost_in_a_row"])
+        self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
 
 

@@ -36,6 +36,11 @@ class Located:
     T_map_camera: NDArray[np.float64] | None
     tracking: TrackingResult | None = None
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether the pose may be wrong, so that the frame must not extend the map."""
+        return self.tracking is not None and self.tracking.doubtful
+
 
 class Recovery:
     """Relocalises lost frames, and starts a new submap if relocalisation fails for too long.
@@ -56,6 +61,13 @@ class Recovery:
         self._tracker, self._atlas, self._path = tracker, atlas, path
         self._closer, self._label, self._recorder = closer, label, recorder
 
+    @property
+    def out_of_patience(self) -> bool:
+        """Whether so many frames in a row were doubtful or lost that a submap may start."""
+        relocaliser = self._closer.relocaliser
+        patience = float("inf") if relocaliser is None else relocaliser.options.patience
+        return self._path.unreliable_in_a_row >= patience
+
     def recover(self, frame: Frame, lost: TrackingResult, may_map: bool) -> Located:
         """Relocalise a lost frame.
 
@@ -72,7 +84,7 @@ class Recovery:
             return Located(None, lost)
         if not has_depth(frame):
             return Located(None, lost)
-        out_of_patience = self._path.lost_in_a_row >= relocaliser.options.patience
+        out_of_patience = self.out_of_patience
         with self._recorder.timed("relocalisation"):
             last = self._path.last_position(self._atlas)
             found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)

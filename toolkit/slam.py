@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.placement import KeyframePlacement
+from toolkit.tracking.proposals import FeatureProposals
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
 from toolkit.tracking.rolling_shutter import rectified
 from toolkit.tracking.tracker import LocatingTracker, Tracker
@@ -83,6 +85,7 @@ class Slam:
         self._filter = DepthFilter() if denoise else None
         self._placement, self._correction = placement, correction
         self._start_velocity = start_velocity
+        self._features = FeatureProposals()
         self._path = CameraPath()
         self._between = IntermediateFrames()
         self._recovery = Recovery(
@@ -149,6 +152,7 @@ class Slam:
             return FrameResult(frame.index, None, tracking)
 
         mapping = None
+        may_map &= not located.doubtful
         if may_map:
             frame = self._with_prior(frame, T_map_camera)
         if may_map and self.mapper.wants(frame, T_map_camera):
@@ -306,10 +310,17 @@ class Slam:
         if not self.mapper.keyframes:
             return Located(self.tracker.first_pose(frame) if may_map else None)
         with self._recorder.timed("tracking"):
-            tracking = self.tracker.track(self._balanced(frame), self.mapper.gaussians)
-        if tracking.lost:
+            gaussians = self.mapper.gaussians
+            tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
+        if tracking.lost or (tracking.doubtful and self._recovery.out_of_patience):
             return self._recovery.recover(frame, tracking, may_map)
         return Located(tracking.T_map_camera, tracking)
+
+    def _proposals(self, frame: Frame) -> Iterator[NDArray[np.float64]]:
+        """Initial poses T_map_camera [4, 4] of a frame from its features."""
+        keyframes = self.mapper.keyframes
+        similar = partial(self._closer.similar_keyframes, self.atlas)
+        return self._features.poses(frame, keyframes, similar)
 
     def _balanced(self, frame: Frame) -> Frame:
         """The frame at the white balance of the last keyframe, which is near its own."""

@@ -10,7 +10,7 @@ from toolkit.options import Fraction, NonNegativeFloat, PositiveFloat, PositiveI
 
 @dataclass(frozen=True)
 class HealthLimits:
-    """Limits beyond which a tracked frame counts as lost."""
+    """Limits beyond which a tracked frame counts as doubtful or lost."""
 
     min_measured: PositiveInt = 200
     """Minimum number of pixels with a depth measurement."""
@@ -24,6 +24,15 @@ class HealthLimits:
     """Minimum eigenvalue of the pose's information matrix, in 1/m^2 and 1/rad^2."""
     max_residual_ratio: PositiveFloat = 4.0
     """Maximum product of the photometric and the depth scale, relative to the previous frame."""
+    min_correlation: Fraction = 0.6
+    """Minimum median correlation of the textures of a frame and the map. Below it, the pose of the
+    frame is doubtful."""
+    min_agreement: Fraction = 0.75
+    """Minimum fraction of a frame's depth that agrees with the map, where the map covers it. Below
+    it, the pose of the frame is doubtful."""
+    min_covered: Fraction = 0.15
+    """Minimum fraction of a frame's depth that the map covers. Below it, the pose of the frame is
+    doubtful."""
 
 
 @dataclass(frozen=True)

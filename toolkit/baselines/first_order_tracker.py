@@ -39,6 +39,7 @@ from toolkit.semantics.codes import SemanticCode
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import FirstOrderOptions
+from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 
 # Evaluation of the final pose: fixed-point iterations of the residual scales, maximum depth
@@ -99,7 +100,12 @@ class FirstOrderTracker(MovingTracker):
             self._semantic = SemanticLoss(code, weights)
             self.wants_labels = True
 
-    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+    def track(
+        self,
+        frame: Frame,
+        gaussians: GaussianCloud,
+        proposals: Proposals | None = None,
+    ) -> TrackingResult:
         """Track a frame and update the motion model, unless the frame is lost."""
         result = self.locate(frame, gaussians, self.motion.predict(frame.timestamp_s))
         if result.lost:

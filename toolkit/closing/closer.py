@@ -25,6 +25,7 @@ from toolkit.closing.uncertainty import frame_covariances
 from toolkit.frame import NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
@@ -38,6 +39,9 @@ from toolkit.pose_graph.graph import PoseEdge
 from toolkit.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
+
+# Number of similar keyframes that a doubtful frame is matched with.
+_SIMILAR = 4
 
 _log = logging.getLogger(__name__)
 
@@ -65,6 +69,12 @@ class LoopCloser:
         self._pending: list[LoopCandidate] = []
         self._deferred = False
         self._between = SubmapLoops(parts, self.options, self._record)
+
+    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
+        """Keyframes of the active submap that look most similar to a view; see `LoopClosing`."""
+        keyframes = {keyframe.index: keyframe for keyframe in atlas.mapper.keyframes}
+        found = self._detector.most_similar(view, _SIMILAR)
+        return [keyframes[s.frame] for s in found if s.frame in keyframes]
 
     def map_loaded(self, atlas: Atlas) -> None:
         """Add the keyframes and the anchors of a loaded map, which is treated as rigid."""

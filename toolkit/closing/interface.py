@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.submaps.atlas import Atlas
@@ -26,6 +27,10 @@ class LoopClosing(Protocol):
     @property
     def relocaliser(self) -> Relocaliser | None:
         """Relocalises lost frames; None without relocalisation."""
+        ...
+
+    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
+        """Keyframes of the active submap that look most similar to a view, most similar first."""
         ...
 
     def map_loaded(self, atlas: Atlas) -> None:
@@ -88,6 +93,10 @@ class NoLoopClosing:
 
     loops: Sequence[PoseEdge] = ()
     relocaliser: Relocaliser | None = None
+
+    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
+        """Nothing is known about similarity."""
+        return []
 
     def map_loaded(self, atlas: Atlas) -> None:
         """Do nothing."""

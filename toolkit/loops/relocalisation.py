@@ -19,7 +19,7 @@ from toolkit.loops.options import RelocalisationOptions
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.health import has_depth
-from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
@@ -126,7 +126,7 @@ class Relocaliser:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
         result = tracker.locate(frame, submap.gaussians, start)
-        if result.lost or result.visible_fraction < self.options.min_visible:
+        if result.health is not Health.GOOD or result.visible_fraction < self.options.min_visible:
             return None
         if result.intensity_residual > self.options.max_intensity_residual:
             return None

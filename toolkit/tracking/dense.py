@@ -8,7 +8,9 @@ frame then fits badly, alignment is repeated from the pose found by Open3D's odo
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import torch
@@ -27,23 +29,23 @@ from toolkit.alignment.exposure import estimate_exposure
 from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.errors import DependencyError
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
-from toolkit.tracking.health import (
-    has_depth,
-    misfit_reason,
-    reference_scales,
-    relaxed_scales,
-)
+from toolkit.tracking.evidence import doubt_reason, is_clear, quality
+from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrame, PreparedFrames
+from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
+from toolkit.tracking.rotation_search import rotated_starts, wide_camera
 
 _log = logging.getLogger(__name__)
 
@@ -51,13 +53,14 @@ _log = logging.getLogger(__name__)
 # Minimum number of residuals.
 _MIN_PIXELS = 50
 
-# A frame fits badly if the product of its residual scales exceeds that of the last frame by this
-# factor. Correctly tracked frames of the real sequences stay below 1.8. Nearly all wrong poses
-# after large motions lie above, up to 3000.
-_BAD_FIT = 2.0
-
 # Pyramid level for odometry; an initial pose need not be precise.
 _ODOMETRY_LEVEL = 1
+
+# Pyramid level at which the agreement of a frame and the map is measured.
+_EVIDENCE_LEVEL = 1
+
+# First level of the search over rotations: half the resolution, as that of its view of the map.
+_SEARCH_LEVEL = 1
 
 # Smaller steps end a pyramid level: a thousandth of a pixel at usual focal lengths.
 _SMALL_TRANSLATION_M = 2e-5
@@ -106,7 +109,6 @@ class DenseTracker(MovingTracker):
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._scales = INITIAL_SCALES
-        self._fit = INITIAL_SCALES
         self._exposure = IDENTITY
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
@@ -119,49 +121,49 @@ class DenseTracker(MovingTracker):
 
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
-        scales, fit = ([s.intensity, s.depth_m] for s in (self._scales, self._fit))
+        scales = [self._scales.intensity, self._scales.depth_m]
         exposure = [self._exposure.gain, self._exposure.bias]
-        own = {"scales": scales, "fit": fit, "exposure": exposure}
+        own = {"scales": scales, "exposure": exposure}
         return super().state() | {name: np.array(values) for name, values in own.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Restore an earlier `state`."""
         super().restore(state)
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
-        # Checkpoints of earlier versions have no "fit".
-        self._fit = ResidualScales(*(float(s) for s in state.get("fit", state["scales"])))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
 
-    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
-        """Track a frame and update the motion model, unless the frame is lost."""
+    def track(
+        self, frame: Frame, gaussians: GaussianCloud, proposals: Proposals | None = None
+    ) -> TrackingResult:
+        """Track a frame and update the motion model, unless the frame is doubtful or lost."""
         starts = [self.motion.predict(frame.timestamp_s)]
         last = self.motion.last()
         if last is not None:
             starts.append(last)
-        result = self.locate(frame, gaussians, *starts)
-        found = ResidualScales(result.intensity_residual, result.depth_residual_m)
-        reference = reference_scales(self._scales, self._fit)
-        misfit = "" if result.lost else misfit_reason(self.limits, found, reference)
-        if misfit:
-            result = replace(result, health=Health.LOST, reason=misfit)
-        if result.lost:
+        result = self.locate(frame, gaussians, *starts, proposals=proposals)
+        if result.health is Health.GOOD:
+            self.motion.update(frame.timestamp_s, result.T_map_camera)
+            self._scales = ResidualScales(result.intensity_residual, result.depth_residual_m)
+            self._exposure = result.exposure
+        else:
             self.motion.forget_velocity()
             if has_depth(frame):
                 self._scales = relaxed_scales(self._scales)
-        else:
-            self.motion.update(frame.timestamp_s, result.T_map_camera)
-            self._scales = self._fit = found
-            self._exposure = result.exposure
         return result
 
     def locate(
-        self, frame: Frame, gaussians: GaussianCloud, *starts: NDArray[np.float64]
+        self,
+        frame: Frame,
+        gaussians: GaussianCloud,
+        *starts: NDArray[np.float64],
+        proposals: Proposals | None = None,
     ) -> TrackingResult:
         """Locate a frame near one of several initial poses; the tracker's state does not change.
 
         Args:
             starts: initial poses T_map_camera [4, 4]. The map is rendered at the first one.
                 Alignment starts at the one with the lowest cost on the coarsest level.
+            proposals: further initial poses, which are asked for if the result is not clear.
 
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
@@ -169,21 +171,56 @@ class DenseTracker(MovingTracker):
         task = _Task(self._prepared.of(frame, gaussians.means.device), gaussians)
         view = self._render(task, starts[0])
         start = self._best_start(task, view, starts)
-        result = self._align(task, view, start)
-        if self.options.start == "both" or (
-            self.options.start == "auto" and (result.lost or self._misfit(result) > _BAD_FIT)
-        ):
-            return self._better_by_odometry(task, view, start, result)
-        return result
+        results = [self._align(task, view, start)]
+        unclear = not _is_clear(results[0]) and has_depth(frame)
+        if self.options.start == "both" or (self.options.start == "auto" and unclear):
+            for T_map_camera in self._further_starts(task, view, start, results, proposals):
+                results.append(self._align(task, self._render(task, T_map_camera), T_map_camera))
+        best = max(results, key=_rank)
+        return replace(
+            best,
+            renders=sum(result.renders for result in results),
+            iterations=sum(result.iterations for result in results),
+        )
+
+    def _further_starts(
+        self,
+        task: _Task,
+        view: _View,
+        start: NDArray[np.float64],
+        results: list[TrackingResult],
+        proposals: Proposals | None,
+    ) -> Iterator[NDArray[np.float64]]:
+        """Initial poses T_map_camera [4, 4], until a result is clear.
+
+        Args:
+            view, start: the first view of the map, and the initial pose chosen there.
+            results: those so far; the caller extends them.
+        """
+        found = self._odometry(task, view, start) if self.options.start == "both" else None
+        searches = chain(
+            [] if found is None else [found],
+            () if proposals is None else proposals(task.frame),
+            self._rotated_starts(task, start),
+        )
+        for T_map_camera in searches:
+            yield T_map_camera
+            if any(_is_clear(result) for result in results):
+                return
 
     def _render(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
-        camera, min_silhouette = task.frame.camera, self.options.min_silhouette
+        return self._view(task, T_map_view, task.frame.camera, self.options.levels)
+
+    def _view(
+        self, task: _Task, T_map_view: NDArray[np.float64], camera: Camera, levels: int
+    ) -> _View:
+        min_silhouette = self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
         with self._recorder.timed("tracking render"):
             options = RenderOptions(min_silhouette)
             surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
-            levels = pyramid(view_level(surface, min_silhouette), self.options.levels)
-            return _View(T_map_view.copy(), [model_level(level) for level in levels])
+            images = pyramid(view_level(surface, min_silhouette), levels)
+            return _View(T_map_view.copy(), [model_level(level) for level in images])
 
     def _best_start(
         self, task: _Task, view: _View, starts: tuple[NDArray[np.float64], ...]
@@ -200,15 +237,10 @@ class DenseTracker(MovingTracker):
         ]
         return starts[int(np.argmin(costs))]
 
-    def _misfit(self, result: TrackingResult) -> float:
-        """Product of both residual scales, relative to that of the last frame."""
-        scales = self._scales.intensity * self._scales.depth_m
-        return result.intensity_residual * result.depth_residual_m / scales
-
-    def _better_by_odometry(
-        self, task: _Task, view: _View, start: NDArray[np.float64], first: TrackingResult
-    ) -> TrackingResult:
-        """Repeat the alignment from the pose found by odometry; return the better result."""
+    def _odometry(
+        self, task: _Task, view: _View, start: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """T_map_camera [4, 4] from odometry against a view; None if it fails."""
         level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
         T_view_start = se3.inverse(view.T_map_view) @ start
         try:
@@ -218,17 +250,25 @@ class DenseTracker(MovingTracker):
             if self.options.start == "both":
                 raise
             _log.info("Odometry of frame %d is not available: %s", task.frame.index, error)
-            return first
-        if T_view_camera is None:
-            return first
-        T_map_camera = view.T_map_view @ T_view_camera
-        second = self._align(task, self._render(task, T_map_camera), T_map_camera)
-        fits_better = (second.lost, self._misfit(second)) < (first.lost, self._misfit(first))
-        return replace(
-            second if fits_better else first,
-            renders=first.renders + second.renders,
-            iterations=first.iterations + second.iterations,
+            return None
+        return None if T_view_camera is None else view.T_map_view @ T_view_camera
+
+    def _rotated_starts(
+        self, task: _Task, start: NDArray[np.float64]
+    ) -> Iterator[NDArray[np.float64]]:
+        """Initial poses T_map_camera [4, 4] by rotations of an initial pose in all directions."""
+        levels = task.levels[_SEARCH_LEVEL:]
+        if not levels:
+            return
+        camera = wide_camera(task.frame.camera)
+        view = self._view(task, start, camera, len(levels))
+        options = replace(
+            self._alignment_options,
+            max_distance=self.options.max_distance * 2**_SEARCH_LEVEL,
         )
+        with self._recorder.timed("tracking search"):
+            found = rotated_starts(view.levels, levels, np.eye(4), self._exposure, options)
+        yield from (view.T_map_view @ T for T in found)
 
     def _align(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
         """Align a frame from an initial pose.
@@ -287,6 +327,10 @@ class DenseTracker(MovingTracker):
         # The perturbation is in the view's frame; the view is close to the estimated pose.
         information = linear.H[:6, :6] if linear else np.zeros((6, 6))
         reason = failure_reason(self.limits, alignment.scales, visible, information, measured)
+        similarity = self._similarity(task, view, alignment)
+        health = Health.LOST if reason else Health.GOOD
+        if not reason and (reason := doubt_reason(self.limits, similarity)):
+            health = Health.DOUBTFUL
         # Alignment that fails immediately returns a product of this tracker's own poses. Without
         # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
         return TrackingResult(
@@ -298,7 +342,26 @@ class DenseTracker(MovingTracker):
             depth_residual_m=alignment.scales.depth_m,
             visible_fraction=visible,
             information=information,
-            health=Health.LOST if reason else Health.GOOD,
+            health=health,
             reason=reason,
             exposure=self._estimated_exposure(task, view, alignment),
+            similarity=similarity,
         )
+
+    def _similarity(self, task: _Task, view: _View, alignment: Alignment) -> Similarity:
+        """Agreement of the frame and the view at the estimated pose."""
+        level = min(_EVIDENCE_LEVEL, self.options.levels - 1)
+        with self._recorder.timed("tracking evidence"):
+            return aligned_correlation(
+                view.levels[level], task.levels[level], alignment.T_view_camera
+            )
+
+
+def _is_clear(result: TrackingResult) -> bool:
+    """Whether no other pose needs to be considered."""
+    return not result.lost and is_clear(result.similarity)
+
+
+def _rank(result: TrackingResult) -> tuple[bool, float]:
+    """Order of the results of a frame: those with a pose first, then by their evidence."""
+    return not result.lost, quality(result.similarity)

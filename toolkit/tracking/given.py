@@ -12,6 +12,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.tracking.health import may_start_map
+from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 
 
@@ -36,7 +37,12 @@ class GivenPoses:
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Do nothing."""
 
-    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+    def track(
+        self,
+        frame: Frame,
+        gaussians: GaussianCloud,
+        proposals: Proposals | None = None,
+    ) -> TrackingResult:
         """Return the pose of the trajectory."""
         T_world_camera = self._trajectory.at(frame.timestamp_s)
         known = T_world_camera is not None

@@ -28,6 +28,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import TrackingResult
 
 # Given poses are wrong by one or two pixels.
@@ -63,7 +64,12 @@ class GuidedTracker(GivenPoses):
         self._recorder = recorder or NullRecorder()
         self._exposure = IDENTITY
 
-    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
+    def track(
+        self,
+        frame: Frame,
+        gaussians: GaussianCloud,
+        proposals: Proposals | None = None,
+    ) -> TrackingResult:
         """Align a frame to the Gaussians; its exposure is relative to the map."""
         given = super().track(frame, gaussians)
         if given.lost:

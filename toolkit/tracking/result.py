@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.similarity import Similarity
 from toolkit.exposure import IDENTITY, Exposure
 
 
@@ -36,6 +37,7 @@ class TrackingResult:
         health: GOOD; DOUBTFUL if the pose may be wrong and must not extend the map; or LOST.
         reason: why the frame is doubtful or lost; empty if it is neither.
         exposure: exposure of the frame against the map.
+        similarity: of the frame and the map at the pose; None if it was not measured.
     """
 
     T_map_camera: NDArray[np.float64]
@@ -49,6 +51,7 @@ class TrackingResult:
     health: Health = Health.GOOD
     reason: str = ""
     exposure: Exposure = IDENTITY
+    similarity: Similarity | None = None
 
     @property
     def lost(self) -> bool:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import TrackingResult
 
 
@@ -29,8 +30,14 @@ class Tracker(Protocol):
         """Do work for a later frame that does not depend on the map; from any thread."""
         ...
 
-    def track(self, frame: Frame, gaussians: GaussianCloud) -> TrackingResult:
-        """Estimate the pose of the next frame against the Gaussians."""
+    def track(
+        self, frame: Frame, gaussians: GaussianCloud, proposals: Proposals | None = None
+    ) -> TrackingResult:
+        """Estimate the pose of the next frame against the Gaussians.
+
+        Args:
+            proposals: further initial poses, which are asked for if the frame is doubtful.
+        """
         ...
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:

@@ -1,0 +1,58 @@
+"""Evidence for the pose of a frame that does not depend on the alignment that is judged.
+
+Residuals cannot tell a right pose from a wrong one: alignment has minimised them, a wrong minimum
+in a place of similar shape has moderate ones, and robust scales leave out whatever contradicts.
+The similarity of the frame and the rendered map can be compared between poses, scenes and cameras.
+In all recordings and rooms at strides 1 to 8, the textures of rightly tracked frames correlate by
+0.65 or more, and 79 % or more of the depth agrees with the map. At wrong poses, one of the two is
+lower: the correlation is below 0.5, or the agreement below 75 %.
+"""
+
+from __future__ import annotations
+
+import math
+
+from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.similarity import Similarity
+
+# Fewer textured blocks do not determine a correlation; it then has a neutral value.
+_MIN_BLOCKS, _NEUTRAL = 4, 0.5
+# A pose with this evidence is right, so that no other one is looked for.
+_CLEAR_CORRELATION, _CLEAR_LOW_CORRELATION = 0.8, 0.65
+_CLEAR_AGREEMENT, _CLEAR_COVERED = 0.85, 0.4
+
+
+def quality(similarity: Similarity | None) -> float:
+    """Quality of a pose from 0 to 1, which can be compared between poses of one frame."""
+    if similarity is None:
+        return 0.0
+    correlation = _NEUTRAL
+    if similarity.blocks >= _MIN_BLOCKS:
+        # Slightly wrong poses show in the blocks that fit worst.
+        correlation = 0.5 * (similarity.correlation + similarity.low_correlation)
+    return math.sqrt(similarity.covered) * max(correlation, 0.0) * similarity.agreeing
+
+
+def is_clear(similarity: Similarity | None) -> bool:
+    """Whether the evidence for a pose is so good that no other pose needs to be considered."""
+    return (
+        similarity is not None
+        and similarity.blocks >= _MIN_BLOCKS
+        and similarity.correlation >= _CLEAR_CORRELATION
+        and similarity.low_correlation >= _CLEAR_LOW_CORRELATION
+        and similarity.agreeing >= _CLEAR_AGREEMENT
+        and similarity.covered >= _CLEAR_COVERED
+    )
+
+
+def doubt_reason(limits: HealthLimits, similarity: Similarity | None) -> str:
+    """Why a pose may be wrong; empty if the evidence suffices."""
+    if similarity is None:
+        return ""
+    if similarity.covered < limits.min_covered:
+        return f"the map covers only {100 * similarity.covered:.0f} % of the frame"
+    if similarity.blocks >= _MIN_BLOCKS and similarity.correlation < limits.min_correlation:
+        return f"frame and map correlate by only {similarity.correlation:.2f}"
+    if similarity.agreeing < limits.min_agreement:
+        return f"only {100 * similarity.agreeing:.0f} % of the depth agrees with the map"
+    return ""
