@@ -118,6 +118,11 @@ class CameraPath:
         return [f.index for f in self._frames]
 
     @property
+    def last_reliable_s(self) -> float | None:
+        """Time of the newest frame that is neither doubtful nor lost; None without any."""
+        return next((f.timestamp_s for f in reversed(self._frames) if not f.doubt), None)
+
+    @property
     def doubtful_frames(self) -> dict[int, str]:
         """Reason by index of the frames whose pose may be wrong, in order."""
         return {f.index: f.doubt for f in self._frames if f.doubt}

@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing
 from toolkit.exposure import IDENTITY
-from toolkit.frame import Frame, Recorder
+from toolkit.frame import Frame, FrameStamp, Recorder
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
-from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
+
+# Fewer unreliable frames in a row do not end a submap, however long they take.
+_MIN_UNRELIABLE = 3
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,20 @@ class Recovery:
         self._tracker, self._atlas, self._path = tracker, atlas, path
         self._closer, self._label, self._recorder = closer, label, recorder
 
-    @property
-    def out_of_patience(self) -> bool:
-        """Whether so many frames in a row were doubtful or lost that a submap may start."""
-        relocaliser = self._closer.relocaliser
-        patience = float("inf") if relocaliser is None else relocaliser.options.patience
-        return self._path.unreliable_in_a_row >= patience
+    def out_of_patience(self, frame: FrameStamp) -> bool:
+        """Whether the frames before this one were unreliable for so long that a submap may start.
+
+        Frames are unreliable if they are doubtful or lost.
+        """
+        relocaliser, path = self._closer.relocaliser, self._path
+        if relocaliser is None:
+            return False
+        options = relocaliser.options
+        if path.unreliable_in_a_row >= options.patience:
+            return True
+        last = path.last_reliable_s
+        waited_s = 0.0 if last is None else frame.timestamp_s - last
+        return path.unreliable_in_a_row >= _MIN_UNRELIABLE and waited_s >= options.patience_s
 
     def recover(self, frame: Frame, lost: TrackingResult, may_map: bool) -> Located:
         """Relocalise a lost frame.
@@ -84,7 +95,7 @@ class Recovery:
             return Located(None, lost)
         if not has_depth(frame):
             return Located(None, lost)
-        out_of_patience = self.out_of_patience
+        out_of_patience = self.out_of_patience(frame)
         with self._recorder.timed("relocalisation"):
             last = self._path.last_position(self._atlas)
             found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
@@ -100,7 +111,7 @@ class Recovery:
         self._start_submap(frame, found)
         tracker.continue_from(frame.timestamp_s, np.eye(4))
         if found is None:
-            return Located(np.eye(4), lost)
+            return Located(np.eye(4), replace(lost, health=Health.LOST))
         return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
 
     def _start_submap(self, frame: Frame, found: Relocalisation | None) -> None:

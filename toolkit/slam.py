@@ -312,7 +312,7 @@ class Slam:
         with self._recorder.timed("tracking"):
             gaussians = self.mapper.gaussians
             tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
-        if tracking.lost or (tracking.doubtful and self._recovery.out_of_patience):
+        if tracking.lost or (tracking.doubtful and self._recovery.out_of_patience(frame)):
             return self._recovery.recover(frame, tracking, may_map)
         return Located(tracking.T_map_camera, tracking)
 

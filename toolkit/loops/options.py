@@ -103,4 +103,7 @@ class RelocalisationOptions:
     max_intensity_residual: PositiveFloat = 0.1
     """Maximum robust scale of the photometric residuals, for intensities in [0, 1]."""
     patience: PositiveInt = 15
-    """Number of consecutive lost frames after which a new submap is started."""
+    """Number of consecutive doubtful or lost frames after which a new submap is started."""
+    patience_s: PositiveFloat = 1.0
+    """Time in seconds without a reliable frame after which a new submap is started as well, but
+    not before three frames: at a low frame rate, the camera moves far in 15 frames."""

@@ -33,8 +33,9 @@ Array = NDArray[np.float64]
 
 # Rotations about the camera's x and y axes that are tried, and the margin of the wide view beyond
 # the frame's own. Alignment at the coarsest level follows half a step.
-_ANGLES_DEG = (-24.0, -16.0, -8.0, 0.0, 8.0, 16.0, 24.0)
-_MARGIN_DEG = 20.0
+_PITCH_DEG = (-24.0, -16.0, -8.0, 0.0, 8.0, 16.0, 24.0)
+_YAW_DEG = (-40.0, -32.0, *_PITCH_DEG, 32.0, 40.0)
+_MARGIN_DEG = 25.0
 # Cost of a pixel that the view does not cover, in units of the squared residual scales. That of a
 # pixel with large residuals is about 5.
 _UNCOVERED_COST = 4.0
@@ -96,9 +97,7 @@ def rotated_starts(
 
 def _rotations() -> list[Array]:
     """Rotations [4, 4] about the axes x and y."""
-    return [
-        se3.exp(np.radians([0.0, 0.0, 0.0, x, y, 0.0])) for x in _ANGLES_DEG for y in _ANGLES_DEG
-    ]
+    return [se3.exp(np.radians([0.0, 0.0, 0.0, x, y, 0.0])) for x in _PITCH_DEG for y in _YAW_DEG]
 
 
 def _cost(linear: Linearisation, measured: float) -> float:
