@@ -24,6 +24,7 @@ from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.depth_views import DepthView
+from toolkit.mapping.effort import Effort
 from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
 from toolkit.mapping.gaussian_map import GaussianMap, MapContent
 from toolkit.mapping.hole_filling import fill_holes
@@ -40,11 +41,6 @@ from toolkit.tracking.health import has_depth
 
 _log = logging.getLogger(__name__)
 
-# Fine texture is hardly visible in images of fewer pixels, so that tracking needs a map that fits
-# them better, at no more cost: with 3 iterations at 160x120, a camera slid along a corridor by
-# 15 cm in a frame (trajectory error 5.4 cm; 0.5 cm with 12).
-_REFERENCE_PIXELS, _MAX_MORE_ITERATIONS = 320 * 240, 4.0
-
 
 @dataclass(frozen=True)
 class MappingResult:
@@ -52,12 +48,15 @@ class MappingResult:
 
     Attributes:
         seeded, pruned: number of Gaussians added and removed.
-        loss: loss of the last optimisation step, nan if there was none or steps are deferred.
+        loss: loss of the images at the last optimisation step, nan if there was none or steps are
+            deferred.
+        steps: number of optimisation steps, 0 if they are deferred.
     """
 
     seeded: int
     pruned: int
     loss: float
+    steps: int = 0
 
 
 class Mapper:
@@ -157,13 +156,14 @@ class Mapper:
             empty = partial(self._free_space.seen_through, others=others) if free_space else None
             seeded = self._densification.seed(self.map, keyframe, view, observed, empty)
         all_new = seeded == len(self.gaussians)
-        steps = self.options.first_iterations if all_new else self._iterations(keyframe.camera)
+        steps = options.first_iterations if all_new else options.iterations
         if self.deferred is None:
-            loss = self._optimise(steps)
+            effort = Effort(steps, steps if all_new else max(options.max_iterations, steps))
+            loss = self._optimise(effort)
         else:
-            loss = float("nan")
+            effort, loss = Effort(0, 0), float("nan")
             self.deferred.add(keyframe, steps)
-        return MappingResult(seeded, self._densification.prune(self.map), loss)
+        return MappingResult(seeded, self._densification.prune(self.map), loss, effort.taken)
 
     def keyframes_from(self, index: int) -> list[Keyframe]:
         """The active submap's keyframe of a frame index and the one after it, as far as exist."""
@@ -233,7 +233,7 @@ class Mapper:
         if self.deferred is not None:
             self.deferred.skip(steps)
             return
-        self._optimise(steps, poses)
+        self._optimise(Effort(steps, steps), poses)
         self._densification.prune(self.map)
 
     def optimise_keyframes(self, indices: Iterable[int], iterations: int) -> None:
@@ -358,21 +358,19 @@ class Mapper:
         if filled:
             _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
-    def _optimise(self, steps: int, poses: bool = False) -> float:
+    def _optimise(self, effort: Effort, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""
         window = self._window(self.keyframes)
         adjust_poses = poses or self.options.bundle_adjustment
         objective = Objective(adjust_poses)
         loss = float("nan")
-        for number in range(steps):
-            loss = self.step(self._pick(window), (number, steps), objective)
+        while effort.wanted:
+            keyframe = window[0] if effort.measures else self._pick(window)
+            # The weights of semantics follow the minimum, which slow sequences take.
+            progress = (effort.taken, max(effort.minimum, effort.taken + 1))
+            loss = self.step(keyframe, progress, objective)
+            effort.took(loss if keyframe is window[0] else None)
         return loss
-
-    def _iterations(self, camera: Camera) -> int:
-        """Number of optimisation iterations on a new keyframe; more for small images."""
-        pixels = camera.width * camera.height
-        factor = min(max(_REFERENCE_PIXELS / pixels, 1.0), _MAX_MORE_ITERATIONS)
-        return round(factor * self.options.iterations)
 
     def _window(self, keyframes: list[Keyframe]) -> list[Keyframe]:
         """Keyframes to optimise together with the newest of some keyframes, which comes first."""

@@ -70,7 +70,7 @@ class MapOptimisation:
         progress: tuple[int, int],
         objective: Objective,
     ) -> float:
-        """Take one step on one keyframe; return its loss.
+        """Take one step on one keyframe; return the loss of its images, without that of labels.
 
         Args:
             progress: number of this step and total number of steps of the call.
@@ -104,7 +104,7 @@ class MapOptimisation:
                 gradient[COLOUR] += colour_gradient
                 loss += feature_loss
         with self._recorder.timed("map semantic loss"):
-            semantic, gradient, detached = self._semantics.add_gradient(
+            _, gradient, detached = self._semantics.add_gradient(
                 view, labels, progress, gradient
             )
         with self._recorder.timed("map backward"):
@@ -118,7 +118,7 @@ class MapOptimisation:
             )
             if objective.adjust_poses and keyframe is not gaussian_map.keyframes[0]:
                 self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
-        return loss + semantic
+        return loss
 
     def _adjust_pose(self, keyframe: Keyframe, matrix_gradient: NDArray[np.float64]) -> None:
         """Take one step on a keyframe's pose.

@@ -151,7 +151,10 @@ class MapperOptions:
     # Trajectories do not gain from more. With 12, a room and three recordings gained 0.1 to 0.3 dB,
     # in more than twice the time.
     iterations: NonNegativeInt = 3
-    """Number of optimisation iterations per keyframe, up to fourfold below 320x240 pixels."""
+    """Minimum number of optimisation iterations per keyframe."""
+    max_iterations: NonNegativeInt = 12
+    """Maximum number of optimisation iterations per keyframe. More than the minimum are taken
+    while a keyframe that shows much new surface is not explained yet."""
     first_iterations: NonNegativeInt = 20
     """Number of optimisation iterations on the first keyframe."""
     final_iterations: NonNegativeInt = 6
