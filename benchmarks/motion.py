@@ -1,7 +1,10 @@
 """Large and irregular motion: lost, doubtful and silently wrong frames, beside other methods.
 
 SEMSPLAT_DATA=DATA python -m benchmarks.motion --subset
-SEMSPLAT_DATA=DATA python -m benchmarks.motion --sequence RedKitchen --only 'RedKitchen, stride 8'
+SEMSPLAT_DATA=DATA python -m benchmarks.motion --only 'RedKitchen, stride 8'
+SEMSPLAT_DATA=DATA python -m benchmarks.motion --sequence RedKitchen --methods semsplat
+
+ORB-SLAM3 is measured if it is installed: pip install --no-deps orbslam3-python
 """
 
 from __future__ import annotations
