@@ -124,7 +124,7 @@ def orbslam3(frames: EveryNth, camera: Camera, folder: Path, vocabulary: Path) -
     import orbslam3
 
     settings = folder / "orbslam3.yaml"
-    settings.write_text(_orb_settings(camera), encoding="ascii")
+    settings.write_text(orb_settings(camera), encoding="ascii")
     system = orbslam3.System(str(vocabulary), str(settings), orbslam3.Sensor.MONOCULAR)
     system.set_use_viewer(False)
     system.initialize()
@@ -144,7 +144,7 @@ def orbslam3(frames: EveryNth, camera: Camera, folder: Path, vocabulary: Path) -
     return Motion(_trajectory(found), len(largest))
 
 
-def _orb_settings(camera: Camera) -> str:
+def orb_settings(camera: Camera) -> str:
     """The settings file: the values of its examples, but for the camera."""
     return f"""%YAML:1.0
 File.version: "1.0"

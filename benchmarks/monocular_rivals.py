@@ -118,7 +118,7 @@ def _measured(method: str, sequence: str, every: int) -> Metrics:
         out = Path(folder) / "motion.npz"
         arguments = ["--method", method, "--sequence", sequence, "--every", str(every)]
         if method == "orbslam3":
-            arguments += ["--vocabulary", str(_vocabulary())]
+            arguments += ["--vocabulary", str(vocabulary())]
         metrics["outcome"] = _outcome([*arguments, "--out", str(out)])
         if not out.exists():
             return metrics
@@ -151,7 +151,7 @@ def _outcome(arguments: list[str]) -> str:
     return "finished"
 
 
-def _vocabulary() -> Path:
+def vocabulary() -> Path:
     """The words of ORB-SLAM3, which are trained when they are first needed."""
     path = WORK / "orb_vocabulary.txt"
     if not path.exists():

@@ -20,6 +20,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "room-noise": ("--sensor-noise",),
     "room-walker": ("--walker",),
     "room-real": ("--real",),
+    "room-weak": ("--texture", "weak"),
+    "room-narrow": ("--fov-deg", "30"),
     "ring": (*_RING, "--sensor-noise"),
     "ring-ideal": _RING,
     "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),
@@ -64,6 +66,7 @@ class Recording:
 
 RECORDINGS = {
     "redkitchen": Recording("seven-scenes", "7scenes_redkitchen", (320, 240)),
+    "redkitchen_30fps": Recording("seven-scenes", "7scenes_redkitchen_30fps", (320, 240)),
     "fr1_rpy": Recording("tum", "tum_fr1_rpy", (320, 240)),
     "office0": Recording("replica", "replica_office0"),
     "hololens": Recording("folder", "hololens_walk"),

@@ -18,6 +18,7 @@ from benchmarks.tables import Metrics, Table
 Job = TypeVar("Job")
 
 WORK = ROOT / "runs" / "benchmarks"
+_MISSING_SHOWN = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,9 +138,10 @@ class Report:
         results = Results(*self._text, self.header, tables)
         if self._missing:
             print("\n\n".join(table.markdown() for table in tables))
-            print(
-                f"\n{results.name}.md is not written; rows to measure: {', '.join(self._missing)}"
-            )
+            names = ", ".join(self._missing[:_MISSING_SHOWN])
+            more = len(self._missing) - _MISSING_SHOWN
+            names += f" and {more} more" if more > 0 else ""
+            print(f"\n{results.name}.md is not written; rows to measure: {names}")
             return
         publish(results, self._options.out)
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.cli.main import main as program
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic import RoomSettings, SensorModel, make_room, tiny_room
 from toolkit.datasets.synthetic.unseen import _visible_fraction, poses_off_the_path
@@ -124,6 +125,8 @@ def test_path_of_a_file_raises(tmp_path):
         ({"share": 0.0}, "share must lie in"),
         ({"width": 4}, "at least 16x16"),
         ({"seed": -1}, "must not be negative"),
+        ({"texture": "none"}, "texture must be one of normal, weak"),
+        ({"fov_deg": 5.0}, "fov_deg must lie in"),
     ],
 )
 def test_values_out_of_range_raise(values, message):
@@ -149,6 +152,28 @@ def test_tiny_rooms_differ_by_seed_and_by_sensor():
     measured = noisy[1].depth_m > 0
     assert 0.001 < np.abs(plain[1].depth_m - noisy[1].depth_m)[measured].mean() < 0.05
     np.testing.assert_array_equal(truth.T_world_camera, same.T_world_camera)
+
+
+def test_options_of_the_program_change_texture_and_field_of_view(made, tmp_path):
+    small = ("--frames", "1", "--share", "0.1", "--image-size", "64", "48", "--unseen", "0")
+    for name, options in {"weak": ["--texture", "weak"], "narrow": ["--fov-deg", "30"]}.items():
+        words = ["make-room", "--out", str(tmp_path / name), *small, *options]
+        assert program(words) == 0
+    normal, weak, narrow = (
+        open_dataset("synthetic", path) for path in (made, tmp_path / "weak", tmp_path / "narrow")
+    )
+    # The same surfaces with less contrast; the median pixel lies within one.
+    np.testing.assert_array_equal(weak[0].depth_m, normal[0].depth_m)
+    detail = [np.median(np.abs(np.diff(room[0].rgb, n=2, axis=1))) for room in (weak, normal)]
+    assert detail[0] < 0.6 * detail[1]
+    assert np.abs(weak[0].rgb.mean((0, 1)) - normal[0].rgb.mean((0, 1))).max() < 0.05
+    # The middle of the same image.
+    assert normal.camera.fx == pytest.approx(0.8 * 64)
+    assert np.degrees(2 * np.arctan(32 / narrow.camera.fx)) == pytest.approx(30.0)
+    middle = [room[0].depth_m[23:25, 31:33].mean() for room in (normal, narrow)]
+    assert middle[0] == pytest.approx(middle[1], rel=0.05)
+    spread = [np.ptp(room[0].rgb.mean((0, 2))) for room in (normal, narrow)]
+    assert spread[0] != pytest.approx(spread[1], rel=0.01)
 
 
 def test_unseen_views_are_off_the_path_and_show_known_surfaces(scene):

@@ -31,6 +31,8 @@ def main(options: MakeRoomOptions) -> int:
         sensor=SensorModel.of(options.sensor_noise, options.real),
         unseen=options.unseen,
         walker=options.real or options.walker,
+        texture=options.texture,
+        fov_deg=options.fov_deg,
     )
     make_room(options.out, settings, with_progress)
     print(f"Created a room in {options.out}.")

@@ -218,6 +218,11 @@ class MakeRoomOptions:
     shiny objects, at edges and grazing angles, and a walker."""
     walker: bool = False
     """Let a person walk through the view; masks are written to the folder walker."""
+    texture: Literal["normal", "weak"] = "normal"
+    """Texture of all surfaces. Weak ones keep a tenth of their contrast, so that images show little
+    but the edges and shadows of objects."""
+    fov_deg: Annotated[float, Range(ge=10, le=120)] | None = None
+    """Horizontal field of view of the camera, in degrees. By default, 64 degrees."""
     unseen: NonNegativeInt = 20
     """Number of ideal views off the path, in the folder unseen."""
 

@@ -16,6 +16,7 @@ from toolkit.datasets.synthetic.patches import placement
 from toolkit.datasets.synthetic.paths import WayPoint
 from toolkit.datasets.synthetic.ray_casting import Scene
 from toolkit.datasets.synthetic.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
+from toolkit.datasets.synthetic.textures import weakened
 
 _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
@@ -254,9 +255,24 @@ def lamp_places(layout: Layout) -> NDArray[np.float64]:
     return np.array(lamps)
 
 
-def build_scene(layout: Layout, seed: int, texel_m: float) -> Scene:
-    """Build the textured and lit scene of a layout."""
-    return Scene(build_parts(layout, seed), lamp_places(layout), texel_m)
+def build_scene(layout: Layout, seed: int, texel_m: float, texture: str = "normal") -> Scene:
+    """Build the textured and lit scene of a layout.
+
+    Args:
+        layout: rooms and camera path.
+        seed: of furniture and textures.
+        texel_m: edge of a texel, metres.
+        texture: a key of TEXTURES.
+    """
+    contrast = TEXTURES[texture]
+    parts = build_parts(layout, seed)
+    if contrast < 1.0:
+        parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
+    return Scene(parts, lamp_places(layout), texel_m)
+
+
+# The fraction of each texture's contrast that is kept.
+TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1}
 
 
 LAYOUTS: dict[str, Callable[[], Layout]] = {

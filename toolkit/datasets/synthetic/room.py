@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.synthetic import writer
-from toolkit.datasets.synthetic.layouts import LAYOUTS, Layout, build_scene
+from toolkit.datasets.synthetic.layouts import LAYOUTS, TEXTURES, Layout, build_scene
 from toolkit.datasets.synthetic.paths import hand_held_path
 from toolkit.datasets.synthetic.ray_casting import Scene, View
 from toolkit.datasets.synthetic.sensor import Sensor, SensorModel
@@ -24,6 +25,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 
 RATE_HZ = 30.0
+# Focal length per image width: a horizontal field of view of 64 degrees.
+_FOCAL = 0.8
 # Number of frames of the default room at walking pace; other layouts compute it from the path.
 _ROOM_FRAMES = 300
 # Identifiers of random streams; 1 is used for furniture.
@@ -48,6 +51,9 @@ class RoomSettings:
         sensor: simulated effects of a real camera, or None for ideal images.
         unseen: number of test views off the path, which are always ideal and without a walker.
         walker: whether a person walks through the view for a part of the sequence.
+        texture: "normal", or "weak": all surfaces are nearly uniform.
+        fov_deg: horizontal field of view in degrees, from 10 to 120; None for that of common
+            RGB-D cameras, 64.
     """
 
     layout: str = "room"
@@ -59,6 +65,8 @@ class RoomSettings:
     sensor: SensorModel | None = field(default=None)
     unseen: int = 20
     walker: bool = False
+    texture: str = "normal"
+    fov_deg: float | None = None
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
@@ -73,11 +81,19 @@ class RoomSettings:
             )
         if self.seed < 0 or self.unseen < 0:
             raise SettingsError("seed and unseen must not be negative")
+        if self.texture not in TEXTURES:
+            raise SettingsError(
+                f"texture must be one of {', '.join(TEXTURES)}, got {self.texture!r}"
+            )
+        if self.fov_deg is not None and not 10.0 <= self.fov_deg <= 120.0:
+            raise SettingsError(f"fov_deg must lie in [10, 120], got {self.fov_deg}")
 
     @property
     def camera(self) -> Camera:
-        """Camera with a horizontal field of view of 64 degrees, as is common for RGB-D cameras."""
-        focal = 0.8 * self.width
+        """Camera with the horizontal field of view of the settings."""
+        focal = _FOCAL * self.width
+        if self.fov_deg is not None:
+            focal = 0.5 * self.width / math.tan(0.5 * math.radians(self.fov_deg))
         centre = (self.width - 1) / 2, (self.height - 1) / 2
         return Camera(focal, focal, *centre, self.width, self.height)
 
@@ -107,7 +123,7 @@ def make_room(
     camera = settings.camera  # raises before a folder is made if the images are too large
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
-    scene = build_scene(layout, settings.seed, _texel_m(settings))
+    scene = build_scene(layout, settings.seed, _texel_m(settings), settings.texture)
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     views = _views(scene, settings, poses)
@@ -145,8 +161,11 @@ def tiny_room(
 
 
 def _texel_m(settings: RoomSettings) -> float:
-    """Return a texel size of about one pixel at a distance of one metre."""
-    return max(1.0 / settings.camera.focal, 0.0015)
+    """Return a texel size of about one pixel at a distance of one metre.
+
+    It does not depend on the field of view: the atlas of a narrow one would be too large.
+    """
+    return max(1.0 / (_FOCAL * settings.width), 0.0015)
 
 
 @functools.lru_cache(maxsize=2)

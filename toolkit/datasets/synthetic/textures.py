@@ -16,6 +16,17 @@ Colour = tuple[float, float, float]
 Texture = Callable[[Canvas], Image]
 
 
+def weakened(texture: Texture, contrast: float) -> Texture:
+    """The same texture with a fraction of its contrast; the mean colour of a chart is kept."""
+
+    def paint(canvas: Canvas) -> Image:
+        image = texture(canvas)
+        mean = image.mean(axis=(0, 1))
+        return mean + contrast * (image - mean)
+
+    return paint
+
+
 def plaster(colour: Colour, contrast: float = 0.03) -> Texture:
     """Painted plaster: faint clouds and fine grain."""
 
