@@ -333,7 +333,7 @@ class TestSettle:
         parts, last = closer._parts, atlas.active
         loops = SubmapLoops(parts, ClosingOptions(max_partners=most), lambda *_: None)
         held = {(0, last)}
-        pairs = loops.overlapping(atlas, held)
+        pairs = loops.overlapping(atlas, held, [range(len(atlas))])
         assert held <= set(pairs) and pairs == sorted(set(pairs))
         between = set(range(1, last))
         found = {number for pair in set(pairs) - held for number in pair}

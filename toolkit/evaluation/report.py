@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from toolkit.evaluation.charts import Axes, Series, line_chart
 from toolkit.evaluation.frame_costs import FrameCosts, memory_chart, time_chart
+from toolkit.evaluation.frame_states import FrameState, ranges
 from toolkit.evaluation.loop_gallery import LoopPicture
 from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.state_strip import state_strip
 from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_svg
 from toolkit.evaluation.timing import StageTime
 from toolkit.evaluation.trajectory import (
@@ -50,6 +52,7 @@ _HEADLINES = (
     ("Gaussians", "gaussians", 0, ""),
     ("peak memory", "peak_memory_mb", 0, "MB"),
     ("frames lost", "frames_lost", 0, ""),
+    ("frames doubtful", "frames_doubtful", 0, ""),
 )
 
 
@@ -139,6 +142,7 @@ class ReportContent:
         loops: pairs of images of the loop gallery.
         submaps: overlaps and loops of the submaps; None if there is only one.
         costs: time and memory by frame, or None.
+        states: states of all frames, in order.
     """
 
     title: str
@@ -158,6 +162,7 @@ class ReportContent:
     loops: Sequence[LoopPicture] = ()
     submaps: SubmapGraph | None = None
     costs: FrameCosts | None = None
+    states: Sequence[FrameState] = ()
 
 
 def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
@@ -191,6 +196,8 @@ def render_report(content: ReportContent) -> str:
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
         memory=_memory(content.metrics),
+        state_strip=Markup(state_strip(content.states)),
+        unreliable=[r for r in ranges(content.states) if r.state in ("doubtful", "lost")],
         loops=[_loop(picture) for picture in content.loops],
         submap_graph=Markup("" if content.submaps is None else submap_graph_svg(content.submaps)),
         time_chart=Markup("" if content.costs is None else time_chart(content.costs)),

@@ -20,7 +20,7 @@ from toolkit.io.arrays import arrays_below, read_array_tree
 from toolkit.io.splats import SplatLabels
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
-from toolkit.runs.results import splat_labels
+from toolkit.runs.map_files import splat_labels
 from toolkit.runs.settings import load_settings
 from toolkit.runs.snapshots import watch
 from toolkit.semantics.factory import build_code
