@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,28 +135,18 @@ class Loss:
     reason: str
 
 
-def loss_before(
-    index: int, last: int, lost: Mapping[int, str], doubtful: Mapping[int, str]
-) -> Loss | None:
-    """Find why a part of the map starts at a frame: the camera was lost in the frames before it.
-
-    If nothing was lost before the part, it is the first one, and the loss after it is returned.
+def loss_before(index: int, lost: Mapping[int, str], doubtful: Mapping[int, str]) -> Loss | None:
+    """Find where the camera was lost in the frames before one; None if all was well.
 
     Args:
-        index, last: the first and the last frame of the part.
+        index: of the frame at which a part of the map starts.
         lost, doubtful: reasons by frame index.
     """
     unreliable = {**doubtful, **lost}
-    before = []
-    for frame in range(index - 1, -1, -1):
-        if frame not in unreliable:
-            break
-        before.append(frame)
-    after = [last + 1] if last + 1 in unreliable else []
-    frames = before[::-1] or after
-    if not frames:
+    before = list(takewhile(unreliable.__contains__, range(index - 1, -1, -1)))[::-1]
+    if not before:
         return None
-    first = next((frame for frame in frames if frame in lost), frames[0])
+    first = next((frame for frame in before if frame in lost), before[0])
     return Loss(first, unreliable[first])
 
 
@@ -189,11 +180,13 @@ def separate_parts(
         maps: fused map of each part; empty before the end of the run.
         path: all frames of the run.
     """
+    starts = sorted(own.indices[0] for own in frames if own.indices)
     found = []
     for k, (part, own) in enumerate(zip(parts, frames, strict=True)):
         if k > 0 and own.indices:
-            first, last = own.indices[0], own.indices[-1]
-            loss = loss_before(first, last, path.lost_frames, path.doubtful_frames)
+            # The part that the run starts with ends where the next one starts.
+            start = max([own.indices[0], *starts[1:2]])
+            loss = loss_before(start, path.lost_frames, path.doubtful_frames)
             found.append(SeparatePart(part, own, loss, maps[k] if maps else None))
     return found
 

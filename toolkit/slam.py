@@ -99,8 +99,10 @@ class Slam:
     @property
     def parts(self) -> list[tuple[int, ...]]:
         """Parts of the map so far: numbers of submaps with known relative poses, as in results."""
-        parts = self._closer.parts(self.atlas)
-        return by_size(parts, self._path.submaps, self.atlas.saved)
+        path = self._path
+        doubtful = path.doubtful_frames
+        reliable = [index not in doubtful for index in path.indices]
+        return by_size(self._closer.parts(self.atlas), path.submaps, reliable, self.atlas.saved)
 
     @property
     def camera_path(self) -> CameraPath:
@@ -143,7 +145,13 @@ class Slam:
         Args:
             frame: the next frame of the sequence.
             may_map: False for a held-out view, which does not change the map.
+
+        Returns:
+            The pose of the frame; without one if its time is not after that of the frame before.
         """
+        if disorder := self._path.disorder(frame):
+            self._path.add_lost(frame, disorder, tried=False)
+            return FrameResult(frame.index, None, not_tracked(disorder))
         frame = self._denoised(self._rectified(frame))
         if self._labels_first:
             frame = self._segmented(frame, None)

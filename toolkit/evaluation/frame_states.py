@@ -15,6 +15,8 @@ from toolkit.result import Loss, SlamResult
 State = Literal["tracked", "doubtful", "lost", "dropped"]
 # Ranges of a line of the summary; the others are counted.
 _MAX_RANGES = 4
+# Separate parts that are described in a line each; the others are counted.
+_MAX_PARTS = 3
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class StateRange:
     @property
     def indices(self) -> str:
         """The frame indices as text, for instance "120-134"."""
-        return str(self.first) if self.first == self.last else f"{self.first}-{self.last}"
+        return _indices(self.first, self.last)
 
 
 @dataclass(frozen=True)
@@ -155,23 +157,29 @@ def summary_lines(states: Sequence[FrameState], parts: Sequence[PartSummary]) ->
 
 
 def part_lines(states: Sequence[FrameState], parts: Sequence[PartSummary]) -> list[str]:
-    """Describe the separate parts of a map, one line each."""
+    """Describe the separate parts of a map in a line each; further ones are counted."""
     lines = []
-    for part in parts:
-        if part.number == 0:
-            continue
-        if not part.frames:
-            lines.append(
-                "No frame was relocalised in the loaded map; it is not part of the result."
-            )
-            continue
+    separate = [part for part in parts if part.number > 0 and part.frames]
+    for part in separate[:_MAX_PARTS]:
         loss = part.loss
         why = "" if loss is None else f": the camera was lost at frame {loss.index} ({loss.reason})"
+        indices = ", ".join(_runs(states, part.number))
+        which = f"Frames {indices} ({part.frames} frames) form"
+        if part.frames == 1:
+            which = f"Frame {indices} forms"
         lines.append(
-            f"Frames {', '.join(_runs(states, part.number))} ({part.frames} frames) form a "
-            f"separate part, parts/{part.number}; its position relative to the main part is "
-            f"unknown{why}."
+            f"{which} a separate part, parts/{part.number}; its position relative to the main part "
+            f"is unknown{why}."
         )
+    others = separate[_MAX_PARTS:]
+    if others:
+        frames = sum(part.frames for part in others)
+        lines.append(
+            f"{frames} more frames are in {len(others)} more separate parts, "
+            f"parts/{others[0].number} to parts/{others[-1].number}; see frames.json."
+        )
+    if any(not part.frames for part in parts):
+        lines.append("No frame was relocalised in the loaded map; it is not part of the result.")
     return lines
 
 
@@ -182,9 +190,12 @@ def _runs(states: Sequence[FrameState], part: int) -> list[str]:
     for number, group in groupby(posed, key=lambda state: state.part):
         rows = list(group)
         if number == part:
-            first, last = rows[0].index, rows[-1].index
-            texts.append(str(first) if first == last else f"{first}-{last}")
+            texts.append(_indices(rows[0].index, rows[-1].index))
     return texts
+
+
+def _indices(first: int, last: int) -> str:
+    return str(first) if first == last else f"{first}-{last}"
 
 
 def _listed(groups: Sequence[StateRange]) -> str:
@@ -195,4 +206,4 @@ def _listed(groups: Sequence[StateRange]) -> str:
         f"{group.indices} ({group.reason})" if group.reason else group.indices for group in shown
     ]
     more = len(groups) - len(shown)
-    return ", ".join(texts) + (f", and {more} more ranges" if more else "")
+    return ", ".join(texts) + (f", and {more} more" if more else "")

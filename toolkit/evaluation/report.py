@@ -52,7 +52,6 @@ _HEADLINES = (
     ("Gaussians", "gaussians", 0, ""),
     ("peak memory", "peak_memory_mb", 0, "MB"),
     ("frames lost", "frames_lost", 0, ""),
-    ("frames doubtful", "frames_doubtful", 0, ""),
 )
 
 
@@ -215,6 +214,9 @@ def _headlines(metrics: Metrics) -> list[dict[str, str]]:
             headlines.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
         else:
             headlines.append({"title": title, "value": "n/a", "unit": ""})
+    doubtful = metrics.get("frames_doubtful")
+    if isinstance(doubtful, int) and doubtful > 0:
+        headlines[-1]["unit"] = f"and {doubtful:,} doubtful"
     return headlines
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,13 @@ from toolkit.submaps.atlas import Atlas
 Part = tuple[int, ...]
 
 
-def by_size(parts: Sequence[Part], frame_submaps: Sequence[int], saved: int = 0) -> list[Part]:
-    """Sort parts by decreasing number of frames; the first one is the main part.
+def by_size(
+    parts: Sequence[Part],
+    frame_submaps: Sequence[int],
+    reliable: Sequence[bool],
+    saved: int = 0,
+) -> list[Part]:
+    """Sort parts by decreasing number of reliable frames; the first one is the main part.
 
     If a frame was located in a loaded map, the part of the loaded map is the main part, because its
     frame is that of the world.
@@ -27,13 +33,16 @@ def by_size(parts: Sequence[Part], frame_submaps: Sequence[int], saved: int = 0)
     Args:
         parts: submap numbers of each part.
         frame_submaps: [M] number of the submap of each frame.
+        reliable: [M] whether the pose of the frame is not doubtful.
         saved: number of loaded submaps, which come first.
     """
     counts = Counter(frame_submaps)
+    reliable_counts = Counter(compress(frame_submaps, reliable))
 
-    def rank(part: Part) -> tuple[bool, int, int]:
+    def rank(part: Part) -> tuple[bool, int, int, int]:
         frames = sum(counts[number] for number in part)
-        return (not (part[0] < saved and frames), -frames, part[0])
+        sure = sum(reliable_counts[number] for number in part)
+        return (not (part[0] < saved and frames), -sure, -frames, part[0])
 
     return sorted(parts, key=rank)
 
