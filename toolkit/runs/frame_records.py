@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
-from toolkit.evaluation.frame_states import FrameState, PartSummary
+from toolkit.evaluation.frame_states import FrameState, PartSummary, State
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.result import Loss, SlamResult
 
@@ -78,10 +78,7 @@ def read_states(content: dict[str, Any]) -> list[FrameState]:
         KeyError, TypeError, ValueError: the content is malformed.
     """
     if "states" in content:
-        return [
-            FrameState(int(row["index"]), row["state"], str(row.get("reason", "")), row.get("part"))
-            for row in content["states"]
-        ]
+        return [_state(row) for row in content["states"]]
     states = [FrameState(int(row["index"]), "tracked", part=0) for row in content["frames"]]
     states += [FrameState(int(index), "lost") for index in content["lost"]]
     return sorted(states, key=lambda state: state.index)
@@ -110,6 +107,14 @@ def read_parts(content: dict[str, Any]) -> list[PartSummary]:
             )
         )
     return parts
+
+
+def _state(row: dict[str, Any]) -> FrameState:
+    if row["state"] not in get_args(State):
+        raise ValueError(f"unknown state {row['state']!r}")
+    part = row.get("part")
+    reason = str(row.get("reason", ""))
+    return FrameState(int(row["index"]), row["state"], reason, None if part is None else int(part))
 
 
 def _part_row(part: PartSummary) -> dict[str, Any]:
