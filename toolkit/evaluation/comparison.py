@@ -33,7 +33,10 @@ _BETTER = (
         r"_convention$|^views|^frames$|^keyframes|coverage|observed|ate_pairs|time_diff|rpe_delta",
         None,
     ),
-    (r"ate_|rpe_|drift|error|_lost|_late|dropped|lpips|_l1_|thickness|floaters|ece_", "low"),
+    (
+        r"ate_|rpe_|drift|error|_lost|doubtful|other_parts|_late|dropped|lpips|_l1_|thickness|floaters|ece_",
+        "low",
+    ),
     (r"accuracy_cm|completion_cm|_ms(_|$)|_s$|delay|memory|_mb$", "low"),
     (r"psnr|ssim|iou_|accuracy|f_score|ratio_percent|precision|recall|_f1_|consistency", "high"),
 )
