@@ -80,6 +80,7 @@ def test_the_other_part_is_exported_in_its_own_frame(divided):
     splats = read_splats(run / "parts/1/map.ply")
     assert set(splats.extra["submap"].tolist()) == {1} and splats.labels is not None
     assert (run / "parts/1/covariances.txt").is_file()
+    assert read_scene(run / "parts/1/map.ply", ShownContent()).tree is not None
     assert not (run / "parts/0").exists()
 
 

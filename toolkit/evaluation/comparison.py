@@ -33,10 +33,8 @@ _BETTER = (
         r"_convention$|^views|^frames$|^keyframes|coverage|observed|ate_pairs|time_diff|rpe_delta",
         None,
     ),
-    (
-        r"ate_|rpe_|drift|error|_lost|doubtful|other_parts|_late|dropped|lpips|_l1_|thickness|floaters|ece_",
-        "low",
-    ),
+    (r"ate_|rpe_|drift|error|_lost|_late|dropped|lpips|_l1_|thickness|floaters|ece_", "low"),
+    (r"doubtful|other_parts", "low"),
     (r"accuracy_cm|completion_cm|_ms(_|$)|_s$|delay|memory|_mb$", "low"),
     (r"psnr|ssim|iou_|accuracy|f_score|ratio_percent|precision|recall|_f1_|consistency", "high"),
 )
@@ -53,6 +51,8 @@ _HIGHLIGHTS = (
     "gaussians",
     "peak_memory_mb",
     "frames_lost",
+    "frames_doubtful",
+    "frames_in_other_parts",
 )
 
 

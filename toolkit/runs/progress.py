@@ -184,7 +184,7 @@ class ProgressReader:
             taxonomy=taxonomy,
             decode=decode,
             doubtful=frozenset(int(row["index"]) for row in tracked if row.get("doubt")),
-            lost=frozenset(int(index) for index, _ in values["path"]["lost_frames"]),
+            lost=frozenset(int(index) for index, _ in values["path"].get("lost_frames", [])),
         )
 
     def _parts(

@@ -25,6 +25,8 @@ def write_separate_parts(result: SlamResult, folder: RunFolder, settings: RunSet
         target = folder.part(result.parts.index(part.submaps))
         target.path.mkdir(parents=True, exist_ok=True)
         target.write_trajectory(part.frames.trajectory, part.frames.covariances)
+        if result.taxonomy is not None:
+            result.taxonomy.save(target.taxonomy)  # names the labels of the map for viewers
         if part.map is not None:
             target.write_map(
                 labelled_parts(_as_stored(part.map, result), part.map, result, settings)
