@@ -102,6 +102,18 @@ def test_the_maps_of_parts_are_fused_separately(divided):
         assert len(one) == len(slam.atlas.submap(number).gaussians) > 0
 
 
+def test_a_submap_is_refined_with_the_cameras_of_its_part(room, monkeypatch):
+    slam = new_slam()
+    fed(slam, sequence(room))
+    cameras = []
+    monkeypatch.setattr(slam.mapper, "refine", lambda T: cameras.append(T))
+    slam.finish()
+    first, second = cameras
+    assert len(first) == len(second) == 4
+    for poses in cameras:
+        assert np.allclose(poses[0], np.eye(4), atol=1e-6)
+
+
 def test_a_part_is_seen_in_its_own_frame_during_the_run(room):
     slam = new_slam()
     fed(slam, sequence(room))
