@@ -82,10 +82,25 @@ class CameraPath:
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
 
-    def add_lost(self, frame: Frame, reason: str) -> None:
-        """Add a frame without a pose, and why it has none."""
+    def add_lost(self, frame: Frame, reason: str, tried: bool = True) -> None:
+        """Add a frame without a pose, and why it has none.
+
+        Args:
+            tried: whether the camera could have been located in this frame.
+        """
         self.lost_frames[frame.index] = reason
-        self.unreliable_in_a_row += has_depth(frame)
+        self.unreliable_in_a_row += tried and has_depth(frame)
+
+    def disorder(self, frame: FrameStamp) -> str:
+        """Why a frame cannot follow the newest frame with a pose in time; empty if it can."""
+        if not np.isfinite(frame.timestamp_s):
+            return "its time is not finite"
+        if self._frames and frame.timestamp_s <= self._frames[-1].timestamp_s:
+            return (
+                f"its time, {frame.timestamp_s:.3f} s, is not after that of frame "
+                f"{self._frames[-1].index}"
+            )
+        return ""
 
     def add_dropped(self, frame: FrameStamp) -> bool:
         """Add a frame that was not processed, at the pose of the frame before it.
@@ -97,8 +112,9 @@ class CameraPath:
             Whether the frame has a pose.
         """
         self.dropped_frames.append(frame.index)
-        if self._is_lost:
-            self.lost_frames[frame.index] = "dropped while the camera was lost"
+        disorder = self.disorder(frame)
+        if self._is_lost or disorder:
+            self.lost_frames[frame.index] = disorder or "dropped while the camera was lost"
             return False
         last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
         self._frames.append(last)

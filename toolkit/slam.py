@@ -26,8 +26,9 @@ from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
+from toolkit.refinement.parts import T_part_world, by_size, separate
 from toolkit.refinement.within import refine_submaps
-from toolkit.result import FrameResult, SlamResult, SubmapSummary
+from toolkit.result import FrameResult, SlamResult, SubmapSummary, TrackedFrames, separate_parts
 from toolkit.semantics.labeller import Labeller
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
@@ -91,12 +92,20 @@ class Slam:
         self._recovery = Recovery(
             tracker, self.atlas, self._path, self._closer, self._labelled, self._recorder
         )
-        self._fused: FusedMap | None = None
+        self._fused: list[FusedMap | None] = []
 
     @property
     def loops(self) -> Sequence[PoseEdge]:
         """The accepted loop edges between submaps so far."""
         return self._closer.loops
+
+    @property
+    def parts(self) -> list[tuple[int, ...]]:
+        """Parts of the map so far: numbers of submaps with known relative poses, as in results."""
+        path = self._path
+        doubtful = path.doubtful_frames
+        reliable = [index not in doubtful for index in path.indices]
+        return by_size(self._closer.parts(self.atlas), path.submaps, reliable, self.atlas.saved)
 
     @property
     def camera_path(self) -> CameraPath:
@@ -139,7 +148,13 @@ class Slam:
         Args:
             frame: the next frame of the sequence.
             may_map: False for a held-out view, which does not change the map.
+
+        Returns:
+            The pose of the frame; without one if its time is not after that of the frame before.
         """
+        if disorder := self._path.disorder(frame):
+            self._path.add_lost(frame, disorder, tried=False)
+            return FrameResult(frame.index, None, not_tracked(disorder))
         frame = self._denoised(self._rectified(frame))
         if self._labels_first:
             frame = self._segmented(frame, None)
@@ -167,7 +182,13 @@ class Slam:
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
         is_keyframe = self.mapper.keyframes[-1].index == frame.index
         return FrameResult(
-            frame.index, T_map_camera, tracking, mapping, T_world_camera, is_keyframe
+            frame.index,
+            T_map_camera,
+            tracking,
+            mapping,
+            T_world_camera,
+            is_keyframe,
+            submap=self.atlas.active,
         )
 
     def drop_frame(self, frame: FrameStamp) -> FrameResult:
@@ -180,7 +201,12 @@ class Slam:
         number, T_map_camera = self._path.last_pose(self.atlas)
         T_world_camera = self.atlas.T_world_submap(number) @ T_map_camera
         return FrameResult(
-            frame.index, T_map_camera, None, T_world_camera=T_world_camera, dropped=True
+            frame.index,
+            T_map_camera,
+            None,
+            T_world_camera=T_world_camera,
+            dropped=True,
+            submap=number,
         )
 
     def defer_work(self) -> DeferredSteps:
@@ -222,28 +248,37 @@ class Slam:
 
     @single_threaded_blas()
     def finish(self) -> SlamResult:
-        """Close the remaining loops, refine every submap over its keyframes, and fuse them."""
+        """Close the remaining loops, refine every submap over its keyframes, and fuse each part."""
         if self.mapper.keyframes:
             self._between.select(self.mapper.keyframes[-1])
             self._map_intermediate_frames()
             with self._recorder.timed("refinement"):
                 self._closer.finish(self.atlas)
-                refine_submaps(self.atlas, self._path.trajectory(self.atlas).T_world_camera)
-                self._fused = fuse(self.atlas)
+                parts = self.parts
+                separate(self.atlas, parts)
+                refine_submaps(self.atlas, self._poses_beside)
+                self._fused = [fuse(self.atlas, part) for part in parts]
         return self.result()
+
+    def _poses_beside(self, number: int) -> NDArray[np.float64]:
+        """Poses [P, 4, 4] of the frames in the same part of the map as a submap."""
+        part = next(part for part in self.parts if number in part)
+        inside = np.isin(self._path.submaps, part)
+        return self._path.trajectory(self.atlas).T_world_camera[inside]
 
     def result(self) -> SlamResult:
         """The current state of the run."""
-        atlas, path = self.atlas, self._path
-        fused, covariances, exposures = self._fused, None, {}
-        if fused is not None:
-            exposures = fused.exposures
+        atlas, path, parts = self.atlas, self._path, self.parts
+        maps, covariances, exposures = self._fused, None, {}
+        if maps:
+            exposures = {n: e for one in maps if one is not None for n, e in one.exposures.items()}
             poses = path.poses_in_submaps(atlas)
             covariances = self._closer.covariances(atlas, path.submaps, poses)
+        T_part = {number: T_part_world(atlas, part) for part in parts for number in part}
         submaps = [
             SubmapSummary(
                 number,
-                atlas.T_world_submap(number),
+                T_part[number] @ atlas.T_world_submap(number),
                 list(atlas.keyframe_poses(number)),
                 readable=number not in atlas.unreadable,
                 exposure=exposures.get(number, IDENTITY),
@@ -251,10 +286,19 @@ class Slam:
             for number in range(len(atlas))
         ]
         own = submaps[atlas.saved :]
+        frames = TrackedFrames(
+            path.trajectory(atlas),
+            path.indices,
+            path.submaps,
+            path.exposures(atlas, exposures),
+            covariances,
+        )
+        by_part = [frames.of(part, T_part[part[0]]) for part in parts]
+        main, fused = by_part[0], maps[0] if maps else None
         return SlamResult(
-            trajectory=path.trajectory(atlas),
-            frame_indices=path.indices,
-            exposures=path.exposures(atlas, exposures),
+            trajectory=main.trajectory,
+            frame_indices=main.indices,
+            exposures=main.exposures,
             lost_frames=dict(path.lost_frames),
             keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
             submaps=submaps,
@@ -263,10 +307,12 @@ class Slam:
             map=InMemoryScene(self.mapper.content.gaussians) if fused is None else fused,
             semantics=self.mapper.semantics,
             taxonomy=None if self._labeller is None else self._labeller.taxonomy,
-            covariances=covariances,
+            covariances=main.covariances,
             dropped_frames=list(path.dropped_frames),
             doubtful_frames=path.doubtful_frames,
-            frame_submaps=path.submaps,
+            frame_submaps=main.submaps,
+            parts=parts,
+            other_parts=separate_parts(parts, by_part, maps, path),
         )
 
     def _rectified(self, frame: Frame) -> Frame:

@@ -326,6 +326,16 @@ class TestSettle:
         assert len(registrar.asked) == count * (count - 1) // 2 >= held
         assert len(closer.loops) >= held
 
+    def test_submaps_of_different_parts_overlap_by_chance_and_are_not_registered(self, frames):
+        atlas, closer, _ = closed(frames)
+        atlas.store_active()
+        loops = SubmapLoops(closer._parts, ClosingOptions(max_partners=8), lambda *_: None)
+        last = atlas.active
+        whole = loops.overlapping(atlas, set(), [range(last + 1)])
+        divided = loops.overlapping(atlas, set(), [range(last), [last]])
+        assert (0, last) in whole
+        assert divided == [pair for pair in whole if last not in pair]
+
     @pytest.mark.parametrize("most", [0, 1, 8])
     def test_a_submap_is_measured_with_so_many_that_it_overlaps(self, frames, most):
         atlas, closer, _ = closed(frames)
@@ -333,7 +343,7 @@ class TestSettle:
         parts, last = closer._parts, atlas.active
         loops = SubmapLoops(parts, ClosingOptions(max_partners=most), lambda *_: None)
         held = {(0, last)}
-        pairs = loops.overlapping(atlas, held)
+        pairs = loops.overlapping(atlas, held, [range(len(atlas))])
         assert held <= set(pairs) and pairs == sorted(set(pairs))
         between = set(range(1, last))
         found = {number for pair in set(pairs) - held for number in pair}

@@ -66,6 +66,22 @@ def test_timestamps_out_of_order(make_tum):
     assert only_fault("tum", folder) == "depth.txt: timestamps out of order at 100.110000.png"
 
 
+def test_pauses_are_noted(make_tum):
+    folder = make_tum(frames=6)
+    assert not any("pause" in note for note in check_dataset("tum", folder).notes)
+    for name in ("rgb.txt", "depth.txt"):
+        lines = (folder / name).read_text().splitlines()
+        head = [line for line in lines if line.startswith("#")]
+        rows = [line.split() for line in lines if not line.startswith("#")]
+        later = [
+            f"{float(time) + 7.0 * (k >= 4):.6f} {file}" for k, (time, file) in enumerate(rows)
+        ]
+        (folder / name).write_text("\n".join([*head, *later]) + "\n")
+    report = check_dataset("tum", folder)
+    (note,) = [note for note in report.notes if "pause" in note]
+    assert note.startswith("1 pause(s) of up to 7.") and "frames are usually" in note
+
+
 def test_colour_and_depth_of_different_size(make_replica):
     folder = make_replica()
     images.write_rgb(folder / "results/frame000003.png", np.full((48, 64, 3), 0.5))

@@ -135,3 +135,15 @@ def test_confidence_of_another_size_is_refused(make_stray_scanner):
     images.write_png(folder / "confidence/000000.png", np.ones((5, 5), np.uint8))
     with pytest.raises(DatasetError, match=r"000000\.png is 5x5"):
         open_dataset("stray-scanner", folder)
+
+
+@pytest.mark.parametrize("time_s", ["same", "earlier"])
+def test_times_that_do_not_increase_are_refused_in_one_line(make_stray_scanner, time_s):
+    folder = make_stray_scanner(frames=3)
+    file = folder / "odometry.csv"
+    header, first, second, third = file.read_text().splitlines()
+    before = float(second.split(",")[0]) - (0.0 if time_s == "same" else 0.5)
+    third = ",".join([str(before), *third.split(",")[1:]])
+    file.write_text("\n".join([header, first, second, third]) + "\n")
+    with pytest.raises(DatasetError, match=r"odometry.csv: times repeat or run backwards at"):
+        open_dataset("stray-scanner", folder)

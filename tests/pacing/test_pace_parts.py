@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,11 @@ from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps, StepCounts
 from toolkit.pacing.clock import MonotonicClock, SimulatedClock
-from toolkit.pacing.record import FrameDelay, PaceRecord, PaceSummary
+from toolkit.pacing.paced import outcome_of
+from toolkit.pacing.record import FrameDelay, PaceRecord, PaceSummary, count_of
 from toolkit.pacing.schedule import ArrivalSchedule
+from toolkit.result import FrameResult
+from toolkit.tracking.result import Health, not_tracked
 
 ROWS = (
     FrameDelay(0, 0.0, 0.5, "keyframe"),
@@ -78,6 +82,17 @@ def test_delays_are_a_table():
     rows = PaceSummary(10.0, 0.3, ROWS, 0, StepCounts()).csv().splitlines()
     assert rows[0] == "frame,arrival_s,delay_s,outcome"
     assert rows[1:3] == ["0,0.000000,0.500000,keyframe", "1,0.100000,,dropped"]
+
+
+def test_a_doubtful_frame_is_counted_as_such():
+    doubtful = replace(not_tracked("ambiguous"), health=Health.DOUBTFUL)
+    found = outcome_of(FrameResult(4, np.eye(4), doubtful))
+    assert found == "doubtful"
+    assert outcome_of(FrameResult(4, None, doubtful)) == "lost"
+    assert outcome_of(FrameResult(4, np.eye(4), None, dropped=True)) == "dropped"
+    rows = (*ROWS, FrameDelay(4, 0.4, 0.1, found))
+    assert (count_of("doubtful", rows), count_of("lost", rows)) == (1, 1)
+    assert PaceSummary(10.0, 0.3, rows, 0, StepCounts()).csv().splitlines()[-1].endswith("doubtful")
 
 
 def test_a_record_survives_json():

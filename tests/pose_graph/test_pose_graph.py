@@ -16,6 +16,7 @@ from toolkit.pose_graph.files import graph_of
 from toolkit.pose_graph.graph import (
     PoseEdge,
     PoseGraph,
+    connected_parts,
     covariance_in_frame,
     information_in_frame,
     information_of,
@@ -194,3 +195,10 @@ def test_missing_poses_are_composed_along_edges() -> None:
     assert [e.kind for e in graph.edges] == 27 * ["odometry"] + ["loop"]
     expected = steps.odometry[0].T_first_second @ steps.odometry[1].T_first_second
     np.testing.assert_allclose(graph.T_world_node[2], expected, atol=1e-12)
+
+
+def test_connected_parts_are_ordered_by_their_lowest_nodes() -> None:
+    edges = [PoseEdge(a, b, np.eye(4), np.eye(6)) for a, b in ((4, 1), (0, 3), (3, 5), (1, 6))]
+    assert connected_parts(range(7), edges) == [(0, 3, 5), (1, 4, 6), (2,)]
+    assert connected_parts(range(2), []) == [(0,), (1,)]
+    assert connected_parts([], []) == []

@@ -99,6 +99,18 @@ def test_a_snapshot_has_the_map_the_path_and_the_classes(running):
     assert seen.camera == running.frames.camera
 
 
+def test_a_snapshot_has_the_doubtful_and_the_lost_frames(running):
+    watch(running.folder)
+    running.process(0.0, 5)
+    path = running.slam.camera_path
+    path._frames[2] = replace(path._frames[2], doubt="ambiguous")
+    path.lost_frames[90] = "dark"
+    watch(running.folder)
+    running.process(9.0)
+    seen = ProgressReader(running.path).read()
+    assert (seen.doubtful, seen.lost) == ({path.indices[2]}, {90})
+
+
 def test_snapshots_have_an_interval_and_end_with_the_viewer(running):
     written = []
     for at_s in (0.0, 1.0, 2.1, 13.0, 14.0):

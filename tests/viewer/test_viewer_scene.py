@@ -30,7 +30,7 @@ from toolkit.viewer.options import ShownContent
 from toolkit.viewer.packing import pack
 from toolkit.viewer.picking import pick
 from toolkit.viewer.reading import read_scene
-from toolkit.viewer.scene import ShownSplats
+from toolkit.viewer.scene import DOUBTFUL, INTERRUPTED, PATH_RGB, ShownSplats, path_states
 from toolkit.viewer.thinning import thin
 
 
@@ -197,3 +197,21 @@ def test_shapes_of_anisotropic_splats():
     upright = relative_covariances(scales_m, np.array([[2.0, 0.0, 0.0, 0.0]]))
     assert upright[0] == pytest.approx([4.0, 0.0, 0.0, 1.0, 0.0, 0.25])
     assert turned[0] == pytest.approx([1.0, 0.0, 0.0, 4.0, 0.0, 0.25], abs=1e-6)
+
+
+def test_ways_to_and_from_doubtful_frames_and_over_missing_ones_are_marked():
+    states = path_states([2, 3, 4, 5, 8, 9], doubtful={4}, absent={0, 1, 6, 7, 10})
+    assert states.tolist() == [0, 0, DOUBTFUL, DOUBTFUL, INTERRUPTED, 0]
+    assert path_states([], set(), {1}).tolist() == []
+    assert path_states([0], {0}, set()).tolist() == [DOUBTFUL]
+
+
+def test_a_path_of_unknown_states_has_one_colour():
+    scene = two_panels(40)
+    assert scene.path_colours.tolist() == [list(PATH_RGB[0])] * (len(scene.path) - 1)
+    marked = replace(scene, path_states=np.array([0, INTERRUPTED, DOUBTFUL], np.uint8))
+    expected = [list(PATH_RGB[INTERRUPTED]), list(PATH_RGB[DOUBTFUL])]
+    assert marked.path_colours.tolist() == expected
+    packed = pack(marked)
+    place = packed.header["arrays"]["pathColours"]
+    assert place["length"] == 6 and place["type"] == "uint8"

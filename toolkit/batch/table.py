@@ -20,6 +20,8 @@ SHOWN = (
     "miou_percent",
     "frames",
     "frames_lost",
+    "frames_doubtful",
+    "frames_in_other_parts",
     "total_ms_per_frame",
     "peak_memory_mb",
 )

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from toolkit.cli.programs import EvaluateOptions
 from toolkit.errors import FormatError
+from toolkit.evaluation.frame_states import part_lines
 from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.runs.evaluation import evaluate
@@ -26,6 +27,8 @@ _PRINTED = (
     "depth_l1_cm",
     "frames",
     "frames_lost",
+    "frames_doubtful",
+    "frames_in_other_parts",
     "gaussians",
 )
 _PRINTED_MESH = (
@@ -58,6 +61,11 @@ def main(options: EvaluateOptions) -> int:
     with_mesh = "mesh_accuracy_cm" in new_metrics
     for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
         print(f"{key:<30}{_format(metrics.get(key))}")
+    for line in part_lines(run.states, run.parts):
+        print(line)
+    for key, value in sorted(new_metrics.items()):
+        if key.startswith("part_"):
+            print(f"{key:<30}{_format(value)}")
     print(f"wrote {run.folder.metrics}")
     return 0
 

@@ -35,7 +35,7 @@ from toolkit.pose_graph.correction import (
     PoseCorrection,
     submap_graph,
 )
-from toolkit.pose_graph.graph import PoseEdge
+from toolkit.pose_graph.graph import PoseEdge, connected_parts
 from toolkit.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
@@ -218,7 +218,7 @@ class LoopCloser:
         with self._recorder.timed("anchors settle"):
             existing = {(loop.first, loop.second): loop for loop in self.loops}
             registered = []
-            for first, second in self._between.overlapping(atlas, set(existing)):
+            for first, second in self._between.overlapping(atlas, set(existing), self.parts(atlas)):
                 edge = self._between.register(atlas, first, second, self._links)
                 edge = edge or existing.get((first, second))
                 registered += [] if edge is None else [edge]
@@ -274,21 +274,39 @@ class LoopCloser:
         )
         return True
 
+    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
+        """Submaps with known relative poses; see `LoopClosing`."""
+        known = [link for link in self._links if not _is_unknown(link)]
+        return connected_parts(range(len(atlas)), [*known, *self.loops])
+
     def covariances(
         self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
     ) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
-        anchors = [np.zeros((6, 6))]
-        if len(atlas) > 1 and not self.loops:
-            chain = OdometryChain(self._links)
-            anchors += [chain.covariance(0, number) for number in range(1, len(atlas))]
-        elif len(atlas) > 1:
-            poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
-            graph = submap_graph(poses, self._links, self.loops)
+        anchors: dict[int, Array] = {}
+        for part in self.parts(atlas):
+            anchors |= self._anchor_covariances(atlas, part)
+        ordered = [anchors[number] for number in range(len(atlas))]
+        return frame_covariances(ordered, submaps, T_submap_camera, self._parts.noise)
+
+    def _anchor_covariances(self, atlas: Atlas, part: tuple[int, ...]) -> dict[int, Array]:
+        """Covariance [6, 6] of each anchor of a part relative to the first one, by number."""
+        links, loops = (
+            [edge for edge in edges if edge.first in part and edge.second in part]
+            for edges in (self._links, self.loops)
+        )
+        first, *others = part
+        anchors = {first: np.zeros((6, 6))}
+        if others and not loops:
+            chain = OdometryChain(links)
+            anchors |= {number: chain.covariance(first, number) for number in others}
+        elif others:
+            poses = {number: atlas.T_world_submap(number) for number in part}
+            graph = submap_graph(poses, links, loops)
             solution = self._parts.optimiser.optimise(graph)
             assert solution.covariances is not None
-            anchors = list(solution.covariances)
-        return frame_covariances(anchors, submaps, T_submap_camera, self._parts.noise)
+            anchors = dict(zip(graph.nodes, solution.covariances, strict=True))
+        return anchors
 
     def _record(self, kind: str, values: dict[str, Any]) -> None:
         if self._log is not None:
@@ -326,6 +344,12 @@ class LoopCloser:
 
 # Information of an unknown pose: standard deviations of 10 m and 3 rad.
 _UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
+
+
+def _is_unknown(link: PoseEdge) -> bool:
+    """Whether a link only bounds the pose of a submap that started at a lost frame."""
+    return np.array_equal(link.information, _UNKNOWN_POSE)
+
 
 # Information between the submaps of a loaded map, whose relative poses are fixed.
 _RIGID = np.eye(6) * 1e9

@@ -73,10 +73,24 @@ class LoopClosing(Protocol):
         """The sequence has ended; the submaps are not refined yet."""
         ...
 
+    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
+        """Parts of the map: the ascending numbers of submaps whose relative poses are known.
+
+        Submaps are connected by odometry, and by the loops accepted so far. A submap that started
+        where relocalisation had failed is a part of its own until a loop connects it.
+
+        Returns:
+            The parts in the order of their first submaps.
+        """
+        ...
+
     def covariances(
         self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
     ) -> Array | None:
-        """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown."""
+        """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown.
+
+        Anchors are uncertain relative to the first submap of their part.
+        """
         ...
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -119,6 +133,10 @@ class NoLoopClosing:
 
     def finish(self, atlas: Atlas) -> None:
         """Do nothing."""
+
+    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
+        """All submaps are one part: without relocalisation, none starts at an unknown pose."""
+        return [tuple(range(len(atlas)))]
 
     def covariances(
         self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]

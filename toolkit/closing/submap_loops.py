@@ -46,15 +46,26 @@ class SubmapLoops:
         self._parts, self._options, self._record = parts, options, record
         self._images = ImageLoops(parts, options, record)
 
-    def overlapping(self, atlas: Atlas, loops: set[tuple[int, int]]) -> list[tuple[int, int]]:
+    def overlapping(
+        self,
+        atlas: Atlas,
+        loops: set[tuple[int, int]],
+        parts: Sequence[Sequence[int]],
+    ) -> list[tuple[int, int]]:
         """Pairs of submaps with a loop edge, or with overlapping keyframe views.
 
         The latter are chosen in order of decreasing overlap, as long as one of the two submaps has
         fewer than `max_partners` partners.
+
+        Args:
+            loops: pairs with a loop edge.
+            parts: submaps with known relative poses; those of others overlap by chance only.
         """
         views = {number: Visibility.of(atlas.submap(number)) for number in atlas.readable()}
+        part = {number: k for k, numbers in enumerate(parts) for number in numbers}
         # The relative poses of loaded submaps are fixed.
         pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
+        pairs = [(a, b) for a, b in pairs if part[a] == part[b]]
         chosen = [pair for pair in pairs if pair in loops]
         partners = Counter(number for pair in chosen for number in pair)
         overlaps = {(a, b): views[a].overlap(views[b]) for a, b in pairs if (a, b) not in loops}

@@ -24,6 +24,8 @@ _MIN_VALID_FRACTION = 0.01
 _REGISTRATION_FRAMES = 24
 # Offsets of colour from depth are noted from this size, in pixels and in standard errors.
 _NOTED_OFFSET_PX, _CERTAIN = 0.4, 3.0
+# Pauses between frames are noted from this time in seconds, and this multiple of the usual one.
+_PAUSE_S, _PAUSE_FRAMES = 1.0, 5.0
 # Maximum number of unreadable frames that are listed; the rest are counted.
 _NAMED_FAILURES = 5
 
@@ -110,7 +112,7 @@ def check_recording(
         *_label_faults(findings, dataset.label_names),
         *_registration_faults(dataset),
     ]
-    notes = (*dataset.recording.notes, *_offset_notes(dataset))
+    notes = (*dataset.recording.notes, *_time_notes(dataset), *_offset_notes(dataset))
     return CheckReport(_summary(dataset, findings), tuple(faults), notes)
 
 
@@ -152,6 +154,23 @@ def _time_faults(dataset: RecordedDataset) -> list[str]:
         names = [dataset.files(int(i)).name for i in backwards]
         faults.append(f"timestamps out of order at {listed(names)}; sort the list of images")
     return faults
+
+
+def _time_notes(dataset: RecordedDataset) -> list[str]:
+    """Return a line about pauses in which the camera may have moved anywhere."""
+    steps_s = np.diff(dataset.timestamps_s)
+    if len(steps_s) < 2:
+        return []
+    usual_s = float(np.median(steps_s))
+    pauses = np.flatnonzero(steps_s > max(_PAUSE_S, _PAUSE_FRAMES * usual_s)) + 1
+    if not pauses.size:
+        return []
+    longest_s = float(steps_s.max())
+    names = [dataset.files(int(i)).name for i in pauses]
+    return [
+        f"{pauses.size} pause(s) of up to {longest_s:.1f} s before {listed(names)}, frames are "
+        f"usually {1e3 * usual_s:.0f} ms apart; a camera that moved meanwhile may be lost there"
+    ]
 
 
 def _frame_faults(findings: _Findings) -> list[str]:

@@ -203,5 +203,8 @@ def _timestamps_s(path: Path, stems: list[str], fps: float) -> list[float]:
     found = [times_s[stem] for stem in stems]
     for stem, time_s, before_s in zip(stems, found, [-np.inf, *found], strict=False):
         if not before_s < time_s < np.inf:
-            raise DatasetError(f"{path}: the time of frame {stem} must be finite and increase")
+            raise DatasetError(
+                f"{path}: the time of frame {stem} must be finite and increase; correct the file, "
+                "or move each recording to a folder of its own"
+            )
     return found

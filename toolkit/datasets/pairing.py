@@ -151,6 +151,27 @@ def associate(
     return sorted(pairs)
 
 
+def check_times(files: tuple[FrameFiles, ...], place: Path) -> None:
+    """Check that the times of frames increase.
+
+    Args:
+        place: file that states the times.
+
+    Raises:
+        DatasetError: times repeat or run backwards.
+    """
+    late = [
+        frame.name
+        for frame, before in zip(files[1:], files, strict=False)
+        if not frame.timestamp_s > before.timestamp_s
+    ]
+    if late:
+        raise DatasetError(
+            f"{place}: times repeat or run backwards at {listed(late)}; sort the rows, or move "
+            "each recording to a folder of its own"
+        )
+
+
 def attach_poses(files: tuple[FrameFiles, ...], poses: list[NDArray[np.float64] | None]) -> Truth:
     """Build ground truth from one pose [4, 4] or None per frame; invalid poses are omitted."""
     missing = [f.name for f, pose in zip(files, poses, strict=True) if pose is None]

@@ -12,6 +12,7 @@ from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     attach_poses,
     camera_of_matrix,
+    check_times,
     folder_holding,
     numbered,
     unpaired,
@@ -56,6 +57,7 @@ def describe(path: Path) -> Recording:
             f"{folder} has no depth image with the number of a row of {_ODOMETRY}; copy the "
             f"recording again"
         )
+    check_times(files, folder / _ODOMETRY)
     truth = attach_poses(files, [pose for n, (_, pose) in rows.items() if n in depth])
     height, width = read_depth_m(next(iter(depth.values())), DEPTH_SCALE).shape
     colour = camera_of_matrix(folder / _CAMERA, *VideoFile(video, rotated=False).size)

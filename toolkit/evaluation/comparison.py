@@ -34,6 +34,7 @@ _BETTER = (
         None,
     ),
     (r"ate_|rpe_|drift|error|_lost|_late|dropped|lpips|_l1_|thickness|floaters|ece_", "low"),
+    (r"doubtful|other_parts", "low"),
     (r"accuracy_cm|completion_cm|_ms(_|$)|_s$|delay|memory|_mb$", "low"),
     (r"psnr|ssim|iou_|accuracy|f_score|ratio_percent|precision|recall|_f1_|consistency", "high"),
 )
@@ -50,6 +51,8 @@ _HIGHLIGHTS = (
     "gaussians",
     "peak_memory_mb",
     "frames_lost",
+    "frames_doubtful",
+    "frames_in_other_parts",
 )
 
 

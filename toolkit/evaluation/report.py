@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from toolkit.evaluation.charts import Axes, Series, line_chart
 from toolkit.evaluation.frame_costs import FrameCosts, memory_chart, time_chart
+from toolkit.evaluation.frame_states import FrameState, ranges
 from toolkit.evaluation.loop_gallery import LoopPicture
 from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.state_strip import state_strip
 from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_svg
 from toolkit.evaluation.timing import StageTime
 from toolkit.evaluation.trajectory import (
@@ -139,6 +141,7 @@ class ReportContent:
         loops: pairs of images of the loop gallery.
         submaps: overlaps and loops of the submaps; None if there is only one.
         costs: time and memory by frame, or None.
+        states: states of all frames, in order.
     """
 
     title: str
@@ -158,6 +161,7 @@ class ReportContent:
     loops: Sequence[LoopPicture] = ()
     submaps: SubmapGraph | None = None
     costs: FrameCosts | None = None
+    states: Sequence[FrameState] = ()
 
 
 def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
@@ -191,6 +195,8 @@ def render_report(content: ReportContent) -> str:
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
         memory=_memory(content.metrics),
+        state_strip=Markup(state_strip(content.states)),
+        unreliable=[r for r in ranges(content.states) if r.state in ("doubtful", "lost")],
         loops=[_loop(picture) for picture in content.loops],
         submap_graph=Markup("" if content.submaps is None else submap_graph_svg(content.submaps)),
         time_chart=Markup("" if content.costs is None else time_chart(content.costs)),
@@ -208,6 +214,9 @@ def _headlines(metrics: Metrics) -> list[dict[str, str]]:
             headlines.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
         else:
             headlines.append({"title": title, "value": "n/a", "unit": ""})
+    doubtful = metrics.get("frames_doubtful")
+    if isinstance(doubtful, int) and doubtful > 0:
+        headlines[-1]["unit"] = f"and {doubtful:,} doubtful"
     return headlines
 
 

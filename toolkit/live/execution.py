@@ -25,6 +25,7 @@ from toolkit.live.options import LiveOptions
 from toolkit.live.record import LiveSummary
 from toolkit.live.system import LiveSlam
 from toolkit.pacing.paced import PacedSlam
+from toolkit.pacing.record import count_of
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.evaluation import load_lpips
@@ -260,5 +261,12 @@ def _logged(summary: LiveSummary) -> LiveSummary:
             *(metrics[f"delay_{name}_ms"] for name in ("median", "p95", "max")),
         )
     level = logging.WARNING if summary.dropped else logging.INFO
-    _log.log(level, "Dropped %d of %d frames.", summary.dropped, len(summary.delays))
+    _log.log(
+        level,
+        "Dropped %d of %d frames; %d frames are doubtful and %d lost.",
+        summary.dropped,
+        len(summary.delays),
+        count_of("doubtful", summary.delays),
+        count_of("lost", summary.delays),
+    )
     return summary

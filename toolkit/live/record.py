@@ -9,6 +9,7 @@ from toolkit.pacing.record import (
     FrameDelay,
     Metrics,
     PaceSummary,
+    count_of,
     delay_statistics,
     delays_csv,
 )
@@ -31,7 +32,7 @@ class LiveSummary:
     @property
     def dropped(self) -> int:
         """Number of frames that were captured but not processed."""
-        return sum(row.outcome == "dropped" for row in self.delays)
+        return count_of("dropped", self.delays)
 
     @property
     def max_delay_s(self) -> float | None:

@@ -254,4 +254,6 @@ def outcome_of(result: FrameResult) -> Outcome:
         return "dropped"
     if result.lost:
         return "lost"
+    if result.doubtful:
+        return "doubtful"
     return "keyframe" if result.keyframe else "tracked"

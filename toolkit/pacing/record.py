@@ -12,7 +12,7 @@ import numpy as np
 
 from toolkit.mapping.deferred import StepCounts
 
-Outcome = Literal["tracked", "keyframe", "lost", "dropped"]
+Outcome = Literal["tracked", "keyframe", "doubtful", "lost", "dropped"]
 Metrics = dict[str, float | int | str | None]
 
 
@@ -72,7 +72,7 @@ class PaceSummary:
     @property
     def dropped(self) -> int:
         """Number of dropped frames."""
-        return sum(row.outcome == "dropped" for row in self.delays)
+        return count_of("dropped", self.delays)
 
     def metrics(self) -> Metrics:
         """Entries of metrics.json, with units in the keys."""
@@ -96,6 +96,11 @@ class PaceSummary:
     def csv(self) -> str:
         """Table of the delays, one row per frame."""
         return delays_csv(self.delays)
+
+
+def count_of(outcome: Outcome, delays: Sequence[FrameDelay]) -> int:
+    """Number of frames with an outcome."""
+    return sum(row.outcome == outcome for row in delays)
 
 
 def delay_statistics(delays: Sequence[FrameDelay]) -> Metrics:

@@ -240,6 +240,20 @@ def _check_information(name: str, information: Array) -> None:
         )
 
 
+def connected_parts(nodes: Iterable[int], edges: Iterable[PoseEdge]) -> list[tuple[int, ...]]:
+    """Group nodes that are connected by edges.
+
+    Returns:
+        The ascending nodes of each group, in the order of their lowest nodes.
+    """
+    parts, edges, remaining = [], tuple(edges), set(nodes)
+    while remaining:
+        part = _reachable(min(remaining), edges)
+        parts.append(tuple(sorted(part)))
+        remaining -= part
+    return parts
+
+
 def _reachable(start: int, edges: Iterable[PoseEdge]) -> set[int]:
     neighbours: dict[int, list[int]] = defaultdict(list)
     for edge in edges:

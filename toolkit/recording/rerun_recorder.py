@@ -79,11 +79,15 @@ class RerunRecorder:
         if result.dropped:
             self._event(f"Frame {frame.index} was dropped.")
             return
+        self._log("counts/lost", self._rr.Scalars(float(result.lost)))
+        self._log("counts/doubtful", self._rr.Scalars(float(result.doubtful)))
         self._record_images(frame)
         if result.T_world_camera is None:
             reason = result.tracking.reason if result.tracking else "no map exists yet"
             self._event(f"Frame {frame.index} is lost: {reason}.")
             return
+        if result.doubtful:
+            self._event(f"Frame {frame.index} is doubtful: {result.reason}.")
         self._record_pose(result.T_world_camera)
         if result.keyframe:
             self._record_keyframe(frame)

@@ -152,12 +152,25 @@ def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> b
     return not any(side.all() for side in outside)
 
 
-def fuse(atlas: Atlas, voxel_m: float = VOXEL_M) -> FusedMap:
-    """Fuse all readable submaps."""
-    if len(atlas) == 1:
-        return single_submap(0, atlas.submap)
-    free_space = atlas.mapper.options.free_space
-    return fuse_submaps(atlas.readable(), atlas.submap, voxel_m, free_space)
+def fuse(
+    atlas: Atlas, part: Sequence[int] | None = None, voxel_m: float = VOXEL_M
+) -> FusedMap | None:
+    """Fuse all readable submaps of a part of the map.
+
+    Args:
+        part: submap numbers with known relative poses; all submaps by default.
+        voxel_m: voxel size, metres.
+
+    Returns:
+        The map; None if no submap of the part is readable.
+    """
+    part = range(len(atlas)) if part is None else part
+    numbers = [number for number in part if number not in atlas.unreadable]
+    if not numbers:
+        return None
+    if len(part) == 1:
+        return single_submap(numbers[0], atlas.submap)
+    return fuse_submaps(numbers, atlas.submap, voxel_m, atlas.mapper.options.free_space)
 
 
 def single_submap(number: int, submap: Callable[[int], Submap]) -> FusedMap:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,25 +11,26 @@ from toolkit.geometry import se3
 from toolkit.submaps.atlas import Atlas
 
 
-def refine_submaps(atlas: Atlas, T_world_cameras: NDArray[np.float64]) -> None:
+def refine_submaps(atlas: Atlas, T_world_cameras_of: Callable[[int], NDArray[np.float64]]) -> None:
     """Optimise every readable submap of this run; all submaps are inactive afterwards.
 
     Submaps of a saved map were refined at the end of the run that created them.
 
     Args:
-        T_world_cameras: poses [P, 4, 4] of all frames.
+        T_world_cameras_of: returns the poses [P, 4, 4] of all frames in the same part of the map as
+            the submap of a number.
     """
     mapper = atlas.mapper
     if len(atlas) == 1:
         # The active submap still has its optimiser state.
-        mapper.refine(se3.inverse(atlas.T_world_submap(0)) @ T_world_cameras)
+        mapper.refine(se3.inverse(atlas.T_world_submap(0)) @ T_world_cameras_of(0))
         atlas.store_active()
         return
     atlas.store_active()
     for number in (n for n in atlas.readable() if n >= atlas.saved):
         submap = atlas.submap(number)
         mapper.replace_content(submap.content)
-        mapper.refine(se3.inverse(submap.T_world_submap) @ T_world_cameras)
+        mapper.refine(se3.inverse(submap.T_world_submap) @ T_world_cameras_of(number))
         content = mapper.content
         submap.gaussians, submap.keyframes = content.gaussians, content.keyframes
         submap.seeded_by, submap.steps = content.seeded_by, content.steps

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset
+from toolkit.evaluation.frame_states import state_metrics
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.meshes import Views, mesh_quality
 from toolkit.evaluation.metrics import Metrics
@@ -26,6 +27,7 @@ from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.meshing import MeshOptions, surface_mesh
+from toolkit.runs.separate_parts import separate_part_metrics
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -41,7 +43,7 @@ def evaluate(
     evaluation: EvaluationOptions | None = None,
     mesh: Path | None = None,
 ) -> Metrics:
-    """Evaluate a finished run.
+    """Evaluate a finished run: its main part, and the trajectories of separate parts.
 
     Args:
         run: result of `load_run`.
@@ -68,12 +70,14 @@ def evaluate(
     semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = InMemoryScene(run.gaussians)
     metrics = evaluate_scene(scene, run.tracked, dataset, settings, semantics, max_views)
+    separate = run.separate_trajectories()
     return (
         metrics
         | _mesh_metrics(run, dataset, settings, mesh)
+        | state_metrics(run.states, run.parts)
+        | separate_part_metrics(separate, dataset.ground_truth, alignment_kind(settings))
         | {
-            "frames": len(run.tracked) + len(run.lost),
-            "frames_lost": len(run.lost),
+            "frames": len(run.states),
             "keyframes": len(run.keyframes),
             "gaussians": len(run.gaussians),
         }

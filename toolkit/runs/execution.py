@@ -21,7 +21,7 @@ from toolkit.monocular.options import ScaleOptions
 from toolkit.monocular.scale import check_scale, with_metric_scale
 from toolkit.monocular.sequence import MonocularSequence
 from toolkit.pacing.paced import PacedSlam
-from toolkit.pacing.record import PaceSummary
+from toolkit.pacing.record import PaceSummary, count_of
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
@@ -281,11 +281,13 @@ def _log_pace(summary: PaceSummary) -> PaceSummary:
     _log.log(
         level,
         "Dropped %d of %d frames, postponed keyframes in %d frames, and skipped %d of %d "
-        "optimisation steps.",
+        "optimisation steps; %d frames are doubtful and %d lost.",
         summary.dropped,
         len(summary.delays),
         summary.keyframes_thinned,
         steps.due - steps.taken,
         steps.due,
+        count_of("doubtful", summary.delays),
+        count_of("lost", summary.delays),
     )
     return summary

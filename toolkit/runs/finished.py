@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
+from toolkit.evaluation.frame_states import FrameState, PartSummary
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
@@ -22,6 +23,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.frame_records import read_parts, read_states
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
@@ -38,14 +40,16 @@ class FinishedRun:
         folder: the run folder.
         settings: settings of the run.
         gaussians: the map.
-        tracked: all frames with a pose, in order.
+        tracked: all frames with a pose in the main part of the map, in order.
         lost: indices of the frames without a pose.
         keyframes: frame indices of the keyframes.
         semantics: decoder of the features; without channels for a map without semantics.
         taxonomy: taxonomy of the labels, or None.
-        anchors: T_world_submap [4, 4] of each readable submap, by number.
+        anchors: T_world_submap [4, 4] of each readable submap of the main part, by number.
         stored_camera: intrinsics of the frames after resizing; None in runs of older versions.
         dataset_from_run: path of the dataset relative to the run folder, or None.
+        states: states of all frames of the sequence, in order.
+        parts: parts of the map, the main part first; the relative poses of parts are unknown.
     """
 
     folder: RunFolder
@@ -59,6 +63,8 @@ class FinishedRun:
     anchors: dict[int, NDArray[np.float64]]
     stored_camera: Camera | None = None
     dataset_from_run: str | None = None
+    states: list[FrameState] = field(default_factory=list)
+    parts: list[PartSummary] = field(default_factory=list)
 
     @property
     def camera(self) -> Camera:
@@ -90,6 +96,18 @@ class FinishedRun:
         times = np.array([frame.timestamp_s for frame in self.tracked])
         poses = np.array([frame.T_map_camera for frame in self.tracked]).reshape(-1, 4, 4)
         return Trajectory(times, poses)
+
+    def separate_trajectories(self) -> dict[int, Trajectory]:
+        """Poses of the frames of each separate part in the part's frame, by number.
+
+        Raises:
+            FormatError: a file is missing or damaged.
+        """
+        return {
+            part.number: self.folder.part(part.number).read_trajectory()
+            for part in self.parts
+            if part.number > 0 and part.frames
+        }
 
     @property
     def dataset_path(self) -> Path | None:
@@ -168,6 +186,8 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             anchors=_anchors(content.get("submaps", [])),
             stored_camera=_camera(content),
             dataset_from_run=content.get("dataset_from_run"),
+            states=read_states(content),
+            parts=read_parts(content),
         )
     except (KeyError, TypeError, ValueError, SettingsError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
@@ -191,7 +211,7 @@ def _anchors(rows: list[dict[str, Any]]) -> dict[int, NDArray[np.float64]]:
     anchors = {
         int(row["number"]): np.array(row["T_world_submap"], np.float64).reshape(4, 4)
         for row in rows
-        if not row["lost"]
+        if not row["lost"] and row.get("part", 0) == 0
     }
     if not all(se3.is_rigid(T) for T in anchors.values()):
         raise ValueError("the pose of a submap is not rigid")

@@ -2,7 +2,8 @@
 
     config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
     report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
-    delays.csv (of runs with --pace)  live/ (while a viewer follows the run)
+    parts/N (of maps in separate parts)  delays.csv (of runs with --pace)
+    live/ (while a viewer follows the run)
 
 Checkpoints alternate between two folders: the older one is replaced, so that a complete checkpoint
 exists at any time. They are saved between frames and do not change the state of the run.
@@ -77,6 +78,7 @@ class RunFolder:
         self.delays = path / "delays.csv"
         self.log = path / "log.txt"
         self.checkpoints = path / "checkpoint"
+        self.parts = path / "parts"
         self.live = path / "live"
         self.snapshot = self.live / "snapshot"
         self.watched = self.live / "watched"
@@ -115,6 +117,10 @@ class RunFolder:
         if not folder.config.is_file():
             raise RunFolderError(f"{path} contains no run: config.yaml is missing")
         return folder
+
+    def part(self, number: int) -> RunFolder:
+        """Folder of a separate part of the map, which contains its trajectory and map."""
+        return RunFolder(self.parts / str(number))
 
     def discard(self) -> None:
         """Remove the folder of a run that saved no checkpoint; other files in it are kept."""

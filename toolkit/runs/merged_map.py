@@ -15,7 +15,7 @@ from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.refinement.fusion import fuse_submaps
 from toolkit.runs.finished import FinishedRun
-from toolkit.runs.results import splat_labels
+from toolkit.runs.map_files import splat_labels
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.saved import SavedSubmaps

@@ -20,7 +20,7 @@ from toolkit.io.arrays import arrays_below, read_array_tree
 from toolkit.io.splats import SplatLabels
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
-from toolkit.runs.results import splat_labels
+from toolkit.runs.map_files import splat_labels
 from toolkit.runs.settings import load_settings
 from toolkit.runs.snapshots import watch
 from toolkit.semantics.factory import build_code
@@ -75,10 +75,13 @@ class RunProgress:
         parts: submaps that can be read.
         keyframes: keyframes in order.
         indices: [M] frame indices of the tracked frames.
-        T_world_camera: [M, 4, 4] their poses.
+        T_world_camera: [M, 4, 4] their poses. Those of parts of the map that were not joined so
+            far have arbitrary poses relative to each other.
         camera: intrinsics; None before the first keyframe.
         taxonomy: of the labels, or None.
         decode: labels of Gaussians from their features; None without labels.
+        doubtful: indices of the tracked frames whose poses may be wrong.
+        lost: indices of the frames without a pose.
     """
 
     next_frame: int
@@ -89,6 +92,8 @@ class RunProgress:
     camera: Camera | None
     taxonomy: Taxonomy | None
     decode: Callable[[GaussianCloud], SplatLabels] | None
+    doubtful: frozenset[int] = frozenset()
+    lost: frozenset[int] = frozenset()
 
 
 class ProgressReader:
@@ -178,6 +183,8 @@ class ProgressReader:
             camera=None if first is None else Camera(**first["camera"]),
             taxonomy=taxonomy,
             decode=decode,
+            doubtful=frozenset(int(row["index"]) for row in tracked if row.get("doubt")),
+            lost=frozenset(int(index) for index, _ in values["path"].get("lost_frames", [])),
         )
 
     def _parts(

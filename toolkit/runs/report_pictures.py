@@ -49,12 +49,16 @@ def loop_pictures(log: Path, dataset: Dataset) -> list[LoopPicture]:
 
 
 def submap_graph(result: SlamResult, dataset: Dataset) -> SubmapGraph | None:
-    """Return the graph of the submaps, None if there is only one, or more than can be drawn."""
-    if not 2 <= len(result.submaps) <= _MAX_SUBMAPS:
+    """Return the graph of the main part's submaps.
+
+    None if there is only one, or more than can be drawn.
+    """
+    drawn = [submap for submap in result.submaps if submap.number in result.parts[0]]
+    if not 2 <= len(drawn) <= _MAX_SUBMAPS:
         return None
     poses = dict(zip(result.frame_indices, result.trajectory.T_world_camera, strict=True))
-    submaps = [_views(submap, poses, dataset) for submap in result.submaps]
-    loops = [(edge.first, edge.second) for edge in result.loops]
+    submaps = [_views(submap, poses, dataset) for submap in drawn]
+    loops = [(e.first, e.second) for e in result.loops if e.first in result.parts[0]]
     path_m = result.trajectory.positions_m[:, [0, 2]]
     return SubmapGraph(submaps, submap_links(submaps, loops), path_m)
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +13,12 @@ from numpy.typing import NDArray
 from toolkit import __version__
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.frame_costs import FrameCosts
+from toolkit.evaluation.frame_states import (
+    frame_states,
+    part_summaries,
+    state_metrics,
+    summary_lines,
+)
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.memory import peak_memory_mb
@@ -30,28 +34,27 @@ from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.evaluation.timing import StageRecorder
-from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import write_bytes
 from toolkit.io.images import write_rgb
-from toolkit.io.splats import SplatLabels
 from toolkit.io.visualisation import view_strip
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
 from toolkit.pacing.record import DelaySummary
-from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
 from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
 from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.frame_records import frame_records
+from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.report_pictures import level_images, loop_pictures, submap_graph
+from toolkit.runs.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.settings import RunSettings, dump_settings
-from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -109,8 +112,11 @@ def write_results(
         scene = HalfPrecisionScene(scene)
     tracked = tracked_frames(result, settings)
     folder.write_trajectory(result.trajectory, result.covariances)
-    folder.write_map(_labelled_parts(scene, result, settings))
-    frames = _frames(result, tracked)
+    folder.write_map(labelled_parts(scene, result.map, result, settings))
+    write_separate_parts(result, folder, settings)
+    states, parts = frame_states(result), part_summaries(result)
+    summary = summary_lines(states, parts)
+    frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
     if settings.dataset.path is not None:
         frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
@@ -125,6 +131,9 @@ def write_results(
         result.semantics, result.taxonomy, dataset, settings.evaluation.subset
     )
     metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
+    metrics |= state_metrics(states, parts)
+    separate = {result.parts.index(p.submaps): p.frames.trajectory for p in result.other_parts}
+    metrics |= separate_part_metrics(separate, dataset.ground_truth, alignment_kind(settings))
     metrics |= _loop_metrics(dataset, folder, settings)
     metrics |= {} if pace is None else pace.metrics()
     if motion is not None:
@@ -146,8 +155,12 @@ def write_results(
         loops=loop_pictures(folder.loops, dataset),
         submaps=submap_graph(result, dataset),
         costs=record.costs,
+        states=states,
+        warnings=[*summary, *report.warnings],
     )
     write_report(folder.report, report)
+    for line in summary:
+        _log.warning("%s", line)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
 
 
@@ -156,19 +169,6 @@ def write_motion_alone(motion: CameraMotion, folder: RunFolder) -> None:
     lost = {"frames": motion.frames, "frames_lost": motion.frames - len(motion.trajectory)}
     write_metrics(folder.metrics, {**lost, **motion.metrics()})
     _log.warning("There is no map; %s states the reason.", folder.metrics)
-
-
-def _labelled_parts(
-    scene: GaussianScene, result: SlamResult, settings: RunSettings
-) -> Iterator[tuple[GaussianCloud, SplatLabels | None, int | None]]:
-    """Yield the parts of a map with their labels and submap numbers, as far as they have them."""
-    numbers = result.map.numbers if isinstance(result.map, FusedMap) else [None]
-    for number, part in zip(numbers, scene.parts(), strict=True):
-        labels = None
-        if result.taxonomy is not None:
-            decoding = result.semantics.decode_gaussians(part.features)
-            labels = splat_labels(decoding, settings.semantics.min_confidence)
-        yield part, labels, number
 
 
 def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFrame]:
@@ -194,40 +194,6 @@ def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) ->
         min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
     )
     return run_loop_metrics(read_loop_log(folder.loops), dataset, options)
-
-
-def splat_labels(decoding: Decoding, min_confidence: float) -> SplatLabels:
-    """Return the label columns of a map's file; levels below the confidence are void."""
-    levels = decoding.backed_off(min_confidence)
-    return SplatLabels(decoding.class_ids, levels, decoding.confidence)
-
-
-def _frames(result: SlamResult, tracked: list[TrackedFrame]) -> dict[str, Any]:
-    rows = [
-        {
-            "index": f.index,
-            "timestamp_s": f.timestamp_s,
-            **asdict(f.exposure),
-            "held_out": f.held_out,
-        }
-        for f in tracked
-    ]
-    return {
-        "frames": rows,
-        "lost": list(result.lost_frames),
-        "keyframes": result.keyframe_indices,
-        "submaps": [
-            {
-                "number": submap.number,
-                "T_world_submap": submap.T_world_submap.tolist(),
-                "keyframes": submap.keyframe_indices,
-                "lost": not submap.readable,
-                "exposure": asdict(submap.exposure),
-            }
-            for submap in result.submaps
-        ],
-        "allocation": [verdict.values() for verdict in result.allocation],
-    }
 
 
 def _costs(
@@ -307,7 +273,7 @@ def _report(
     recorder: StageRecorder,
 ) -> ReportContent:
     camera = dataset.camera
-    warnings = [f"frame {index} is lost" for index in result.lost_frames]
+    warnings = []
     if result.dropped_frames:
         warnings.append(f"{len(result.dropped_frames)} frames were dropped, see delays.csv")
     return ReportContent(

@@ -88,6 +88,8 @@ class Session:
         if result.lost and not result.dropped:
             reason = result.tracking.reason if result.tracking else "no map exists yet"
             _log.warning("Frame %d is lost: %s.", frame.index, reason)
+        elif result.doubtful:
+            _log.info("Frame %d is doubtful: %s.", frame.index, result.reason)
         if expected is not None:
             expected.frame_processed(result.keyframe)
         self.observers.frame_processed(frame, result)

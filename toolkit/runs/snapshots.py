@@ -152,12 +152,17 @@ class SnapshotWriter:
             arrays[f"atlas/indices/{number}"] = np.array(list(poses), np.int64)
             arrays[f"atlas/poses/{number}"] = np.array(list(poses.values())).reshape(-1, 4, 4)
         arrays["path/T_keyframe_camera"] = path.T_keyframe_camera
-        rows = zip(path.indices, path.keyframes, strict=True)
+        rows, doubts = zip(path.indices, path.keyframes, strict=True), path.doubtful_frames
         keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in mapper.keyframes]
         return arrays, {
             "mapper": {"keyframes": keyframes},
             "atlas": {"store": versions},
-            "path": {"tracked": [{"index": i, "keyframe": k} for i, k in rows]},
+            "path": {
+                "tracked": [
+                    {"index": i, "keyframe": k, "doubt": doubts.get(i, "")} for i, k in rows
+                ],
+                "lost_frames": list(path.lost_frames.items()),
+            },
         }
 
     def _image(self, keyframe: Keyframe) -> NDArray[np.uint8]:

@@ -12,7 +12,7 @@ from toolkit.runs.snapshots import unwatch
 from toolkit.viewer.keyframes import spread
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.reading import loops_between, read_scene, upright
-from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene
+from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene, path_states
 
 
 class LiveRun:
@@ -70,6 +70,7 @@ class LiveRun:
             up=upright(poses),
             tree=None if progress.taxonomy is None else ShownTree.from_taxonomy(progress.taxonomy),
             path=poses,
+            path_states=path_states(progress.indices, progress.doubtful, progress.lost),
             keyframes=keyframes,
             camera=progress.camera,
             loops=loops_between(

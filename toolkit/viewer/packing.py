@@ -59,6 +59,7 @@ def pack(scene: ViewerScene) -> PackedScene:
     packed = PackedScene({"arrays": {}} | _header(scene))
     _pack_splats(packed, scene.splats)
     packed.add("path", scene.path[:, :3, 3].astype(np.float32))
+    packed.add("pathColours", scene.path_colours)
     return packed
 
 
@@ -85,6 +86,7 @@ def _header(scene: ViewerScene) -> dict[str, Any]:
             {"first": loop.first, "second": loop.second, "ends": loop.ends_m.ravel().tolist()}
             for loop in scene.loops
         ],
+        "notes": list(scene.notes),
         "palette": {
             "unknown": UNKNOWN_RGB,
             "measured": MEASURED_RGB,

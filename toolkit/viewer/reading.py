@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
+from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import Selection, ground_of, select
 from toolkit.io.splats import SplatLabels, Splats, read_splats
@@ -18,7 +19,7 @@ from toolkit.semantics.query import check_labels
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.viewer.keyframes import shown_keyframes
 from toolkit.viewer.options import ShownContent
-from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene
+from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene, path_states
 
 
 def read_scene(
@@ -65,11 +66,17 @@ def run_scene(selection: Selection, content: ShownContent) -> ViewerScene:
         up=_up(run),
         tree=tree,
         path=run.trajectory.T_world_camera,
+        path_states=path_states(
+            [frame.index for frame in run.tracked],
+            {state.index for state in run.states if state.state == "doubtful"},
+            {state.index for state in run.states if state.part != 0},
+        ),
         keyframes=keyframes.keyframes,
         camera=run.stored_camera or keyframes.camera,
         loops=loops_between(
             run.folder.loops, {f.index: f.T_map_camera[:3, 3] for f in run.tracked}
         ),
+        notes=tuple(summary_lines(run.states, run.parts)),
     )
 
 

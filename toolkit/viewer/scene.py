@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,10 @@ UNKNOWN_RGB = (96, 100, 108)
 MEASURED_RGB = (66, 150, 250)
 INFERRED_RGB = (250, 150, 50)
 _NO_CAMERAS = np.zeros((0, 3))
+# States of the way from one pose of the path to the next, and their colours: tracked, a doubtful
+# frame at one of its ends, or lost frames and frames of other parts of the map between them.
+TRACKED, DOUBTFUL, INTERRUPTED = 0, 1, 2
+PATH_RGB = ((245, 247, 252), (255, 171, 94), (255, 92, 82))
 
 
 @dataclass(frozen=True)
@@ -187,9 +192,11 @@ class ViewerScene:
         up: [3] float64 unit vector, the vertical in the frame of the map.
         tree: class tree; None for a map without labels.
         path: [M, 4, 4] float64 poses T_map_camera of the tracked frames.
+        path_states: [M] uint8 state of the way to each pose (`path_states`); empty if unknown.
         keyframes: keyframes.
         camera: intrinsics of the keyframes, for their frusta; None for a splat file.
         loops: verified loops.
+        notes: lines about lost and doubtful frames and separate parts of the map.
     """
 
     title: str
@@ -198,12 +205,22 @@ class ViewerScene:
     up: NDArray[np.float64] = field(default_factory=lambda: np.array([0.0, -1.0, 0.0]))
     tree: ShownTree | None = None
     path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    path_states: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     keyframes: tuple[ShownKeyframe, ...] = ()
     camera: Camera | None = None
     loops: tuple[ShownLoop, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{len(self.splats)} of {self.total} Gaussians, {len(self.keyframes)} keyframes"
+
+    @property
+    def path_colours(self) -> NDArray[np.uint8]:
+        """Colours [M - 1, 3] of the lines between the poses of the path."""
+        states = self.path_states[1:]
+        if not len(states):
+            states = np.zeros(max(len(self.path) - 1, 0), np.uint8)
+        return np.array(PATH_RGB, np.uint8)[states]
 
     def class_path(self, splat: int) -> tuple[str, ...]:
         """Return the names from the root to the most specific known node of a Gaussian."""
@@ -211,3 +228,22 @@ class ViewerScene:
             return ()
         known = [int(i) for i in self.splats.levels[splat] if i >= 0]
         return self.tree.nodes[known[-1]].path if known else ()
+
+
+def path_states(
+    indices: Sequence[int], doubtful: Collection[int], absent: Collection[int]
+) -> NDArray[np.uint8]:
+    """Return the state [M] of the way to each frame of a path from the one before.
+
+    Args:
+        indices: [M] frame indices, in order.
+        doubtful: indices of frames whose poses may be wrong.
+        absent: indices of frames that are not on the path: lost, or in another part of the map.
+    """
+    own = np.asarray(indices, np.int64)
+    unsure = np.isin(own, list(doubtful))
+    states = np.where(unsure, DOUBTFUL, TRACKED).astype(np.uint8)
+    states[1:][unsure[:-1]] = DOUBTFUL
+    before = np.searchsorted(np.sort(np.asarray(list(absent), np.int64)), own)
+    states[1:][np.diff(before) > 0] = INTERRUPTED
+    return states

@@ -175,7 +175,8 @@ def describe(scene: ViewerScene, splat: int) -> str:
 def _counts(scene: ViewerScene) -> str:
     shown = f"{len(scene.splats):,}"
     of = f" of {scene.total:,}" if len(scene.splats) < scene.total else ""
-    return f"**{scene.title}**  \n{shown}{of} Gaussians"
+    notes = "".join(f"\n- {note}" for note in scene.notes)
+    return f"**{scene.title}**  \n{shown}{of} Gaussians\n{notes}"
 
 
 def _legend_html(rows: list[LegendRow]) -> str:

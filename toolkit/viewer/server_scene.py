@@ -14,7 +14,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.viewer.colouring import COLOUR, appearance
 from toolkit.viewer.scene import ShownKeyframe, ViewerScene
 
-_PATH_RGB, _LOOP_RGB, _FRUSTUM_RGB = (245, 247, 252), (255, 92, 82), (92, 158, 255)
+_LOOP_RGB, _FRUSTUM_RGB = (255, 92, 82), (92, 158, 255)
 _PATH_PIXELS, _LOOP_PIXELS, _FRUSTUM_PIXELS = 2.0, 3.0, 1.5
 _BACKGROUND_RGB = (13, 16, 21)
 # Length of a frustum relative to the diagonal of the map, and its limits in metres.
@@ -93,7 +93,8 @@ class ServerScene:
         positions_m = scene.path[:, :3, 3]
         if len(positions_m) > 1:
             segments = np.stack([positions_m[:-1], positions_m[1:]], axis=1)
-            self._nodes["path"].append(self._lines("/path", segments, _PATH_RGB, _PATH_PIXELS))
+            colours = np.repeat(scene.path_colours[:, None], 2, axis=1)
+            self._nodes["path"].append(self._lines("/path", segments, colours, _PATH_PIXELS))
         if scene.loops:
             segments = np.stack([loop.ends_m for loop in scene.loops])
             self._nodes["loops"].append(self._lines("/loops", segments, _LOOP_RGB, _LOOP_PIXELS))
@@ -134,7 +135,11 @@ class ServerScene:
         return node
 
     def _lines(
-        self, name: str, segments: NDArray[np.float64], rgb: tuple[int, int, int], pixels: float
+        self,
+        name: str,
+        segments: NDArray[np.float64],
+        rgb: tuple[int, int, int] | NDArray[np.uint8],
+        pixels: float,
     ) -> Any:
         return self.server.scene.add_line_segments(
             name,

@@ -16,9 +16,9 @@ from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
 from toolkit.refinement.fusion import FusedMap, fuse_submaps, single_submap
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.map_files import splat_labels
 from toolkit.runs.refining.stored_map import StoredMap
 from toolkit.runs.refining.tasks import Work
-from toolkit.runs.results import splat_labels
 
 Array = NDArray[np.float64]
 

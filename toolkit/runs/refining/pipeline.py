@@ -138,10 +138,20 @@ def _write(
         if name in storage.names_in(source.place):
             content = storage.read_bytes(storage.join(source.place, name))
             storage.write_bytes(storage.join(out, name), content)
+    _copy_separate_parts(source.place, out)
     storage.write_bytes(storage.join(out, "refine.json"), _json(_report(work, anchors, results)))
     # Last, so that a folder with settings is complete.
     config = storage.read_bytes(storage.join(source.place, "config.yaml"))
     storage.write_bytes(storage.join(out, "config.yaml"), config)
+
+
+def _copy_separate_parts(place: str, out: str) -> None:
+    """Copy the parts of the map beside the main part, which are not refined."""
+    parts = storage.join(place, "parts")
+    for number in storage.names_in(parts):
+        for name in storage.names_in(storage.join(parts, number)):
+            content = storage.read_bytes(storage.join(parts, number, name))
+            storage.write_bytes(storage.join(out, "parts", number, name), content)
 
 
 def _report(work: Work, anchors: Anchors, results: list[PairResult]) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class StoredMap:
         place: run folder, a path or a URL.
         settings: settings of the run.
         taxonomy: taxonomy of the labels, or None.
-        anchors: T_world_submap [4, 4] at the end of the run, by number.
+        anchors: T_world_submap [4, 4] at the end of the run, by number; of the main part only.
         versions: version of each submap's folder.
         decoder: place of the decoder's state, or None without semantics.
     """
@@ -150,7 +150,7 @@ def _anchors(place: str, frames: dict[str, Any]) -> dict[int, Array]:
         anchors = {
             int(row["number"]): np.array(row["T_world_submap"], np.float64).reshape(4, 4)
             for row in frames["submaps"]
-            if not row["lost"]
+            if not row["lost"] and row.get("part", 0) == 0
         }
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{place}/frames.json is damaged ({error!r}); run again") from error

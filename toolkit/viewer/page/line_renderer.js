@@ -1,6 +1,5 @@
 // Draws the camera path, the frusta of the keyframes and the loops, over the Gaussians.
 
-const PATH_RGB = [0.96, 0.97, 0.99];
 const LOOP_RGB = [1.0, 0.36, 0.32];
 const FRUSTUM_RGB = [0.36, 0.62, 1.0];
 const CHOSEN_RGB = [1.0, 0.8, 0.2];
@@ -12,7 +11,7 @@ class LineRenderer {
     Object.assign(this, buildProgram(gl, LINE_VERTEX, LINE_FRAGMENT));
     this.shown = { path: true, keyframes: true, loops: true };
     this.groups = {
-      path: this.group(pathSegments(scene.path)),
+      path: this.group(pathSegments(scene)),
       loops: this.group(loopSegments(scene.loops)),
     };
     this.scene = scene;
@@ -53,10 +52,12 @@ class LineRenderer {
   }
 }
 
-function pathSegments(path) {
+/** Lines between neighbouring poses; doubtful and interrupted ones have colours of their own. */
+function pathSegments({ path, pathColours }) {
   const segments = [];
   for (let i = 0; i + 5 < path.length; i += 3) {
-    segments.push([...path.subarray(i, i + 6), ...PATH_RGB, 0.9]);
+    const rgb = Array.from(pathColours.subarray(i, i + 3), (value) => value / 255);
+    segments.push([...path.subarray(i, i + 6), ...rgb, 0.9]);
   }
   return segments;
 }

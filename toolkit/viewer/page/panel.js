@@ -14,12 +14,19 @@ class Panel {
     Object.assign(this, { scene, colouring, actions });
     byId("title").textContent = scene.title;
     byId("counts").textContent = countsText(scene);
+    this.buildNotes();
     this.buildModes();
     this.buildLevels();
     this.buildSearch();
     this.buildLayers();
     this.buildButtons();
     this.refresh();
+  }
+
+  buildNotes() {
+    const { notes } = this.scene;
+    byId("reliability").hidden = !notes.length;
+    byId("notes").append(...notes.map((textContent) => element("li", { textContent })));
   }
 
   buildModes() {

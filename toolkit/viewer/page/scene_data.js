@@ -24,6 +24,7 @@ function readScene() {
   scene.submap = arrays.submap ?? null;
   scene.inferred = arrays.inferred ?? null;
   scene.path = arrays.path;
+  scene.pathColours = arrays.pathColours;
   return scene;
 }
 
