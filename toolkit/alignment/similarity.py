@@ -46,7 +46,8 @@ class Similarity:
         low_correlation: the weighted lower quartile of the same.
         blocks: number of textured blocks.
         covered: fraction of the frame's measured pixels that lie on measured pixels of the view.
-        agreeing: fraction of these at the same depth, within the margin of free space.
+        agreeing: fraction of these within the margin of free space from the planes of the view's
+            surfaces; pixels at edges are left out.
         behind: fraction of these behind the view's surface, where the frame saw through it.
         in_front: fraction of these in front of the view's surface, where the view saw through them.
     """
@@ -74,22 +75,22 @@ def aligned_correlation(
     """
     depth_m = frame.depth_m.cpu().numpy()
     measured = depth_m > 0
-    z_m, view_m, intensity = _sampled(model, frame.camera, depth_m, T_model_frame)
-    hit = view_m > 0
-    gap_m = (z_m - view_m)[hit]
-    margin_m = free_space_margin_m(view_m[hit])
-    agrees = np.zeros(depth_m.shape, bool)
-    agrees[hit] = np.abs(gap_m) <= margin_m
+    gap_m, view_m, intensity = _sampled(model, frame.camera, depth_m, T_model_frame)
+    covered = view_m > 0
+    # Beside edges, where the view has no plane, a fraction of a pixel changes the depth.
+    judged = covered & np.isfinite(gap_m)
+    margin_m = free_space_margin_m(view_m)
+    agrees = judged & (np.abs(gap_m) <= margin_m)
     ncc, weight = _block_correlations(agrees, frame.intensity.cpu().numpy(), intensity)
-    covered = int(hit.sum())
+    count = max(int(judged.sum()), 1)
     return Similarity(
         correlation=_weighted_quantile(ncc, weight, 0.5),
         low_correlation=_weighted_quantile(ncc, weight, 0.25),
         blocks=len(ncc),
-        covered=covered / max(int(measured.sum()), 1),
-        agreeing=int(agrees.sum()) / max(covered, 1),
-        behind=int((gap_m > margin_m).sum()) / max(covered, 1),
-        in_front=int((gap_m < -margin_m).sum()) / max(covered, 1),
+        covered=int(covered.sum()) / max(int(measured.sum()), 1),
+        agreeing=int(agrees.sum()) / count,
+        behind=int((judged & (gap_m > margin_m)).sum()) / count,
+        in_front=int((judged & (gap_m < -margin_m)).sum()) / count,
     )
 
 
@@ -99,8 +100,8 @@ def _sampled(
     """What a view shows at the pixels of a frame.
 
     Returns:
-        Depth [H, W] of the frame's pixels in the view's frame (m), and depth (m, 0 where missing)
-        and intensity [H, W] of the view there.
+        Distance [H, W] of the frame's points behind the planes of the view (m, NaN where it has
+        none), and depth (m, 0 where missing) and intensity [H, W] of the view there.
     """
     texture, view = model.texture.cpu().numpy(), model.camera
     x = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
@@ -118,7 +119,12 @@ def _sampled(
     intensity = cv2.remap(np.ascontiguousarray(texture[..., 0]), u, v, cv2.INTER_LINEAR)
     view_m = cv2.remap(np.ascontiguousarray(texture[..., 3]), u, v, cv2.INTER_NEAREST)
     view_m[known < _MIN_KNOWN] = 0.0
-    return forward, view_m, intensity
+    # The distance from a plane does not change along it, as depth does on slanted surfaces.
+    plane = cv2.remap(model.surface.cpu().numpy(), u, v, cv2.INTER_NEAREST)
+    along = plane[..., 0] * right + plane[..., 1] * down + plane[..., 2] * forward
+    sign = np.sign(plane[..., 3])
+    gap_m = np.where(sign != 0, sign * (along - plane[..., 3]), np.float32(np.nan))
+    return gap_m, view_m, intensity
 
 
 def _block_correlations(
