@@ -104,9 +104,7 @@ class MapOptimisation:
                 gradient[COLOUR] += colour_gradient
                 loss += feature_loss
         with self._recorder.timed("map semantic loss"):
-            _, gradient, detached = self._semantics.add_gradient(
-                view, labels, progress, gradient
-            )
+            _, gradient, detached = self._semantics.add_gradient(view, labels, progress, gradient)
         with self._recorder.timed("map backward"):
             gradients = view.forward_pass.backward(gradient, detached=detached)
         with self._recorder.timed("map update"):

@@ -59,6 +59,9 @@ _ODOMETRY_LEVEL = 1
 # Pyramid level at which the agreement of a frame and the map is measured.
 _EVIDENCE_LEVEL = 1
 
+# Number of pyramid levels aligned from poses that are accurate to a few pixels.
+_FINE_LEVELS = 2
+
 # First level of the search over rotations: half the resolution, as that of its view of the map.
 _SEARCH_LEVEL = 1
 
@@ -174,8 +177,9 @@ class DenseTracker(MovingTracker):
         results = [self._align(task, view, start)]
         unclear = not _is_clear(results[0]) and has_depth(frame)
         if self.options.start == "both" or (self.options.start == "auto" and unclear):
-            for T_map_camera in self._further_starts(task, view, start, results, proposals):
-                results.append(self._align(task, self._render(task, T_map_camera), T_map_camera))
+            for T_map_camera, levels in self._further_starts(task, view, start, results, proposals):
+                nearby = self._render(task, T_map_camera)
+                results.append(self._align(task, nearby, T_map_camera, levels))
         best = max(results, key=_rank)
         return replace(
             best,
@@ -190,21 +194,25 @@ class DenseTracker(MovingTracker):
         start: NDArray[np.float64],
         results: list[TrackingResult],
         proposals: Proposals | None,
-    ) -> Iterator[NDArray[np.float64]]:
-        """Initial poses T_map_camera [4, 4], until a result is clear.
+    ) -> Iterator[tuple[NDArray[np.float64], int]]:
+        """Initial poses T_map_camera [4, 4] with the levels to align, until a result is clear.
 
         Args:
             view, start: the first view of the map, and the initial pose chosen there.
             results: those so far; the caller extends them.
         """
-        found = self._odometry(task, view, start) if self.options.start == "both" else None
+        proposed = () if proposals is None else proposals(task.frame)
+        if self.options.start == "both":
+            yield from self._odometry(task, view, start)
         searches = chain(
-            [] if found is None else [found],
-            () if proposals is None else proposals(task.frame),
+            # Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
+            [(start, _FINE_LEVELS)],
+            ((T_map_camera, _FINE_LEVELS) for T_map_camera in proposed),
             self._rotated_starts(task, start),
+            self._odometry(task, view, start),
         )
-        for T_map_camera in searches:
-            yield T_map_camera
+        for search in searches:
+            yield search
             if any(_is_clear(result) for result in results):
                 return
 
@@ -239,8 +247,8 @@ class DenseTracker(MovingTracker):
 
     def _odometry(
         self, task: _Task, view: _View, start: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """T_map_camera [4, 4] from odometry against a view; None if it fails."""
+    ) -> Iterator[tuple[NDArray[np.float64], int]]:
+        """T_map_camera [4, 4] from odometry against a view, and the levels to align, if any."""
         level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
         T_view_start = se3.inverse(view.T_map_view) @ start
         try:
@@ -250,13 +258,14 @@ class DenseTracker(MovingTracker):
             if self.options.start == "both":
                 raise
             _log.info("Odometry of frame %d is not available: %s", task.frame.index, error)
-            return None
-        return None if T_view_camera is None else view.T_map_view @ T_view_camera
+            return
+        if T_view_camera is not None:
+            yield view.T_map_view @ T_view_camera, self.options.levels
 
     def _rotated_starts(
         self, task: _Task, start: NDArray[np.float64]
-    ) -> Iterator[NDArray[np.float64]]:
-        """Initial poses T_map_camera [4, 4] by rotations of an initial pose in all directions."""
+    ) -> Iterator[tuple[NDArray[np.float64], int]]:
+        """Initial poses T_map_camera [4, 4] by rotations in all directions, and their levels."""
         levels = task.levels[_SEARCH_LEVEL:]
         if not levels:
             return
@@ -268,18 +277,21 @@ class DenseTracker(MovingTracker):
         )
         with self._recorder.timed("tracking search"):
             found = rotated_starts(view.levels, levels, np.eye(4), self._exposure, options)
-        yield from (view.T_map_view @ T for T in found)
+        yield from ((view.T_map_view @ T, _FINE_LEVELS) for T in found)
 
-    def _align(self, task: _Task, view: _View, start: NDArray[np.float64]) -> TrackingResult:
+    def _align(
+        self, task: _Task, view: _View, start: NDArray[np.float64], levels: int | None = None
+    ) -> TrackingResult:
         """Align a frame from an initial pose.
 
         Args:
             view: a view of the map near the initial pose. The map is rendered again if the
                 estimate moves too far from it.
+            levels: number of the finest pyramid levels to align; all by default.
         """
         T_view_camera = se3.inverse(view.T_map_view) @ start
         alignment = Alignment(T_view_camera, self._scales, self._exposure)
-        renders, levels, options = 1, len(view.levels), self._alignment_options
+        renders, levels, options = 1, levels or len(view.levels), self._alignment_options
         while True:
             with self._recorder.timed("tracking align"):
                 alignment = align(view.levels[:levels], task.levels[:levels], alignment, options)
