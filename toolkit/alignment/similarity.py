@@ -75,7 +75,7 @@ def aligned_correlation(
     points = points @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
     hit, view_m, intensity = _sampled(model, points)
     gap_m = points[hit, 2] - view_m[hit]
-    margin_m = free_space_margin_m(view_m[hit])
+    margin_m = free_space_margin_m(view_m[hit].astype(np.float32))
     agrees = np.zeros(len(rows), bool)
     agrees[hit] = np.abs(gap_m) <= margin_m
     own = frame.intensity.cpu().numpy()[rows, columns]
