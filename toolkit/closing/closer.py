@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from toolkit.closing.keyframe_loops import KeyframeLoops
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import correction_values, verdict
+from toolkit.closing.records import correction_values, motion_values, verdict
 from toolkit.closing.submap_loops import SubmapLoops
 from toolkit.closing.uncertainty import frame_covariances
 from toolkit.frame import NullRecorder, Recorder
@@ -162,10 +162,8 @@ class LoopCloser:
             found.submap, new, result.T_map_camera, result.information
         )
         self.loops.append(edge)
-        self._record(
-            "found",
-            {"first": found.submap, "second": new, "visible": result.visible_fraction},
-        )
+        values = {"first": found.submap, "second": new, "visible": result.visible_fraction}
+        self._record("found", values | _found_motion(atlas, found))
 
     @property
     def relocaliser(self) -> Relocaliser:
@@ -312,6 +310,21 @@ class LoopCloser:
         self._pending = [LoopCandidate(**candidate) for candidate in values["suspected"]]
         if self._log is not None and values["log_bytes"] is not None:
             self._log.truncate(values["log_bytes"])
+
+
+def _found_motion(atlas: Atlas, found: Relocalisation) -> dict[str, Any]:
+    """The pose of a relocalised frame, the newest submap's anchor, relative to a keyframe.
+
+    That is the nearest one of the submap in which the frame was relocalised.
+    """
+    poses = atlas.keyframe_poses(found.submap)
+    if not poses:
+        return {}
+    T_query = found.T_submap_camera
+    match = min(poses, key=lambda index: np.linalg.norm(poses[index][:3, 3] - T_query[:3, 3]))
+    query = next(iter(atlas.keyframe_poses(atlas.active)))
+    motion = motion_values(se3.inverse(poses[match]) @ T_query)
+    return {"query": query, "match": match} | motion
 
 
 # Information of an unknown pose: standard deviations of 10 m and 3 rad.

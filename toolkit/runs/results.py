@@ -16,7 +16,6 @@ from toolkit import __version__
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.frame_costs import FrameCosts
 from toolkit.evaluation.images import psnr_db
-from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
 from toolkit.evaluation.report import (
@@ -26,7 +25,6 @@ from toolkit.evaluation.report import (
     ReportView,
     write_report,
 )
-from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.evaluation.timing import StageRecorder
@@ -38,7 +36,6 @@ from toolkit.io.atomic import write_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.splats import SplatLabels
 from toolkit.io.visualisation import view_strip
-from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
 from toolkit.pacing.record import DelaySummary
@@ -46,7 +43,12 @@ from toolkit.refinement.fusion import FusedMap
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
 from toolkit.runs.depth_prior_use import DepthPriorUse
-from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
+from toolkit.runs.evaluation import (
+    alignment_kind,
+    evaluate_loops,
+    evaluate_scene,
+    semantic_evaluation,
+)
 from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.report_pictures import level_images, loop_pictures, submap_graph
@@ -125,7 +127,7 @@ def write_results(
         result.semantics, result.taxonomy, dataset, settings.evaluation.subset
     )
     metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
-    metrics |= _loop_metrics(dataset, folder, settings)
+    metrics |= evaluate_loops(folder.loops, dataset, settings)
     metrics |= {} if pace is None else pace.metrics()
     if motion is not None:
         motion_ms = recorder.total_ms(MOTION) or 0.0
@@ -184,16 +186,6 @@ def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFra
             strict=True,
         )
     ]
-
-
-def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> Metrics:
-    if settings.poses == "given" or not settings.loops.use:
-        return {}
-    candidates = settings.loops.candidates
-    options = LoopTruthOptions(
-        min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
-    )
-    return run_loop_metrics(read_loop_log(folder.loops), dataset, options)
 
 
 def splat_labels(decoding: Decoding, min_confidence: float) -> SplatLabels:
