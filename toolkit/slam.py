@@ -234,8 +234,7 @@ class Slam:
         fused, covariances, exposures = self._fused, None, {}
         if fused is not None:
             exposures = fused.exposures
-            poses = path.poses_in_submaps(atlas)
-            covariances = self._closer.covariances(atlas, path.submaps, poses)
+            covariances = self._closer.covariances(atlas, path.measured_poses(atlas))
         submaps = [
             SubmapSummary(
                 number,

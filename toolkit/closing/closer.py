@@ -21,7 +21,7 @@ from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import correction_values, motion_values, verdict
 from toolkit.closing.submap_loops import SubmapLoops
-from toolkit.closing.uncertainty import frame_covariances
+from toolkit.closing.uncertainty import PathPose, frame_covariances
 from toolkit.frame import NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -262,9 +262,7 @@ class LoopCloser:
         )
         return True
 
-    def covariances(
-        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
-    ) -> Array:
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
         anchors = [np.zeros((6, 6))]
         if len(atlas) > 1 and not self.loops:
@@ -276,7 +274,7 @@ class LoopCloser:
             solution = self._parts.optimiser.optimise(graph)
             assert solution.covariances is not None
             anchors = list(solution.covariances)
-        return frame_covariances(anchors, submaps, T_submap_camera, self._parts.noise)
+        return frame_covariances(anchors, path, self._parts.noise)
 
     def _record(self, kind: str, values: dict[str, Any]) -> None:
         if self._log is not None:

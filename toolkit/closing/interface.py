@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.uncertainty import PathPose
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.pose_graph.graph import PoseEdge
 from toolkit.submaps.atlas import Atlas
@@ -68,9 +69,7 @@ class LoopClosing(Protocol):
         """The sequence has ended; the submaps are not refined yet."""
         ...
 
-    def covariances(
-        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
-    ) -> Array | None:
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown."""
         ...
 
@@ -111,9 +110,7 @@ class NoLoopClosing:
     def finish(self, atlas: Atlas) -> None:
         """Do nothing."""
 
-    def covariances(
-        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
-    ) -> Array | None:
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances are unknown."""
         return None
 
