@@ -33,6 +33,15 @@ class PairOptions:
     directions."""
     max_sigma_m: PositiveFloat = 0.02
     """Maximum standard deviation of the relative position, in metres."""
+    # Correct pairs have 0.7 to 0.99.
+    min_correlation: Fraction = 0.65
+    """Minimum normalised correlation of the aligned images: the median over textured blocks, in the
+    worse of the two directions."""
+    # Of forced pairs of fr1/rpy, 10 % lose more, of RedKitchen and HoloLens at most 1 %.
+    max_lost_correlation: PositiveFloat = 0.05
+    """Maximum decrease of this correlation by dense alignment, from the pose of the matched
+    features. In fast turns, depth that was measured at another time than colour pulls the pose
+    away."""
 
 
 @dataclass(frozen=True)
