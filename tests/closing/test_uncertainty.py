@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.closing.uncertainty import PathPose, frame_covariances
+from toolkit.closing.uncertainty import PathPose, frame_covariances, measured_links
 from toolkit.geometry import se3
+from toolkit.pose_graph.graph import PoseEdge
 from toolkit.pose_graph.noise import OdometryNoise, pixel_covariance
 
 NOISE = OdometryNoise()
@@ -95,6 +96,21 @@ def test_a_doubtful_frame_is_unsure_but_not_what_follows():
 def test_without_measurements_the_constants_count():
     (found,) = covariances([PathPose(0, walk(2)[1], False, SURE)])
     np.testing.assert_allclose(found, NOISE.covariance(1e9 * np.eye(6), 0.1, 0.0))
+
+
+def test_an_odometry_edge_is_as_sure_as_the_keyframe_it_ends_at():
+    poses = walk(10)
+    path = [*keyframes(poses), *keyframes([np.eye(4)], submap=1)]
+    link = PoseEdge(0, 1, poses[9], np.eye(6))
+    (measured,) = measured_links([link], path, NOISE)
+    last = covariances(path, (SURE, SURE))[9]
+    assert (measured.first, measured.second) == (0, 1)
+    np.testing.assert_allclose(np.linalg.inv(measured.information), last, rtol=1e-6, atol=1e-12)
+
+
+def test_an_edge_without_frames_is_unchanged():
+    link = PoseEdge(0, 1, walk(2)[1], np.eye(6))
+    assert measured_links([link], keyframes(walk(3)), NOISE) == [link]
 
 
 def test_nothing_tracked():

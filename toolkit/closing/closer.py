@@ -21,7 +21,7 @@ from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
 from toolkit.closing.records import correction_values, motion_values, verdict
 from toolkit.closing.submap_loops import SubmapLoops
-from toolkit.closing.uncertainty import PathPose, frame_covariances
+from toolkit.closing.uncertainty import PathPose, frame_covariances, measured_links
 from toolkit.frame import NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -265,12 +265,17 @@ class LoopCloser:
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
         anchors = [np.zeros((6, 6))]
+        measured = measured_links(self._links, path, self._parts.noise)
+        links = [
+            before if _is_fixed(before) else link
+            for before, link in zip(self._links, measured, strict=True)
+        ]
         if len(atlas) > 1 and not self.loops:
-            chain = OdometryChain(self._links)
+            chain = OdometryChain(links)
             anchors += [chain.covariance(0, number) for number in range(1, len(atlas))]
         elif len(atlas) > 1:
             poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
-            graph = submap_graph(poses, self._links, self.loops)
+            graph = submap_graph(poses, links, self.loops)
             solution = self._parts.optimiser.optimise(graph)
             assert solution.covariances is not None
             anchors = list(solution.covariances)
@@ -330,3 +335,8 @@ _UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
 
 # Information between the submaps of a loaded map, whose relative poses are fixed.
 _RIGID = np.eye(6) * 1e9
+
+
+def _is_fixed(link: PoseEdge) -> bool:
+    """Whether tracking did not measure an edge: its pose is unknown, or that of a loaded map."""
+    return any(np.array_equal(link.information, fixed) for fixed in (_UNKNOWN_POSE, _RIGID))

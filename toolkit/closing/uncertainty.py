@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.pose_graph.graph import covariance_in_frame
+from toolkit.pose_graph.graph import PoseEdge, covariance_in_frame, information_of
 from toolkit.pose_graph.noise import OdometryNoise
 
 Array = NDArray[np.float64]
@@ -67,6 +67,36 @@ def frame_covariances(
             views.add(pose)
         covariances.append(covariance_in_frame(anchors[pose.submap], pose.T_submap_camera) + own)
     return np.array(covariances).reshape(-1, 6, 6)
+
+
+def measured_links(
+    links: Sequence[PoseEdge], path: Iterable[PathPose], noise: OdometryNoise
+) -> list[PoseEdge]:
+    """Odometry edges between consecutive submaps with the covariances that were measured.
+
+    The anchor of a submap is a keyframe of the submap before. Edges between submaps without frames
+    in the path are returned unchanged.
+
+    Args:
+        links: odometry edges between anchors.
+        path: the frames, in order.
+    """
+    submaps: dict[int, _Views] = {}
+    starts: dict[int, PathPose] = {}
+    for pose in path:
+        starts.setdefault(pose.submap, pose)
+        views = submaps.setdefault(pose.submap, _Views(noise))
+        if pose.keyframe:
+            views.add(pose)
+    measured = []
+    for link in links:
+        start, views = starts.get(link.second), submaps.get(link.first)
+        if start is not None and views is not None and start.pixel_covariance.any():
+            T, pixel = link.T_first_second, start.pixel_covariance
+            covariance = views.covariance(PathPose(link.first, T, True, pixel))
+            link = PoseEdge(link.first, link.second, T, information_of(covariance))
+        measured.append(link)
+    return measured
 
 
 class _Views:
