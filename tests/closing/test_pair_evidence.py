@@ -16,8 +16,9 @@ from toolkit.closing.records import pair_values
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.tracking.rolling_shutter import as_exposed
 
-UNCHECKED = PairOptions(min_correlation=0.0, max_lost_correlation=2.0)
+UNCHECKED = PairOptions(min_correlation=0.0, max_lost_correlation=2.0, max_displacement_rad=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,26 @@ def test_the_reason_states_both_correlations(walk):
 def test_blur_of_one_image_is_no_contradiction(walk):
     pair = verified(keyframe(walk, 0, 0), keyframe(walk, 6, 6, blur=1.5), PairOptions())
     assert not pair.reason and error_deg(walk, pair, 0, 6) < 0.3
+
+
+@pytest.mark.parametrize("match", [10, 20])
+def test_bent_images_of_opposite_turns_are_rejected(walk, match):
+    """A rolling shutter of 27 ms, rolling by 150 degrees per second."""
+
+    def bent(index: int, turn_rad_s: float) -> Keyframe:
+        frame = replace(walk[0][index], readout_s=0.027)
+        velocity = np.array([0, 0, 0, 0, 0, turn_rad_s])
+        rgb, depth_m = as_exposed(frame.rgb, frame.depth_m, frame, velocity)
+        return Keyframe.from_frame(replace(frame, rgb=rgb, depth_m=depth_m), np.eye(4))
+
+    first, second = bent(match, 2.6), bent(match + 6, -2.6)
+    confirmed = verified(first, second, UNCHECKED)
+    assert not confirmed.reason
+    assert (
+        "displaced" in verified(first, second, replace(PairOptions(), min_correlation=0.0)).reason
+    )
+    alike = verified(first, bent(match + 6, 2.6), PairOptions())
+    assert not alike.reason and error_deg(walk, alike, match, match + 6) < 0.5
 
 
 def test_what_is_rejected_before_needs_no_evidence(walk):

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 # Rows and columns of blocks, as in a view of 4:3.
 _ROWS, _COLUMNS = 9, 12
+BLOCKS = _ROWS * _COLUMNS
 # Minimum number of pixels of a block, and minimum fraction of its pixels.
 _MIN_PIXELS, _MIN_SHARE = 24, 0.4
 # Minimum standard deviation of a block's intensity (0-1): the noise of a camera in a dark room.
@@ -73,21 +74,21 @@ def aligned_correlation(
         return Similarity(np.nan, np.nan, 0, 0.0, 0.0, 0.0, 0.0)
     points = frame.camera.rays()[rows, columns] * depth_m[rows, columns, None]
     points = points @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
-    hit, view_m, intensity = _sampled(model, points)
+    hit, view_m, intensity = sampled(model, points)
     gap_m = points[hit, 2] - view_m[hit]
     margin_m = free_space_margin_m(view_m[hit].astype(np.float32))
     agrees = np.zeros(len(rows), bool)
     agrees[hit] = np.abs(gap_m) <= margin_m
     own = frame.intensity.cpu().numpy()[rows, columns]
-    blocks = _block_numbers(rows, columns, depth_m.shape)
-    size = depth_m.size / (_ROWS * _COLUMNS)
+    blocks = block_numbers(rows, columns, depth_m.shape)
+    size = depth_m.size / BLOCKS
     ncc, weight = _block_correlations(
         blocks[agrees], own[agrees], intensity[agrees], max(_MIN_PIXELS, _MIN_SHARE * size)
     )
     covered = int(hit.sum())
     return Similarity(
-        correlation=_weighted_quantile(ncc, weight, 0.5),
-        low_correlation=_weighted_quantile(ncc, weight, 0.25),
+        correlation=weighted_quantile(ncc, weight, 0.5),
+        low_correlation=weighted_quantile(ncc, weight, 0.25),
         blocks=len(ncc),
         covered=covered / len(rows),
         agreeing=int(agrees.sum()) / max(covered, 1),
@@ -96,7 +97,7 @@ def aligned_correlation(
     )
 
 
-def _sampled(model: ModelLevel, points: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+def sampled(model: ModelLevel, points: Array) -> tuple[NDArray[np.bool_], Array, Array]:
     """Depth and intensity of a view at points [n, 3] in its frame.
 
     Returns:
@@ -123,7 +124,7 @@ def _sampled(model: ModelLevel, points: Array) -> tuple[NDArray[np.bool_], Array
     return inside & (depth_m > 0), depth_m, intensity / np.maximum(total, 1e-9)
 
 
-def _block_numbers(
+def block_numbers(
     rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
 ) -> NDArray[np.intp]:
     """Number of the block [n] of each pixel of an image of a shape (H, W)."""
@@ -134,15 +135,14 @@ def _block_correlations(
     blocks: NDArray[np.intp], first: NDArray, second: NDArray, min_pixels: float
 ) -> tuple[Array, Array]:
     """NCC [b] and weight [b] of the textured blocks with at least a number of pixels."""
-    number = _ROWS * _COLUMNS
-    count = np.bincount(blocks, minlength=number)
+    count = np.bincount(blocks, minlength=BLOCKS)
     safe = np.maximum(count, 1)
     # Centred before squaring: sums of squares of nearly equal numbers lose the contrast.
     deviations = [
-        image - (np.bincount(blocks, image, number) / safe)[blocks] for image in (first, second)
+        image - (np.bincount(blocks, image, BLOCKS) / safe)[blocks] for image in (first, second)
     ]
-    variances = [np.bincount(blocks, d**2, number) / safe for d in deviations]
-    covariance = np.bincount(blocks, deviations[0] * deviations[1], number) / safe
+    variances = [np.bincount(blocks, d**2, BLOCKS) / safe for d in deviations]
+    covariance = np.bincount(blocks, deviations[0] * deviations[1], BLOCKS) / safe
     contrast = np.sqrt(np.minimum(*variances))
     # A texture that only one of the images shows is a contradiction and not missing evidence.
     strongest = np.sqrt(np.maximum(*variances))
@@ -152,7 +152,7 @@ def _block_correlations(
     return ncc, np.minimum(strongest[used], _FULL_CONTRAST)
 
 
-def _weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
+def weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
     """The value below which a fraction of the weight lies; NaN without values."""
     if len(values) == 0:
         return float("nan")

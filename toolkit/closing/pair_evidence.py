@@ -4,7 +4,7 @@ Dense alignment minimises residuals of colour and depth together. In a fast turn
 of a frame were taken at different times, and the shutter of either may have been rolling. The
 minimum then lies between the two, several degrees from what the images show, and it is the same in
 both directions of alignment. Correlation of the images sees it: it was higher at the pose of the
-matched features, before depth moved it.
+matched features, before depth moved it. Of bent images, blocks remain displaced at every pose.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, ModelLevel
+from toolkit.alignment.displacement import displacement_rad
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level
 from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.caching import LruCache
@@ -36,10 +37,12 @@ class PairEvidence:
     Attributes:
         aligned: at the pose of dense alignment, the second keyframe in the first and reversed.
         matched: the same at the pose of the matched features.
+        displacements_rad: displacement of image blocks that remains at the aligned pose.
     """
 
     aligned: tuple[Similarity, Similarity]
     matched: tuple[Similarity, Similarity]
+    displacements_rad: tuple[float, float]
 
     @property
     def correlation(self) -> float:
@@ -57,13 +60,21 @@ class PairEvidence:
         ]
         return max(losses, default=0.0)
 
+    @property
+    def displacement_rad(self) -> float:
+        """Displacement of image blocks in the worse direction; NaN without texture."""
+        return max(
+            (value for value in self.displacements_rad if value == value), default=float("nan")
+        )
+
     def values(self) -> dict[str, float | None]:
         """What loops.jsonl records."""
-        measured = self.correlation == self.correlation
-        return {
-            "correlation": self.correlation if measured else None,
+        values = {
+            "correlation": self.correlation,
             "lost_correlation": self.lost_correlation,
+            "displacement_rad": self.displacement_rad,
         }
+        return {name: value if value == value else None for name, value in values.items()}
 
 
 class EvidenceCollector:
@@ -80,16 +91,16 @@ class EvidenceCollector:
         Args:
             T_aligned, T_matched: T_first_second [4, 4] of dense alignment and of features.
         """
-        return PairEvidence(
-            self._both(first, second, T_aligned), self._both(first, second, T_matched)
-        )
-
-    def _both(self, first: Keyframe, second: Keyframe, T: Array) -> tuple[Similarity, Similarity]:
         (a, model_a), (b, model_b) = self._of(first), self._of(second)
-        return (
-            aligned_correlation(model_a, b, T),
-            aligned_correlation(model_b, a, se3.inverse(T)),
+        aligned, matched = (
+            (aligned_correlation(model_a, b, T), aligned_correlation(model_b, a, se3.inverse(T)))
+            for T in (T_aligned, T_matched)
         )
+        displacements_rad = (
+            displacement_rad(model_a, b, T_aligned),
+            displacement_rad(model_b, a, se3.inverse(T_aligned)),
+        )
+        return PairEvidence(aligned, matched, displacements_rad)
 
     def _of(self, keyframe: Keyframe) -> tuple[FrameLevel, ModelLevel]:
         # Keyframes of different runs may have the same number, so that objects are compared.

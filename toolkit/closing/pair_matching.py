@@ -132,6 +132,10 @@ class PairMatcher:
                 f"colour and depth disagree: the images correlate by {before:.2f} at the pose of "
                 f"their features, and by {correlation:.2f} after dense alignment"
             )
+        displacement = evidence.displacement_rad
+        if displacement > self._options.max_displacement_rad:
+            degrees = np.degrees(displacement)
+            return f"parts of the images are displaced by {degrees:.2f} degrees, as if bent"
         return ""
 
 
