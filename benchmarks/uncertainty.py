@@ -136,7 +136,8 @@ class Compared:
 def main() -> None:
     """Measure the table."""
     options = tyro.cli(Options)
-    rows, inside = [], {}
+    rows: list[tuple[str, ...]] = []
+    inside: dict[int, list[NDArray[np.bool_]]] = {}
     for stride in options.strides:
         for name in options.sequences:
             dataset = strided(name, stride)
@@ -186,9 +187,9 @@ def compare(result: SlamResult, truth: Trajectory | None, own: TruthError) -> Co
     """
     assert truth is not None and result.covariances is not None
     times = result.trajectory.timestamps_s
-    places = [np.argmin(np.abs(truth.timestamps_s - time)) for time in times]
+    places = np.array([np.argmin(np.abs(truth.timestamps_s - time)) for time in times])
     known = np.abs(truth.timestamps_s[places] - times) <= _MAX_DIFFERENCE_S
-    places = np.array(places)[known]
+    places = places[known]
     T = result.trajectory.T_world_camera[known]
     T_first = se3.inverse(T[0]) @ T
     true_first = se3.inverse(truth.T_world_camera[places[0]]) @ truth.T_world_camera[places]

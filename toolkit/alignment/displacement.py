@@ -46,7 +46,7 @@ def displacement_rad(
     blocks, own, uv = _agreeing_pixels(model, frame, T_model_frame)
     texture = model.texture.cpu().numpy().astype(np.float64)
     shift, found = np.zeros((BLOCKS, 2)), np.zeros(BLOCKS)
-    contrast, count = np.zeros(BLOCKS), np.zeros(BLOCKS)
+    contrast, count = np.zeros(BLOCKS), np.zeros(BLOCKS, np.intp)
     for _ in range(_ITERATIONS):
         hit, texels = _interpolated(texture, uv + shift[blocks])
         step, found, contrast, count = _step(blocks[hit], own[hit], texels[hit])
@@ -98,7 +98,7 @@ def _step(
     safe = np.maximum(count, 1)
 
     def summed(values: Array) -> Array:
-        return np.bincount(blocks, values, BLOCKS)
+        return np.asarray(np.bincount(blocks, values, BLOCKS), dtype=np.float64)
 
     own = own - (summed(own) / safe)[blocks]
     view = texels[:, 0] - (summed(texels[:, 0]) / safe)[blocks]

@@ -90,10 +90,10 @@ def measured_links(
             views.add(pose)
     measured = []
     for link in links:
-        start, views = starts.get(link.second), submaps.get(link.first)
-        if start is not None and views is not None and start.pixel_covariance.any():
+        start, known = starts.get(link.second), submaps.get(link.first)
+        if start is not None and known is not None and start.pixel_covariance.any():
             T, pixel = link.T_first_second, start.pixel_covariance
-            covariance = views.covariance(PathPose(link.first, T, True, pixel))
+            covariance = known.covariance(PathPose(link.first, T, True, pixel))
             link = PoseEdge(link.first, link.second, T, information_of(covariance))
         measured.append(link)
     return measured
