@@ -60,9 +60,11 @@ def frame_covariances(
     """
     submaps: dict[int, _Views] = {}
     covariances = []
+    last: PathPose | None = None
     for pose in path:
         views = submaps.setdefault(pose.submap, _Views(noise))
-        own = views.covariance(pose)
+        own = views.covariance(pose, _motion(last, pose))
+        last = pose
         if pose.keyframe:
             views.add(pose)
         covariances.append(covariance_in_frame(anchors[pose.submap], pose.T_submap_camera) + own)
@@ -99,6 +101,14 @@ def measured_links(
     return measured
 
 
+def _motion(last: PathPose | None, pose: PathPose) -> float:
+    """Motion between two frames of a submap, metres plus radians; 0 for those of two submaps."""
+    if last is None or last.submap != pose.submap:
+        return 0.0
+    T = se3.inverse(last.T_submap_camera) @ pose.T_submap_camera
+    return float(np.linalg.norm(T[:3, 3]) + se3.rotation_angle_rad(T[:3, :3]))
+
+
 class _Views:
     """The keyframes of one submap with their covariances; first of all, its anchor."""
 
@@ -116,10 +126,14 @@ class _Views:
         self._covariances.append(covariance)
         self._motions.append(motion)
 
-    def covariance(self, frame: PathPose) -> Array:
-        """Covariance [6, 6] of a frame's pose in the submap."""
+    def covariance(self, frame: PathPose, step: float = 0.0) -> Array:
+        """Covariance [6, 6] of a frame's pose in the submap.
+
+        Args:
+            step: motion since the frame before, metres plus radians.
+        """
         covariance, _ = self._drifted(frame)
-        return covariance + self._noise.of_frame(frame.pixel_covariance, frame.doubtful)
+        return covariance + self._noise.of_frame(frame.pixel_covariance, step, frame.doubtful)
 
     def _drifted(self, frame: PathPose) -> tuple[Array, float]:
         """Covariance [6, 6] and chained motion of a frame through the keyframe it depends on.

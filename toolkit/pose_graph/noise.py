@@ -18,7 +18,10 @@ pixels, so that their size is that of one pixel's residual:
 
     pixel = pixels * inverse(information)       of the tracked frame
     drift^2 * pixel * (metres + radians)        between two views of the same surfaces
-    + frame^2 * pixel                           of the frame itself
+    + frame^2 * pixel * (1 + step / moved)      of the frame itself, after a step of this motion
+
+A camera that moves fast between two frames blurs and bends them, and the velocity by which that is
+undone is less certain.
 """
 
 from __future__ import annotations
@@ -94,16 +97,18 @@ class OdometryNoise(LoopNoise):
             return self.covariance(_NO_NOISE, metres, radians)
         return self.options.drift**2 * (metres + radians) * pixel
 
-    def of_frame(self, pixel: Array, doubtful: bool) -> Array:
+    def of_frame(self, pixel: Array, step: float, doubtful: bool) -> Array:
         """Covariance [6, 6] of a frame against the map.
 
         Args:
             pixel: [6, 6] of `pixel_covariance`; 0 if it is unknown.
+            step: motion since the frame before, metres plus radians.
             doubtful: whether the pose may be wrong.
         """
         doubt = (self.options.doubtful_m, self.options.doubtful_rad)
         unknown = np.diag([doubt[0] ** 2] * 3 + [doubt[1] ** 2] * 3) * doubtful
-        return np.asarray(self.options.frame**2 * pixel + unknown)
+        own = self.options.frame**2 * (1.0 + step / self.options.moved) * pixel
+        return np.asarray(own + unknown)
 
     def along(
         self, first: int, second: int, T_map_camera: Sequence[Array], information: Array

@@ -50,12 +50,15 @@ class OdometryNoiseOptions(LoopNoiseOptions):
     """Standard deviation of the rotation after a rotation by 1 rad, in radians."""
     # Set by `python -m benchmarks.uncertainty` on all recordings at every first, fourth and eighth
     # frame.
-    drift: NonNegativeFloat = 0.6
+    drift: NonNegativeFloat = 0.5
     """Standard deviation of a frame's drift over 1 m or 1 rad of motion between views of the same
     surfaces, relative to that which one pixel's residuals determine."""
-    frame: NonNegativeFloat = 0.3
+    frame: NonNegativeFloat = 0.5
     """Standard deviation of a frame against the map, relative to that which one pixel's residuals
-    determine."""
+    determine, while the camera hardly moves."""
+    moved: PositiveFloat = 0.05
+    """Motion between two frames that doubles the variance of a frame against the map, in metres
+    plus radians."""
     near_m: PositiveFloat = 0.5
     """Maximum distance of two views of the same surfaces, in metres."""
     near_rad: PositiveFloat = 0.5
