@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.uncertainty import PathPose
 from toolkit.exposure import IDENTITY, NEUTRAL, Balance, Exposure
 from toolkit.frame import Frame, FrameStamp
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.relocalisation import LastPosition
+from toolkit.pose_graph.noise import pixel_covariance
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
@@ -28,6 +30,8 @@ _VELOCITY_POSES = 3
 _MAX_AGE_S = 0.25
 # Number of newest frames that may include these poses, if frames are dropped.
 _MAX_RECENT = 16
+# Standard deviation of directions of a pose that tracking did not determine, metres and radians.
+_UNSEEN = 1.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class CameraPath:
         self.dropped_frames: list[int] = []
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
+        self._pixel_covariances: list[Array] = []
 
     def add(
         self, frame: Frame, atlas: Atlas, T_submap_camera: Array, tracking: TrackingResult | None
@@ -81,6 +86,9 @@ class CameraPath:
             _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt)
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
+        information = np.zeros((6, 6)) if tracking is None else tracking.information
+        pixels = frame.camera.width * frame.camera.height
+        self._pixel_covariances.append(pixel_covariance(information, pixels, _UNSEEN))
 
     def add_lost(self, frame: Frame, reason: str, tried: bool = True) -> None:
         """Add a frame without a pose, and why it has none.
@@ -119,6 +127,7 @@ class CameraPath:
         last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
         self._frames.append(last)
         self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
+        self._pixel_covariances.append(self._pixel_covariances[-1])
         return True
 
     @property
@@ -211,6 +220,15 @@ class CameraPath:
             for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
         ]
 
+    def measured_poses(self, atlas: Atlas) -> list[PathPose]:
+        """Pose of each frame in its own submap, and how well tracking determined it."""
+        return [
+            PathPose(f.submap, T, f.keyframe == f.index, covariance, bool(f.doubt))
+            for f, T, covariance in zip(
+                self._frames, self.poses_in_submaps(atlas), self._pixel_covariances, strict=True
+            )
+        ]
+
     def exposures(self, atlas: Atlas, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
         """Exposure of each frame against the map.
 
@@ -239,7 +257,11 @@ class CameraPath:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
-        return {"T_keyframe_camera": self.T_keyframe_camera}, {
+        arrays = {
+            "T_keyframe_camera": self.T_keyframe_camera,
+            "pixel_covariances": np.array(self._pixel_covariances).reshape(-1, 6, 6),
+        }
+        return arrays, {
             "tracked": [asdict(f) for f in self._frames],
             "lost_frames": list(self.lost_frames.items()),
             "unreliable_in_a_row": self.unreliable_in_a_row,
@@ -253,6 +275,8 @@ class CameraPath:
             for f in values["tracked"]
         ]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
+        unknown = np.zeros((len(self._frames), 6, 6))
+        self._pixel_covariances = list(np.array(arrays.get("pixel_covariances", unknown)))
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]

@@ -272,8 +272,7 @@ class Slam:
         maps, covariances, exposures = self._fused, None, {}
         if maps:
             exposures = {n: e for one in maps if one is not None for n, e in one.exposures.items()}
-            poses = path.poses_in_submaps(atlas)
-            covariances = self._closer.covariances(atlas, path.submaps, poses)
+            covariances = self._closer.covariances(atlas, path.measured_poses(atlas))
         T_part = {number: T_part_world(atlas, part) for part in parts for number in part}
         submaps = [
             SubmapSummary(

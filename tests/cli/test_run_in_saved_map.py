@@ -17,6 +17,7 @@ from toolkit.geometry import se3
 from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
+from toolkit.loops.log import read_loop_log
 from toolkit.runs import session as program
 from toolkit.runs.finished import load_run
 
@@ -81,8 +82,22 @@ def test_other_programs_take_it(extended, tmp_path, capsys):
     assert main(["explain-loops", str(extended), "--refused"]) == 0
     printed = capsys.readouterr().out
     assert "submap 1 started at a frame relocalised in submap 0" in printed
-    assert main(["evaluate", str(extended), "--max-views", "1"]) == 0
+    assert main(["evaluate", str(extended), "--max-views", "1", "--truth-error-m", "0.02"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.index("loop_edges_right") < printed.index("loop_precision_percent")
+    # The edge to the loaded map has no ground truth in this dataset.
+    metrics = json.loads((extended / "metrics.json").read_text())
+    assert metrics["loop_edges"] == 0 and "2 cm" in metrics["loop_edges_convention"]
     assert main(["query", str(extended), "--list"]) == 0
+
+
+def test_the_pose_of_a_relocalised_frame_is_recorded(extended, room_runs):
+    found = [r for r in read_loop_log(extended / "loops.jsonl") if r["kind"] == "found"]
+    assert len(found) == 1 and found[0]["query"] == 0 and found[0]["match"] < 0
+    run = load_run(extended)
+    keyframe = next(k for k in run.submaps[0].keyframes if k.index == found[0]["match"])
+    T = keyframe.T_map_camera @ np.reshape(found[0]["T_match_query"], (4, 4))
+    np.testing.assert_allclose(T, run.tracked[0].T_map_camera, atol=0.03)
 
 
 def stopped_after(frames: int, monkeypatch) -> None:

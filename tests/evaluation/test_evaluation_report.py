@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from toolkit.evaluation.charts import Axes, Series, line_chart, ticks
+from toolkit.evaluation.loop_gallery import LoopPair, LoopPicture
+from toolkit.evaluation.loop_poses import EdgeError, edge_metrics
 from toolkit.evaluation.metrics import trajectory_metrics
 from toolkit.evaluation.report import (
     ReportContent,
@@ -73,6 +75,18 @@ def test_the_page_shows_figures_times_settings_and_warnings() -> None:
         assert shown in page
     assert "Room &lt;1&gt;" in page
     assert "Room <1>" not in page
+
+
+def test_loops_show_the_error_of_their_pose_before_their_overlap() -> None:
+    image = np.full((24, 32, 3), 0.25, np.float32)
+    loops = (LoopPicture(LoopPair(8, 2, True, "12 matches"), image, image),)
+    errors = [EdgeError(8, 2, 0.031, 0.5), EdgeError(9, 3, 0.2, 0.1)]
+    metrics = edge_metrics(errors) | {"loop_precision_percent": 62.5, "loop_recall_percent": None}
+    page = render_report(replace(full_content(), metrics=metrics, loops=loops))
+    pose, overlap = "1 of 2 accepted edges are right by pose", "precision 62.5 %"
+    assert page.index(pose) < page.index(overlap)
+    assert "at most 20.0 cm" in page
+    assert "accepted edges" not in render_report(replace(full_content(), loops=loops))
 
 
 def test_truth_in_another_frame_lies_over_the_estimate() -> None:

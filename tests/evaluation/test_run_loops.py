@@ -9,7 +9,9 @@ import pytest
 
 from toolkit.datasets.synthetic import tiny_room
 from toolkit.evaluation.loops import LoopTruthOptions
+from toolkit.evaluation.options import TruthErrorOptions
 from toolkit.evaluation.run_loops import run_loop_metrics
+from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
 GAP = LoopTruthOptions(min_gap_frames=6, min_gap_m=0.0)
@@ -85,3 +87,27 @@ def test_a_pair_of_one_submap_that_the_odometry_rules_out_is_no_claim():
 def test_nothing_is_said_without_searches_or_truth():
     assert run_loop_metrics([found(8, 2)], There(), GAP) == {}
     assert run_loop_metrics(SEARCHES, There(truth=False), GAP) == {}
+
+
+def posed(query, match, error_m, **values):
+    truth = There().ground_truth.T_world_camera
+    T = se3.inverse(truth[match]) @ truth[query] @ se3.exp(np.array([error_m, 0, 0, 0, 0, 0]))
+    return found(query, match, **values) | {"T_match_query": T.ravel().tolist()}
+
+
+def test_the_pose_of_an_edge_is_compared_with_the_truth():
+    records = [*SEARCHES, posed(8, 2, 0.01), posed(10, 4, 0.06), posed(9, 3, 0.5, accepted=False)]
+    metrics = run_loop_metrics(records, There(), GAP)
+    assert metrics["loop_edges"] == 2 and metrics["loop_edges_right"] == 1
+    assert metrics["loop_edge_error_max_cm"] == pytest.approx(6.0)
+    own = TruthErrorOptions(truth_error_m=0.02)
+    assert run_loop_metrics(records, There(), GAP, own)["loop_edges_right"] == 2
+
+
+def test_a_relocalisation_that_connects_a_submap_is_an_edge():
+    edge = {"kind": "found", "first": 0, "second": 1}
+    record = posed(8, 2, 0.03) | edge
+    del record["accepted"]
+    assert run_loop_metrics([*SEARCHES, record], There(), GAP)["loop_edges"] == 1
+    removed = edge | {"kind": "retracted", "accepted": False, "reason": "contradicts"}
+    assert run_loop_metrics([*SEARCHES, record, removed], There(), GAP)["loop_edges"] == 0

@@ -84,8 +84,8 @@ def aligned_correlation(
     ncc, weight = _block_correlations(agrees, frame.intensity.cpu().numpy(), intensity)
     count = max(int(judged.sum()), 1)
     return Similarity(
-        correlation=_weighted_quantile(ncc, weight, 0.5),
-        low_correlation=_weighted_quantile(ncc, weight, 0.25),
+        correlation=weighted_quantile(ncc, weight, 0.5),
+        low_correlation=weighted_quantile(ncc, weight, 0.25),
         blocks=len(ncc),
         covered=int(covered.sum()) / max(int(measured.sum()), 1),
         agreeing=int(agrees.sum()) / count,
@@ -170,7 +170,7 @@ def _starts(size: int, number: int) -> NDArray[np.intp]:
     return np.arange(number) * size // number
 
 
-def _weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
+def weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
     """The value below which a fraction of the weight lies; NaN without values."""
     if len(values) == 0:
         return float("nan")

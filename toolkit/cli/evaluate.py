@@ -18,6 +18,12 @@ _log = logging.getLogger(__name__)
 _PRINTED = (
     "ate_rmse_cm",
     "rpe_rotation_deg",
+    "loop_edges",
+    "loop_edges_right",
+    "loop_edge_error_max_cm",
+    "loop_edge_error_max_deg",
+    "loop_precision_percent",
+    "loop_recall_percent",
     "psnr_db",
     "psnr_unseen_db",
     "psnr_unseen_refined_db",
@@ -79,7 +85,13 @@ def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> Evaluati
         weights = ()
     evaluation = run.settings.evaluation
     subset = options.subset or evaluation.subset
-    return replace(evaluation, lpips_weights=weights, subset=subset)
+    stated = {
+        name: value
+        for name in ("truth_error_m", "truth_error_deg", "truth_error_s")
+        if (value := getattr(options, name)) is not None
+    }
+    truth = replace(evaluation.truth, **stated)
+    return replace(evaluation, lpips_weights=weights, subset=subset, truth=truth)
 
 
 def _earlier_metrics(run: FinishedRun) -> Metrics:

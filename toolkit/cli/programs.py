@@ -22,7 +22,14 @@ from toolkit.cli.map_programs import (
 )
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
-from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
+from toolkit.options import (
+    Fraction,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+)
 from toolkit.registration.options import RegistrationOptions
 
 ImageSize = tuple[PositiveInt, PositiveInt]
@@ -58,6 +65,15 @@ class EvaluateOptions:
     subset: bool = False
     """Compute the papers' subset mIoU, for which each view is decoded among the classes of its
     ground-truth labels only."""
+    truth_error_m: NonNegativeFloat | None = None
+    """Error of the ground truth's relative positions, in metres, which loop edges are allowed in
+    addition to 5 cm. By default, that of the run."""
+    truth_error_deg: NonNegativeFloat | None = None
+    """Error of the ground truth's relative rotations, in degrees, in addition to 2 degrees. By
+    default, that of the run."""
+    truth_error_s: NonNegativeFloat | None = None
+    """Error of the ground truth's times relative to the images, in seconds. By default, that of the
+    run."""
     mesh: Path | None = None
     """Ground-truth mesh (.ply, .obj) in the frame of the ground-truth poses, to which a mesh fused
     from renderings is compared. By default, mesh.ply of a synthetic room."""

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from toolkit.closing.keyframe_loops import KeyframeLoops
 from toolkit.closing.options import ClosingOptions
 from toolkit.closing.parts import ClosingParts
-from toolkit.closing.records import correction_values, verdict
+from toolkit.closing.records import correction_values, motion_values, verdict
 from toolkit.closing.submap_loops import SubmapLoops
-from toolkit.closing.uncertainty import frame_covariances
+from toolkit.closing.uncertainty import PathPose, frame_covariances, measured_links
 from toolkit.frame import NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -172,10 +172,8 @@ class LoopCloser:
             found.submap, new, result.T_map_camera, result.information
         )
         self.loops.append(edge)
-        self._record(
-            "found",
-            {"first": found.submap, "second": new, "visible": result.visible_fraction},
-        )
+        values = {"first": found.submap, "second": new, "visible": result.visible_fraction}
+        self._record("found", values | _found_motion(atlas, found))
 
     @property
     def relocaliser(self) -> Relocaliser:
@@ -279,21 +277,26 @@ class LoopCloser:
         known = [link for link in self._links if not _is_unknown(link)]
         return connected_parts(range(len(atlas)), [*known, *self.loops])
 
-    def covariances(
-        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
-    ) -> Array:
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
+        measured = measured_links(self._links, path, self._parts.noise)
+        links = [
+            before if _is_fixed(before) else link
+            for before, link in zip(self._links, measured, strict=True)
+        ]
         anchors: dict[int, Array] = {}
         for part in self.parts(atlas):
-            anchors |= self._anchor_covariances(atlas, part)
+            anchors |= self._anchor_covariances(atlas, part, links)
         ordered = [anchors[number] for number in range(len(atlas))]
-        return frame_covariances(ordered, submaps, T_submap_camera, self._parts.noise)
+        return frame_covariances(ordered, path, self._parts.noise)
 
-    def _anchor_covariances(self, atlas: Atlas, part: tuple[int, ...]) -> dict[int, Array]:
+    def _anchor_covariances(
+        self, atlas: Atlas, part: tuple[int, ...], links: Sequence[PoseEdge]
+    ) -> dict[int, Array]:
         """Covariance [6, 6] of each anchor of a part relative to the first one, by number."""
         links, loops = (
             [edge for edge in edges if edge.first in part and edge.second in part]
-            for edges in (self._links, self.loops)
+            for edges in (links, self.loops)
         )
         first, *others = part
         anchors = {first: np.zeros((6, 6))}
@@ -342,6 +345,21 @@ class LoopCloser:
             self._log.truncate(values["log_bytes"])
 
 
+def _found_motion(atlas: Atlas, found: Relocalisation) -> dict[str, Any]:
+    """The pose of a relocalised frame, the newest submap's anchor, relative to a keyframe.
+
+    That is the nearest one of the submap in which the frame was relocalised.
+    """
+    poses = atlas.keyframe_poses(found.submap)
+    if not poses:
+        return {}
+    T_query = found.T_submap_camera
+    match = min(poses, key=lambda index: np.linalg.norm(poses[index][:3, 3] - T_query[:3, 3]))
+    query = next(iter(atlas.keyframe_poses(atlas.active)))
+    motion = motion_values(se3.inverse(poses[match]) @ T_query)
+    return {"query": query, "match": match} | motion
+
+
 # Information of an unknown pose: standard deviations of 10 m and 3 rad.
 _UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
 
@@ -353,3 +371,8 @@ def _is_unknown(link: PoseEdge) -> bool:
 
 # Information between the submaps of a loaded map, whose relative poses are fixed.
 _RIGID = np.eye(6) * 1e9
+
+
+def _is_fixed(link: PoseEdge) -> bool:
+    """Whether tracking did not measure an edge: its pose is unknown, or that of a loaded map."""
+    return any(np.array_equal(link.information, fixed) for fixed in (_UNKNOWN_POSE, _RIGID))

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.closing.uncertainty import PathPose
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.pose_graph.graph import PoseEdge
@@ -84,9 +85,7 @@ class LoopClosing(Protocol):
         """
         ...
 
-    def covariances(
-        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
-    ) -> Array | None:
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown.
 
         Anchors are uncertain relative to the first submap of their part.
@@ -138,9 +137,7 @@ class NoLoopClosing:
         """All submaps are one part: without relocalisation, none starts at an unknown pose."""
         return [tuple(range(len(atlas)))]
 
-    def covariances(
-        self, atlas: Atlas, submaps: Sequence[int], T_submap_camera: Sequence[Array]
-    ) -> Array | None:
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances are unknown."""
         return None
 

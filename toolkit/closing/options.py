@@ -33,6 +33,21 @@ class PairOptions:
     directions."""
     max_sigma_m: PositiveFloat = 0.02
     """Maximum standard deviation of the relative position, in metres."""
+    # Correct pairs have 0.7 to 0.99.
+    min_correlation: Fraction = 0.65
+    """Minimum normalised correlation of the aligned images: the median over textured blocks, in the
+    worse of the two directions."""
+    # Of forced pairs of fr1/rpy, 8 % lose more, of RedKitchen and HoloLens at most 1 %.
+    max_lost_correlation: PositiveFloat = 0.04
+    """Maximum decrease of this correlation by dense alignment, from the pose of the matched
+    features. In fast turns, depth that was measured at another time than colour pulls the pose
+    away."""
+    # Correct pairs of exact images have 0.0003 to 0.001, of RedKitchen and HoloLens up to 0.0074;
+    # bent images of opposite turns by 100 to 200 degrees per second 0.006 to 0.016.
+    max_displacement_rad: PositiveFloat = 0.0075
+    """Maximum displacement of image blocks at the aligned pose, in radians: their median, in the
+    worse of the two directions. A rolling shutter bends images of fast turns, so that no pose
+    aligns them."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 A cheap test comes first: feature matches with depth, of which enough must agree with one motion.
 What passes is aligned densely in both directions. The directions use different models, occlusions
-and noise, so that a wrong result is hardly ever confirmed by the other one.
+and noise, so that a result of the wrong place is hardly ever confirmed by the other one. Errors
+that both directions share, such as depth that was measured earlier than colour in a fast turn, are
+found by the correlation of the images (`pair_evidence`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from toolkit.alignment.matching import KeypointCache, Offset, match_features, refine_offset
 from toolkit.alignment.options import MatchingOptions
 from toolkit.closing.options import PairOptions
+from toolkit.closing.pair_evidence import EvidenceCollector, PairEvidence
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 
@@ -43,11 +46,13 @@ class VerifiedPair:
         matches: number of feature matches that agree with one motion; 0 if none was found.
         offset: relative pose; None if it was not estimated.
         reason: why it is rejected; empty if it is verified.
+        evidence: similarity of the images; None if the alignment itself was rejected.
     """
 
     matches: int
     offset: Offset | None
     reason: str
+    evidence: PairEvidence | None = None
 
 
 class PairMatcher:
@@ -62,6 +67,7 @@ class PairMatcher:
         self._matching = replace(matching, min_matches=options.min_matches)
         self._options = options
         self._keypoints = KeypointCache()
+        self._evidence = EvidenceCollector()
 
     def rough(self, first: Keyframe, second: Keyframe) -> RoughMotion | None:
         """The motion from feature matches alone; None if too few agree."""
@@ -88,9 +94,11 @@ class PairMatcher:
         if backward is None:
             reason = "dense alignment of the images failed in the other direction"
             return VerifiedPair(rough.matches, forward, reason)
-        return VerifiedPair(
-            rough.matches, _mean(forward, backward), self._rejection(forward, backward)
-        )
+        offset, reason = _mean(forward, backward), self._rejection(forward, backward)
+        if reason:
+            return VerifiedPair(rough.matches, offset, reason)
+        evidence = self._evidence.of(first, second, offset.T_first_second, rough.T_first_second)
+        return VerifiedPair(rough.matches, offset, self._contradiction(evidence), evidence)
 
     def _refined(
         self, first: Keyframe, second: Keyframe, start: Array, rough: RoughMotion
@@ -111,6 +119,23 @@ class PairMatcher:
         sigma_m = translation_sigma_m(forward.information)
         if not sigma_m < options.max_sigma_m:
             return f"the position is uncertain by {100 * sigma_m:.1f} cm"
+        return ""
+
+    def _contradiction(self, evidence: PairEvidence) -> str:
+        """Why the images contradict an offset; empty if they do not."""
+        correlation, lost = evidence.correlation, evidence.lost_correlation
+        if correlation < self._options.min_correlation:
+            return f"the aligned images correlate by {correlation:.2f} only"
+        if lost > self._options.max_lost_correlation:
+            before = correlation + lost
+            return (
+                f"colour and depth disagree: the images correlate by {before:.2f} at the pose of "
+                f"their features, and by {correlation:.2f} after dense alignment"
+            )
+        displacement = evidence.displacement_rad
+        if displacement > self._options.max_displacement_rad:
+            degrees = np.degrees(displacement)
+            return f"parts of the images are displaced by {degrees:.2f} degrees, as if bent"
         return ""
 
 

@@ -26,6 +26,8 @@ def correction_values(correction: PoseCorrection) -> dict[str, float]:
 def pair_values(pair: VerifiedPair) -> dict[str, Any]:
     """Matches and relative pose of two keyframes."""
     values: dict[str, Any] = {"matches": pair.matches}
+    if pair.evidence is not None:
+        values |= pair.evidence.values()
     if pair.offset is None:
         return values
     return values | {"visible": pair.offset.visible} | motion_values(pair.offset.T_first_second)

@@ -68,6 +68,7 @@ class TrueViews:
         points_m: [N, P, 3] observed points in camera coordinates, NaN where missing
             (`toolkit.geometry.frustum.observed_points`).
         far_m: [N] z-depths of the far planes of the frusta (`far_depth_m`).
+        timestamps_s: [N] times of the frames; only pose errors of edges need them.
 
     Raises:
         ValueError: lengths differ.
@@ -77,6 +78,7 @@ class TrueViews:
     T_world_camera: Array
     points_m: NDArray
     far_m: Array
+    timestamps_s: Array | None = None
 
     def __post_init__(self) -> None:
         if not len(self.T_world_camera) == len(self.points_m) == len(self.far_m):

@@ -44,6 +44,7 @@ _LEGEND_ENTRIES = 5
 _HEADLINES = (
     ("ATE RMSE", "ate_rmse_cm", 2, "cm"),
     ("rotation drift", "rpe_rotation_deg", 3, "deg a frame"),
+    ("loop edges right", "loop_edges_right_percent", 1, "%"),
     ("PSNR, mapped views", "psnr_db", 2, "dB"),
     ("PSNR, unseen views", "psnr_unseen_db", 2, "dB"),
     ("depth L1", "depth_l1_cm", 2, "cm"),

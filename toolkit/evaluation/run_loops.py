@@ -9,8 +9,10 @@ import numpy as np
 
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
+from toolkit.evaluation.loop_poses import edge_errors, edge_metrics
 from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, loop_metrics
 from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.options import TruthErrorOptions
 from toolkit.geometry.frustum import far_depth_m, observed_points
 
 # Number of observed points per frame for computing overlap.
@@ -18,18 +20,23 @@ _POINTS = 300
 
 
 def run_loop_metrics(
-    records: Sequence[dict[str, Any]], dataset: Dataset, options: LoopTruthOptions
+    records: Sequence[dict[str, Any]],
+    dataset: Dataset,
+    options: LoopTruthOptions,
+    own: TruthErrorOptions | None = None,
 ) -> Metrics:
-    """Compute precision, recall and F1 of a run's verified loops and of its loop candidates.
+    """Compute the pose errors of a run's loop edges, then precision, recall and F1 of its loops.
 
-    Verified pairs whose estimated camera distance exceeds the maximum of a loop do not count:
-    their edge is valid, but they observe the same surfaces from different positions. Pairs whose
-    edge was rejected or removed later do not count either.
+    Pose errors are those of all accepted edges, including the relocalisations that started a
+    submap. For precision and recall, verified pairs whose estimated camera distance exceeds the
+    maximum of a loop do not count: their edge is valid, but they observe the same surfaces from
+    different positions. Pairs whose edge was rejected or removed later do not count either.
 
     Args:
         records: records of loops.jsonl.
         dataset: the dataset with ground truth; every frame is read once.
         options: definition of a true loop, with the gap of the detector.
+        own: error of the ground truth itself; none by default.
 
     Returns:
         Metrics by name; "_suspected" for candidates selected by descriptors and landmarks, before
@@ -50,7 +57,10 @@ def run_loop_metrics(
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]
     ]
     candidate_metrics = loop_metrics(views, searched, candidates, options)
+    assert views.timestamps_s is not None
+    errors = edge_errors(posed_edges(records), views.T_world_camera, views.timestamps_s, own)
     return {
+        **edge_metrics(errors, own),
         **loop_metrics(views, searched, verified, options),
         **{
             f"{name.removesuffix('_percent')}_suspected_percent": value
@@ -68,6 +78,16 @@ def accepted_edges(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [r for r in verified if _edge(r) not in removed]
 
 
+def posed_edges(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the accepted edges whose relative pose of two frames was recorded.
+
+    In contrast to `accepted_edges`, relocalisations that connect a new submap are included.
+    """
+    removed = {_edge(r) for r in records if r["kind"] in ("consistency", "retracted")}
+    found = [r for r in records if r["kind"] == "found" and _edge(r) not in removed]
+    return [r for r in accepted_edges(records) + found if "T_match_query" in r]
+
+
 def _edge(record: dict[str, Any]) -> tuple[str, int, int]:
     """Return the edge of a record, between two submaps or between two keyframes of one."""
     if "first" in record:
@@ -83,10 +103,13 @@ def true_views(dataset: Dataset) -> TrueViews:
     """
     truth = dataset.ground_truth
     assert truth is not None
-    poses, points, far_m = [], [], []
+    poses, points, far_m, times_s = [], [], [], []
     for frame in prefetched(dataset, range(len(dataset))):
         T_world_camera = truth.at(frame.timestamp_s)
         poses.append(np.full((4, 4), np.nan) if T_world_camera is None else T_world_camera)
         points.append(observed_points(frame.camera, frame.depth_m, _POINTS))
         far_m.append(far_depth_m(frame.depth_m))
-    return TrueViews(dataset.camera, np.array(poses), np.array(points), np.array(far_m))
+        times_s.append(frame.timestamp_s)
+    return TrueViews(
+        dataset.camera, np.array(poses), np.array(points), np.array(far_m), np.array(times_s)
+    )

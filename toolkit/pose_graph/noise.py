@@ -10,6 +10,18 @@ errors of the map), so this information is far too large. The covariance of an e
 
 Path-dependent terms grow linearly in variance. Splitting a path into shorter edges therefore only
 adds the constant term of each edge.
+
+The pose graph is given the terms with constants. They are upper bounds for hand-held sensors, so
+that correct loops pass its tests. The covariances of frames that a run reports follow from what was
+measured instead. Errors that are correlated over the whole image do not average out over its
+pixels, so that their size is that of one pixel's residual:
+
+    pixel = pixels * inverse(information)       of the tracked frame
+    drift^2 * pixel * (metres + radians)        between two views of the same surfaces
+    + frame^2 * pixel * (1 + step / moved)      of the frame itself, after a step of this motion
+
+A camera that moves fast between two frames blurs and bends them, and the velocity by which that is
+undone is less certain.
 """
 
 from __future__ import annotations
@@ -24,6 +36,9 @@ from toolkit.pose_graph.graph import PoseEdge, information_of
 from toolkit.pose_graph.options import LoopNoiseOptions, OdometryNoiseOptions
 
 Array = NDArray[np.float64]
+
+# Information of an alignment without noise of its own.
+_NO_NOISE = np.eye(6) * 1e9
 
 
 class LoopNoise:
@@ -71,6 +86,30 @@ class OdometryNoise(LoopNoise):
         )
         return self.alignment(information) + np.diag([drift_m2] * 3 + [drift_rad2] * 3)
 
+    def drift(self, pixel: Array, metres: float, radians: float) -> Array:
+        """Covariance [6, 6] of the drift between two views of the same surfaces.
+
+        Args:
+            pixel: [6, 6] of `pixel_covariance` of the later view; 0 if it is unknown.
+            metres, radians: motion between them.
+        """
+        if not pixel.any():
+            return self.covariance(_NO_NOISE, metres, radians)
+        return self.options.drift**2 * (metres + radians) * pixel
+
+    def of_frame(self, pixel: Array, step: float, doubtful: bool) -> Array:
+        """Covariance [6, 6] of a frame against the map.
+
+        Args:
+            pixel: [6, 6] of `pixel_covariance`; 0 if it is unknown.
+            step: motion since the frame before, metres plus radians.
+            doubtful: whether the pose may be wrong.
+        """
+        doubt = (self.options.doubtful_m, self.options.doubtful_rad)
+        unknown = np.diag([doubt[0] ** 2] * 3 + [doubt[1] ** 2] * 3) * doubtful
+        own = self.options.frame**2 * (1.0 + step / self.options.moved) * pixel
+        return np.asarray(own + unknown)
+
     def along(
         self, first: int, second: int, T_map_camera: Sequence[Array], information: Array
     ) -> PoseEdge:
@@ -87,6 +126,20 @@ class OdometryNoise(LoopNoise):
         T_first_second = se3.inverse(T_map_camera[0]) @ T_map_camera[-1]
         covariance = self.covariance(information, *path_between(T_map_camera))
         return PoseEdge(first, second, T_first_second, information_of(covariance))
+
+
+def pixel_covariance(information: Array, pixels: int, unseen: float) -> Array:
+    """Covariance [6, 6] of a pose from one pixel's residuals; 0 without information.
+
+    Args:
+        information: [6, 6] of an alignment that treats pixels as independent.
+        pixels: number of pixels of the image.
+        unseen: standard deviation of directions without information, in metres and radians.
+    """
+    if not information.any() or not np.isfinite(information).all():
+        return np.zeros((6, 6))
+    mean = 0.5 * (information + information.T) / pixels
+    return np.asarray(np.linalg.inv(mean + np.eye(6) / unseen**2))
 
 
 def path_between(T_map_camera: Sequence[Array]) -> tuple[float, float]:

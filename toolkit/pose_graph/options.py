@@ -48,6 +48,25 @@ class OdometryNoiseOptions(LoopNoiseOptions):
     """Standard deviation of the translation after a rotation by 1 rad, in metres."""
     per_radian_rad: NonNegativeFloat = 0.02
     """Standard deviation of the rotation after a rotation by 1 rad, in radians."""
+    # Set by `python -m benchmarks.uncertainty` on all recordings at every first, fourth and eighth
+    # frame.
+    drift: NonNegativeFloat = 0.5
+    """Standard deviation of a frame's drift over 1 m or 1 rad of motion between views of the same
+    surfaces, relative to that which one pixel's residuals determine."""
+    frame: NonNegativeFloat = 0.5
+    """Standard deviation of a frame against the map, relative to that which one pixel's residuals
+    determine, while the camera hardly moves."""
+    moved: PositiveFloat = 0.05
+    """Motion between two frames that doubles the variance of a frame against the map, in metres
+    plus radians."""
+    near_m: PositiveFloat = 0.5
+    """Maximum distance of two views of the same surfaces, in metres."""
+    near_rad: PositiveFloat = 0.5
+    """Maximum angle between two views of the same surfaces, in radians."""
+    doubtful_m: PositiveFloat = 0.3
+    """Standard deviation of the position of a doubtful frame, in metres."""
+    doubtful_rad: PositiveFloat = 0.2
+    """Standard deviation of the rotation of a doubtful frame, in radians."""
 
 
 @dataclass(frozen=True)

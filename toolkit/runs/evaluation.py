@@ -9,11 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset
+from toolkit.errors import FormatError
 from toolkit.evaluation.frame_states import state_metrics
+from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.meshes import Views, mesh_quality
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import EvaluationOptions
+from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import (
     MeasureOptions,
     TrackedFrame,
@@ -24,6 +27,7 @@ from toolkit.evaluation.run_metrics import (
 from toolkit.evaluation.semantic_views import SemanticEvaluation
 from toolkit.evaluation.trajectory import AlignmentKind
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
+from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.meshing import MeshOptions, surface_mesh
@@ -73,6 +77,7 @@ def evaluate(
     separate = run.separate_trajectories()
     return (
         metrics
+        | evaluate_loops(run.folder.loops, dataset, settings)
         | _mesh_metrics(run, dataset, settings, mesh)
         | state_metrics(run.states, run.parts)
         | separate_part_metrics(separate, dataset.ground_truth, alignment_kind(settings))
@@ -150,6 +155,29 @@ def evaluate_scene(
         settings.backend, alignment_kind(settings), max_views, semantics, true_mesh(settings), lpips
     )
     return measure_run(scene, tracked, dataset, unseen, options)
+
+
+def evaluate_loops(log: Path, dataset: Dataset, settings: RunSettings) -> Metrics:
+    """Evaluate the loops of a run from its log; empty without loop closure or ground truth.
+
+    Raises:
+        DatasetError: a frame cannot be read.
+        FormatError: a line of the log is not complete.
+    """
+    if settings.poses == "given" or not settings.loops.use or not log.exists():
+        return {}
+    candidates = settings.loops.candidates
+    options = LoopTruthOptions(
+        min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
+    )
+    try:
+        metrics = run_loop_metrics(read_loop_log(log), dataset, options, settings.evaluation.truth)
+    except KeyError as error:
+        raise FormatError(f"{log} has a line without {error}; remove the line") from error
+    if alignment_kind(settings) == "sim3":
+        # Without a scale, lengths of edges cannot be compared with the truth.
+        return {key: value for key, value in metrics.items() if not key.startswith("loop_edge")}
+    return metrics
 
 
 def load_lpips(settings: RunSettings) -> Lpips | None:

@@ -20,7 +20,6 @@ from toolkit.evaluation.frame_states import (
     summary_lines,
 )
 from toolkit.evaluation.images import psnr_db
-from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
 from toolkit.evaluation.report import (
@@ -30,7 +29,6 @@ from toolkit.evaluation.report import (
     ReportView,
     write_report,
 )
-from toolkit.evaluation.run_loops import run_loop_metrics
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.evaluation.timing import StageRecorder
@@ -40,14 +38,18 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import write_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.visualisation import view_strip
-from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
 from toolkit.pacing.record import DelaySummary
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.result import SlamResult
 from toolkit.runs.depth_prior_use import DepthPriorUse
-from toolkit.runs.evaluation import alignment_kind, evaluate_scene, semantic_evaluation
+from toolkit.runs.evaluation import (
+    alignment_kind,
+    evaluate_loops,
+    evaluate_scene,
+    semantic_evaluation,
+)
 from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import frame_records
@@ -134,7 +136,7 @@ def write_results(
     metrics |= state_metrics(states, parts)
     separate = {result.parts.index(p.submaps): p.frames.trajectory for p in result.other_parts}
     metrics |= separate_part_metrics(separate, dataset.ground_truth, alignment_kind(settings))
-    metrics |= _loop_metrics(dataset, folder, settings)
+    metrics |= evaluate_loops(folder.loops, dataset, settings)
     metrics |= {} if pace is None else pace.metrics()
     if motion is not None:
         motion_ms = recorder.total_ms(MOTION) or 0.0
@@ -184,16 +186,6 @@ def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFra
             strict=True,
         )
     ]
-
-
-def _loop_metrics(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> Metrics:
-    if settings.poses == "given" or not settings.loops.use:
-        return {}
-    candidates = settings.loops.candidates
-    options = LoopTruthOptions(
-        min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
-    )
-    return run_loop_metrics(read_loop_log(folder.loops), dataset, options)
 
 
 def _costs(
