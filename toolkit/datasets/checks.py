@@ -14,6 +14,7 @@ from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offs
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
 from toolkit.datasets.registry import describe
+from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 
@@ -111,7 +112,8 @@ def check_recording(
         *_registration_faults(dataset),
     ]
     notes = (*dataset.recording.notes, *_offset_notes(dataset))
-    return CheckReport(_summary(dataset, findings), tuple(faults), notes)
+    summary = (*_summary(dataset, findings), *_shutter_lines(recording))
+    return CheckReport(summary, tuple(faults), notes)
 
 
 def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> None:
@@ -212,6 +214,12 @@ def _offset_notes(dataset: RecordedDataset) -> list[str]:
     if found.fault is not None or size_px < max(_NOTED_OFFSET_PX, _CERTAIN * found.sigma_px):
         return []
     return [f"colour is offset from depth by {found}; --dataset.depth-offset auto shifts the depth"]
+
+
+def _shutter_lines(recording: Recording) -> list[str]:
+    if recording.files[0].depth is None or recording.depth_fault:
+        return []
+    return [f"rolling shutter: {estimate_readout(recording)}"]
 
 
 def _readable(dataset: RecordedDataset, indices: list[int]) -> Iterable[Frame]:
