@@ -17,7 +17,7 @@ from toolkit.loops.relocalisation import LastPosition
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
-from toolkit.tracking.rolling_shutter import velocity_between
+from toolkit.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,8 @@ class CameraPath:
             frame: the next frame.
 
         Returns:
-            None without two recent poses since a frame was lost.
+            None without two recent poses since a frame was lost, and where the motion or the times
+            are irregular.
         """
         first_allowed = max(self.lost_frames, default=-1) + 1
         dropped = set(self.dropped_frames[-_MAX_RECENT:])
@@ -165,13 +166,13 @@ class CameraPath:
             and f.index not in dropped
             and frame.timestamp_s - f.timestamp_s <= _MAX_AGE_S
         ][-_VELOCITY_POSES:]
-        if len(recent) < 2:
+        if not recent or frame.timestamp_s - recent[-1][0].timestamp_s > MAX_GAP_S:
             return None
-        first, last = (
+        poses = [
             atlas.T_world_submap(f.submap) @ atlas.keyframe_poses(f.submap)[f.keyframe] @ T
-            for f, T in (recent[0], recent[-1])
-        )
-        return velocity_between(first, last, recent[-1][0].timestamp_s - recent[0][0].timestamp_s)
+            for f, T in recent
+        ]
+        return steady_velocity(poses, [f.timestamp_s for f, _ in recent])
 
     def last_position(self, atlas: Atlas) -> LastPosition | None:
         """Time and position in the world frame of the newest frame; None without frames."""

@@ -61,6 +61,9 @@ class _Findings:
     medians_m: list[float] = field(default_factory=list)
     valid_fractions: list[float] = field(default_factory=list)
     label_ids: set[int] = field(default_factory=set)
+    repeated_colour: set[str] = field(default_factory=set)
+    repeated_depth: set[str] = field(default_factory=set)
+    before: Frame | None = None
 
 
 def check_dataset(
@@ -111,7 +114,11 @@ def check_recording(
         *_label_faults(findings, dataset.label_names),
         *_registration_faults(dataset),
     ]
-    notes = (*dataset.recording.notes, *_offset_notes(dataset))
+    notes = (
+        *dataset.recording.notes,
+        *_repeat_notes(findings),
+        *_offset_notes(dataset),
+    )
     summary = (*_summary(dataset, findings), *_shutter_lines(recording))
     return CheckReport(summary, tuple(faults), notes)
 
@@ -125,12 +132,23 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
         return
     if files.number is None and decoder_warning(files.rgb):
         findings.damaged.append(files.name)
+    _check_repeats(frame, files.name, findings)
     if float(np.ptp(frame.rgb)) == 0.0:
         findings.blank.append(files.name)
     if files.depth is not None:
         _check_depth(frame, files.depth.name, findings)
     if frame.labels is not None:
         findings.label_ids.update(np.unique(frame.labels).tolist())
+
+
+def _check_repeats(frame: Frame, name: str, findings: _Findings) -> None:
+    before, findings.before = findings.before, frame
+    if before is None:
+        return
+    if np.ptp(frame.rgb) > 0.0 and np.array_equal(before.rgb, frame.rgb):
+        findings.repeated_colour.add(name)
+    if frame.depth_m.any() and np.array_equal(before.depth_m, frame.depth_m):
+        findings.repeated_depth.add(name)
 
 
 def _check_depth(frame: Frame, name: str, findings: _Findings) -> None:
@@ -206,6 +224,22 @@ def _registration_faults(dataset: RecordedDataset) -> list[str]:
     chosen = evenly_spaced_frames(len(dataset), _REGISTRATION_FRAMES)
     fault = measure_registration(_readable(dataset, chosen)).verdict()
     return [fault] if fault else []
+
+
+def _repeat_notes(findings: _Findings) -> list[str]:
+    colour, depth = findings.repeated_colour, findings.repeated_depth
+    notes = []
+    if colour | depth:
+        notes.append(
+            f"{len(colour)} colour and {len(depth)} depth image(s) are those of the frame before; "
+            f"the times of these frames are wrong: {listed(sorted(colour | depth))}"
+        )
+    if depth and colour ^ depth:
+        notes.append(
+            f"in {len(colour ^ depth)} frame(s), only one of colour and depth is repeated; both "
+            f"were taken at different times: {listed(sorted(colour ^ depth))}"
+        )
+    return notes
 
 
 def _offset_notes(dataset: RecordedDataset) -> list[str]:

@@ -29,6 +29,7 @@ from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offs
 from toolkit.datasets.options import BagTopics
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.errors import DatasetError
+from toolkit.frame import Frame
 
 _log = logging.getLogger(__name__)
 
@@ -102,33 +103,44 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         readout_ms = 0.0
     if readout_ms != "auto":
         recording = replace(recording, readout_s=1e-3 * readout_ms)
-    elif recording.readout_s is None:
-        recording = _with_readout(recording, max_frames)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
-    depth = dataset.files(0).depth
-    if needs_depth and depth is None:
+    if needs_depth:
+        _check_depth(dataset, first, path)
+    if recording.readout_s is None:
+        recording = _with_readout(recording, max_frames)
+        dataset = RecordedDataset(recording, image_size, max_frames)
+    for flaw in dataset.recording.flaws:
+        _log.warning("%s: %s", dataset.name, flaw)
+    for note in dataset.recording.notes:
+        _log.info("%s: %s", dataset.name, note)
+    return dataset
+
+
+def _check_depth(dataset: RecordedDataset, first: Frame, path: str | os.PathLike[str]) -> None:
+    """Check that a recording has depth and intrinsics.
+
+    Raises:
+        DatasetError: it has not.
+    """
+    recording, depth = dataset.recording, dataset.files(0).depth
+    if depth is None:
         raise DatasetError(
             f"{path}: {recording.depth_fault}"
             if recording.depth_fault
             else f"{path} has no depth images; add them, or estimate depth from the images with "
             "--depth none"
         )
-    if needs_depth and not recording.calibrated:
+    if not recording.calibrated:
         raise DatasetError(
             f"{path} has no intrinsics; add them (docs/guides/datasets.md), or specify the field "
             f"of view with --dataset.fov-deg"
         )
-    if needs_depth and not first.depth_m.any():
+    if not first.depth_m.any():
         raise DatasetError(
             f"{depth} contains no valid depth; remove the first frame or check "
             f"how its depth was saved"
         )
-    for flaw in dataset.recording.flaws:
-        _log.warning("%s: %s", dataset.name, flaw)
-    for note in dataset.recording.notes:
-        _log.info("%s: %s", dataset.name, note)
-    return dataset
 
 
 def _with_fov(recording: Recording, fov_deg: float, path: str | os.PathLike[str]) -> Recording:

@@ -13,6 +13,8 @@ few pixels, and colour and depth must be moved alike.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -26,6 +28,10 @@ from toolkit.geometry.camera import Camera
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
+# Frames that are farther apart in time (seconds) do not give the velocity of a hand.
+MAX_GAP_S = 0.11
+# Maximum change of the velocity from frame to frame, relative to the larger one.
+_MAX_CHANGE = 0.8
 # Smaller displacements (pixels) are not worth the resampling.
 _MIN_DISPLACEMENT = 0.5
 # Larger displacements, as a fraction of the image's height, follow from wrong velocities.
@@ -91,6 +97,27 @@ def as_exposed(
 def velocity_between(T_world_first: Array, T_world_second: Array, elapsed_s: float) -> Array:
     """Velocity [6] (m/s, rad/s) of a camera in its own frame, from two of its poses [4, 4]."""
     return se3.log(se3.inverse(T_world_first) @ T_world_second) / elapsed_s
+
+
+def steady_velocity(poses: Sequence[Array], times_s: Sequence[float]) -> Array | None:
+    """Mean velocity [6] over neighbouring poses [4, 4] of a camera, in the frame of the first.
+
+    Returns:
+        None if it is not known: there are less than two poses, they are far apart in time, or the
+        velocities between them differ: times are wrong, frames were delivered twice, or the camera
+        turns back.
+    """
+    if len(poses) < 2 or max(np.diff(times_s)) > MAX_GAP_S:
+        return None
+    steps = [
+        velocity_between(poses[n], poses[n + 1], times_s[n + 1] - times_s[n])
+        for n in range(len(poses) - 1)
+    ]
+    fastest = max(float(np.linalg.norm(step)) for step in steps)
+    changes = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(steps)]
+    if any(change > _MAX_CHANGE * fastest for change in changes):
+        return None
+    return velocity_between(poses[0], poses[-1], times_s[-1] - times_s[0])
 
 
 @dataclass(frozen=True, eq=False)

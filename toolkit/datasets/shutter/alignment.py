@@ -27,10 +27,10 @@ _UNKNOWNS = 10
 # Maximum difference of corresponding depths, relative.
 _MAX_DISTANCE = 0.05
 # Residuals of this many standard deviations have half the weight.
-_HALF_WEIGHT = 2.0
+_HALF_WEIGHT = 5.0
 _MIN_PIXELS = 200
-_ITERATIONS = 10
-_MIN_TRANSLATION_M, _MIN_ROTATION_RAD = 5e-4, 2.5e-4
+_ITERATIONS = 15
+_MIN_TRANSLATION_M, _MIN_ROTATION_RAD = 2e-4, 1e-4
 # Against singular equations, where an image has no texture or shows a single plane.
 _RIDGE = 1e-6
 
@@ -176,11 +176,11 @@ class _Seen:
         times: ShutterTimes,
     ) -> _Seen:
         T, camera = pose.T_second_first, b.camera
-        moving_a = np.cross(velocity_a[3:], a.samples) + velocity_a[:3]
+        moving_a = a.samples @ se3.hat(velocity_a[3:]).T + velocity_a[:3]
         exposed_s = times.readout_s * a.sample_rows + times.delay_s
         start = (a.samples + exposed_s[:, None] * moving_a) @ T[:3, :3].T + T[:3, 3]
         moving_a = moving_a @ T[:3, :3].T
-        moving_b = np.cross(velocity_b[3:], start) + velocity_b[:3]
+        moving_b = start @ se3.hat(velocity_b[3:]).T + velocity_b[:3]
         points, rows = start, a.sample_rows
         # The time depends on the row at which a point is seen, and that on the time.
         for _ in range(3 if times.readout_s else 1):
@@ -223,7 +223,7 @@ def _geometric(b: ShutterLevel, seen: _Seen) -> tuple[Array, Array] | None:
     at = np.rint(seen.y[kept]).astype(np.intp), np.rint(seen.x[kept]).astype(np.intp)
     normals = b.normals[at].astype(np.float64)
     z = seen.points[kept, 2]
-    distance = ((seen.points[kept] - b.points[at]) * normals).sum(axis=1)
+    distance = np.einsum("ij,ij->i", seen.points[kept] - b.points[at], normals)
     near = (normals[:, 2] != 0) & (np.abs(distance) < _MAX_DISTANCE * z)
     if near.sum() < _MIN_PIXELS:
         return None
@@ -236,7 +236,8 @@ def _derivatives(by_point: Array, seen: _Seen, kept: NDArray) -> Array:
     """Derivatives [M, 10] of residuals, from those [M, 3] by the points."""
     J = np.zeros((len(by_point), _UNKNOWNS))
     J[:, :3] = by_point
-    J[:, 3:6] = np.cross(seen.start[kept], by_point)
-    J[:, 8] = (by_point * seen.by_readout[kept]).sum(axis=1)
-    J[:, 9] = (by_point * seen.by_delay[kept]).sum(axis=1)
+    (nx, ny, nz), (x, y, z) = by_point.T, seen.start[kept].T
+    J[:, 3], J[:, 4], J[:, 5] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+    J[:, 8] = np.einsum("ij,ij->i", by_point, seen.by_readout[kept])
+    J[:, 9] = np.einsum("ij,ij->i", by_point, seen.by_delay[kept])
     return J

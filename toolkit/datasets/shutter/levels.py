@@ -20,7 +20,7 @@ _SMOOTHING_PX = 0.7
 _REACH = 2
 # Neighbours on one surface: their depth differs by less, and is bent by less (relative).
 _MAX_STEP, _MAX_BEND = 0.1, 0.03
-_MAX_SAMPLES = 2500
+_MAX_SAMPLES = 1500
 
 
 @dataclass(frozen=True, eq=False)

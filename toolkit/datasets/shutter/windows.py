@@ -84,6 +84,8 @@ class ShutterWindow:
             times: the current estimate.
             coarse: whether the pairs were not aligned before.
         """
+        if not self.pairs:
+            return []
         if times != ShutterTimes() and not self._align_steps(times, coarse=False):
             return []
         found = []
