@@ -165,8 +165,7 @@ class CameraPath:
             for f, T in zip(
                 self._frames[-_MAX_RECENT:], self._T_keyframe_camera[-_MAX_RECENT:], strict=True
             )
-            if f.index >= first_allowed
-            and f.index not in dropped
+            if f.index >= first_allowed and f.index not in dropped
         ]
         if not recent or frame.timestamp_s - recent[-1][0].timestamp_s > MAX_GAP_S:
             return None

@@ -102,7 +102,7 @@ def align(
             if equations is None:
                 return None
             H, g = equations
-            step: Array = -np.linalg.solve(H[_NUISANCE, _NUISANCE], g[_NUISANCE])
+            step = np.asarray(np.linalg.solve(H[_NUISANCE, _NUISANCE], -g[_NUISANCE]), np.float64)
             T = se3.orthonormalise(se3.exp(step[_POSE]) @ found.T_second_first)
             found = RelativePose(T, found.exposure + step[_EXPOSURE])
             small = float(np.linalg.norm(step[:3])) < _MIN_TRANSLATION_M * 4**level

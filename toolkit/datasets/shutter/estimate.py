@@ -36,8 +36,6 @@ _HALF_WEIGHT = 8.0
 # A readout is undone if it is that many standard deviations long, and has an effect.
 _CERTAIN = 4.0
 _MIN_READOUT_S = 0.005
-# A sensor starts its next image after the last row; frame rates are not exact.
-_MAX_SHARE_OF_PERIOD = 1.2
 
 
 class Frames(Protocol):
@@ -75,8 +73,10 @@ class ShutterEstimate:
     def certain_readout_s(self) -> float:
         """The readout time if it is certain, otherwise 0."""
         certain = _CERTAIN * self.readout_sigma_s <= self.readout_s
-        longest_s = _MAX_SHARE_OF_PERIOD * self.period_s
-        return self.readout_s if certain and _MIN_READOUT_S <= self.readout_s < longest_s else 0.0
+        # A sensor starts its next image after the last row; a longer readout follows from wrong
+        # times of the frames.
+        possible = _MIN_READOUT_S <= self.readout_s <= self.period_s
+        return self.readout_s if certain and possible else 0.0
 
     @property
     def delay_is_certain(self) -> bool:
