@@ -19,15 +19,14 @@ from toolkit.pose_graph.noise import pixel_covariance
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
-from toolkit.tracking.rolling_shutter import velocity_between
+from toolkit.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
 
 Array = NDArray[np.float64]
 
-# Number of poses from which the velocity is computed. From two, it contains more of the errors of
-# the poses, which it passes on to the next one; on fr1/rpy, the error between frames was a quarter
-# larger. Older poses (seconds) do not state the present velocity.
-_VELOCITY_POSES = 3
-_MAX_AGE_S = 0.25
+# Time (seconds) over which the velocity is computed, whatever the frame rate. Over a shorter one,
+# it contains more of the errors of the poses, and of the tremor of the hand; older poses do not
+# state the present velocity.
+_VELOCITY_S = 0.12
 # Number of newest frames that may include these poses, if frames are dropped.
 _MAX_RECENT = 16
 # Standard deviation of directions of a pose that tracking did not determine, metres and radians.
@@ -175,14 +174,19 @@ class CameraPath:
         T_submap_keyframe = atlas.keyframe_poses(last.submap)[last.keyframe]
         return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
 
-    def velocity(self, atlas: Atlas, frame: FrameStamp) -> Array | None:
-        """Mean velocity [6] (m/s, rad/s) of the camera in its own frame over its last poses.
+    def velocity(
+        self, atlas: Atlas, frame: FrameStamp, T_submap_camera: Array | None = None
+    ) -> Array | None:
+        """Velocity [6] (m/s, rad/s) of the camera in its own frame.
 
         Args:
             frame: the next frame.
+            T_submap_camera: [4, 4] its pose in the active submap. Without it, the velocity is the
+                mean over the last poses; with it, that from the last pose to it.
 
         Returns:
-            None without two recent poses since a frame was lost.
+            None without two recent poses since a frame was lost, and where the motion or the times
+            are irregular.
         """
         first_allowed = max(self.lost_frames, default=-1) + 1
         dropped = set(self.dropped_frames[-_MAX_RECENT:])
@@ -191,18 +195,22 @@ class CameraPath:
             for f, T in zip(
                 self._frames[-_MAX_RECENT:], self._T_keyframe_camera[-_MAX_RECENT:], strict=True
             )
-            if f.index >= first_allowed
-            and not f.doubt
-            and f.index not in dropped
-            and frame.timestamp_s - f.timestamp_s <= _MAX_AGE_S
-        ][-_VELOCITY_POSES:]
-        if len(recent) < 2:
+            if f.index >= first_allowed and not f.doubt and f.index not in dropped
+        ]
+        if not recent or frame.timestamp_s - recent[-1][0].timestamp_s > MAX_GAP_S:
             return None
-        first, last = (
+        newest_s = recent[-1][0].timestamp_s
+        recent = [(f, T) for f, T in recent if newest_s - f.timestamp_s <= _VELOCITY_S]
+        poses = [
             atlas.T_world_submap(f.submap) @ atlas.keyframe_poses(f.submap)[f.keyframe] @ T
-            for f, T in (recent[0], recent[-1])
-        )
-        return velocity_between(first, last, recent[-1][0].timestamp_s - recent[0][0].timestamp_s)
+            for f, T in recent
+        ]
+        times_s = [f.timestamp_s for f, _ in recent]
+        known = steady_velocity(poses, times_s)
+        if known is None or T_submap_camera is None:
+            return known
+        poses.append(atlas.T_world_submap(atlas.active) @ T_submap_camera)
+        return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
 
     def last_position(self, atlas: Atlas) -> LastPosition | None:
         """Time and position in the world frame of the newest frame; None without frames."""

@@ -155,7 +155,7 @@ class Slam:
         if disorder := self._path.disorder(frame):
             self._path.add_lost(frame, disorder, tried=False)
             return FrameResult(frame.index, None, not_tracked(disorder))
-        frame = self._denoised(self._rectified(frame))
+        observed, frame = frame, self._denoised(self._rectified(frame))
         if self._labels_first:
             frame = self._segmented(frame, None)
         frame = self._with_prior(frame)
@@ -171,6 +171,7 @@ class Slam:
         if may_map:
             frame = self._with_prior(frame, T_map_camera)
         if may_map and self.mapper.wants(frame, T_map_camera):
+            frame = self._rectified_again(observed, frame, T_map_camera)
             mapping = self._add_keyframe(frame, T_map_camera, tracking)
             self._start_submap_if_due(tracking)
             T_map_camera = self.mapper.keyframes[-1].T_map_camera
@@ -323,6 +324,22 @@ class Slam:
             if velocity is None and len(self._path.indices) < 2 and not self._path.lost_frames:
                 velocity = self._start_velocity
             return rectified(frame, velocity)
+
+    def _rectified_again(
+        self, observed: Frame, frame: Frame, T_map_camera: NDArray[np.float64]
+    ) -> Frame:
+        """A new keyframe, rectified with the velocity that its own pose gives.
+
+        The velocity of the frames before it differs from its own by the tremor of a hand.
+        """
+        if observed.readout_s == 0.0:
+            return frame
+        velocity = self._path.velocity(self.atlas, observed, T_map_camera)
+        if velocity is None:
+            return frame
+        with self._recorder.timed("rectification"):
+            images = self._denoised(rectified(observed, velocity))
+        return replace(images, labels=frame.labels if self._labels_first else images.labels)
 
     def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
         if self._filter is None:

@@ -10,6 +10,7 @@ from slam_room import SlamRoom, blind_frames, fed, fingerprint, new_slam
 
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.frame import Frame
+from toolkit.geometry import se3
 from toolkit.tracking.initial_velocity import initial_velocity
 from toolkit.tracking.rolling_shutter import as_exposed, velocity_between
 
@@ -67,10 +68,21 @@ def test_the_velocity_needs_recent_poses(frames):
     assert slam.camera_path.velocity(slam.atlas, frames[1]) is None
     fed(slam, frames[1:4])
     poses = slam.result().trajectory.T_world_camera
-    mean = velocity_between(poses[1], poses[3], frames[3].timestamp_s - frames[1].timestamp_s)
+    mean = velocity_between(poses[0], poses[3], frames[3].timestamp_s - frames[0].timestamp_s)
     np.testing.assert_allclose(slam.camera_path.velocity(slam.atlas, frames[4]), mean, atol=1e-9)
-    later = replace(frames[4], timestamp_s=frames[4].timestamp_s + 1.0)
-    assert slam.camera_path.velocity(slam.atlas, later) is None
+    for late_s in (0.1, 1.0):  # frames were dropped before
+        later = replace(frames[4], timestamp_s=frames[4].timestamp_s + late_s)
+        assert slam.camera_path.velocity(slam.atlas, later) is None
+
+
+def test_the_velocity_of_a_located_frame_is_its_own(frames):
+    slam = new_slam()
+    fed(slam, frames[:4])
+    last = slam.result().trajectory.T_world_camera[3]
+    step = np.array([0.01, 0.0, 0.02, 0.03, -0.02, 0.01])
+    elapsed_s = frames[4].timestamp_s - frames[3].timestamp_s
+    known = slam.camera_path.velocity(slam.atlas, frames[4], last @ se3.exp(step))
+    np.testing.assert_allclose(known, step / elapsed_s, atol=1e-9)
 
 
 def test_dropped_and_lost_frames_have_no_velocity(frames):

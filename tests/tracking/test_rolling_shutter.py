@@ -10,7 +10,12 @@ import pytest
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.tracking.rolling_shutter import as_exposed, rectified, velocity_between
+from toolkit.tracking.rolling_shutter import (
+    as_exposed,
+    rectified,
+    steady_velocity,
+    velocity_between,
+)
 
 CAMERA = Camera(130.0, 128.0, 80.0, 58.0, 160, 120)
 READOUT_S = 0.03
@@ -109,3 +114,25 @@ def test_the_velocity_is_that_of_the_camera_in_its_own_frame():
     first = se3.exp(np.array([1.0, 2.0, 3.0, 0.4, -0.2, 0.9]))
     found = velocity_between(first, first @ se3.exp(0.1 * VELOCITY), 0.1)
     np.testing.assert_allclose(found, VELOCITY, atol=1e-9)
+
+
+@pytest.mark.parametrize("period_s", [1 / 60, 1 / 30, 1 / 10])
+def test_a_steady_velocity_is_known(period_s):
+    times_s = period_s * np.arange(3)
+    poses = [se3.exp(t * VELOCITY) for t in times_s]
+    np.testing.assert_allclose(steady_velocity(poses, times_s), VELOCITY, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "taken_s"),
+    [
+        ([0.0], [0.0]),
+        ([0.0, 0.2, 0.4], [0.0, 0.2, 0.4]),  # few frames per second
+        ([0.0, 0.03, 0.2], [0.0, 0.03, 0.2]),  # frames were dropped
+        ([0.0, 0.03, 0.06], [0.0, 0.03, 0.03]),  # an image was delivered twice
+        ([0.0, 0.03, 0.06], [0.0, 0.0, 0.03]),
+    ],
+)
+def test_other_velocities_are_not_known(times_s, taken_s):
+    poses = [se3.exp(t * VELOCITY) for t in taken_s]
+    assert steady_velocity(poses, times_s) is None

@@ -121,7 +121,7 @@ class Recording:
         depth_offset_px: (x, y) by which colour images are offset from depth images; depth is
             shifted by it.
         readout_s: time in seconds from the exposure of the first row of an image to that of the
-            last, of colour and depth; 0 for a global shutter.
+            last, of colour and depth; 0 for a global shutter; None if it is not known.
     """
 
     name: str
@@ -143,7 +143,7 @@ class Recording:
     calibrated: bool = True
     focal_sigma: float | None = None
     depth_offset_px: tuple[float, float] = (0.0, 0.0)
-    readout_s: float = 0.0
+    readout_s: float | None = None
 
 
 class RecordedDataset:
@@ -151,7 +151,7 @@ class RecordedDataset:
 
     Attributes:
         readout_s: time in seconds from the exposure of the first row of a frame to that of the
-            last; 0 for a global shutter.
+            last; 0 for a global shutter, or if it is not known.
 
     Args:
         recording: description of the files.
@@ -188,7 +188,7 @@ class RecordedDataset:
         self.camera = self._grid.camera if self._grid else recording.camera
         # A crop contains a part of the rows.
         rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height
-        self.readout_s = recording.readout_s * rows
+        self.readout_s = (recording.readout_s or 0.0) * rows
         self._videos: dict[Path, VideoFile] = {}
         self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)
 

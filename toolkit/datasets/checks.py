@@ -14,6 +14,7 @@ from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offs
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
 from toolkit.datasets.registry import describe
+from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 
@@ -62,6 +63,9 @@ class _Findings:
     medians_m: list[float] = field(default_factory=list)
     valid_fractions: list[float] = field(default_factory=list)
     label_ids: set[int] = field(default_factory=set)
+    repeated_colour: set[str] = field(default_factory=set)
+    repeated_depth: set[str] = field(default_factory=set)
+    before: Frame | None = None
 
 
 def check_dataset(
@@ -112,8 +116,14 @@ def check_recording(
         *_label_faults(findings, dataset.label_names),
         *_registration_faults(dataset),
     ]
-    notes = (*dataset.recording.notes, *_time_notes(dataset), *_offset_notes(dataset))
-    return CheckReport(_summary(dataset, findings), tuple(faults), notes)
+    notes = (
+        *dataset.recording.notes,
+        *_time_notes(dataset),
+        *_repeat_notes(findings),
+        *_offset_notes(dataset),
+    )
+    summary = (*_summary(dataset, findings), *_shutter_lines(recording))
+    return CheckReport(summary, tuple(faults), notes)
 
 
 def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> None:
@@ -125,12 +135,23 @@ def _check_frame(dataset: RecordedDataset, index: int, findings: _Findings) -> N
         return
     if files.number is None and decoder_warning(files.rgb):
         findings.damaged.append(files.name)
+    _check_repeats(frame, files.name, findings)
     if float(np.ptp(frame.rgb)) == 0.0:
         findings.blank.append(files.name)
     if files.depth is not None:
         _check_depth(frame, files.depth.name, findings)
     if frame.labels is not None:
         findings.label_ids.update(np.unique(frame.labels).tolist())
+
+
+def _check_repeats(frame: Frame, name: str, findings: _Findings) -> None:
+    before, findings.before = findings.before, frame
+    if before is None:
+        return
+    if np.ptp(frame.rgb) > 0.0 and np.array_equal(before.rgb, frame.rgb):
+        findings.repeated_colour.add(name)
+    if frame.depth_m.any() and np.array_equal(before.depth_m, frame.depth_m):
+        findings.repeated_depth.add(name)
 
 
 def _check_depth(frame: Frame, name: str, findings: _Findings) -> None:
@@ -225,12 +246,34 @@ def _registration_faults(dataset: RecordedDataset) -> list[str]:
     return [fault] if fault else []
 
 
+def _repeat_notes(findings: _Findings) -> list[str]:
+    colour, depth = findings.repeated_colour, findings.repeated_depth
+    notes = []
+    if colour | depth:
+        notes.append(
+            f"{len(colour)} colour and {len(depth)} depth image(s) are those of the frame before; "
+            f"the times of these frames are wrong: {listed(sorted(colour | depth))}"
+        )
+    if depth and colour ^ depth:
+        notes.append(
+            f"in {len(colour ^ depth)} frame(s), only one of colour and depth is repeated; both "
+            f"were taken at different times: {listed(sorted(colour ^ depth))}"
+        )
+    return notes
+
+
 def _offset_notes(dataset: RecordedDataset) -> list[str]:
     found = estimate_depth_offset(_readable(dataset, frames_for_offset(len(dataset))))
     size_px = float(np.hypot(found.x_px, found.y_px))
     if found.fault is not None or size_px < max(_NOTED_OFFSET_PX, _CERTAIN * found.sigma_px):
         return []
     return [f"colour is offset from depth by {found}; --dataset.depth-offset auto shifts the depth"]
+
+
+def _shutter_lines(recording: Recording) -> list[str]:
+    if recording.files[0].depth is None or recording.depth_fault:
+        return []
+    return [f"rolling shutter: {estimate_readout(recording)}"]
 
 
 def _readable(dataset: RecordedDataset, indices: list[int]) -> Iterable[Frame]:

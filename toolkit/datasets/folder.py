@@ -31,7 +31,7 @@ class Intrinsics:
     """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate.
 
     Without depth, `depth_scale` is 1. With `fisheye`, `distortion` is the key of that name.
-    `readout_s` is that of a rolling shutter, in seconds.
+    `readout_s` is that of a rolling shutter, in seconds; None if it is not stated.
     """
 
     camera: Camera
@@ -39,7 +39,7 @@ class Intrinsics:
     distortion: tuple[float, ...] | None
     fps: float
     fisheye: bool = False
-    readout_s: float = 0.0
+    readout_s: float | None = None
 
 
 def describe(path: Path) -> Recording:
@@ -111,7 +111,7 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
         numbers = {key: float(values[key]) for key in _REQUIRED}
         depth_scale = float(values.get("depth_scale", 1.0))
         fps = float(values.get("fps", DEFAULT_FPS))
-        readout_ms = float(values.get("readout_ms", 0.0))
+        readout_ms = float(values["readout_ms"]) if "readout_ms" in values else None
         distortion = tuple(float(k) for k in values.get("distortion") or ())
         fisheye = tuple(float(k) for k in values.get("fisheye") or ())
         camera = Camera(
@@ -135,12 +135,13 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
     for key, value in (("depth_scale", depth_scale), ("fps", fps)):
         if not 0 < value < float("inf"):
             raise DatasetError(f"{path}: {key} must be positive, got {value}")
-    if not 0 <= readout_ms < 1e3:
+    if readout_ms is not None and not 0 <= readout_ms < 1e3:
         raise DatasetError(
             f"{path}: readout_ms must be milliseconds between 0 and 1000, got {readout_ms}"
         )
+    readout_s = None if readout_ms is None else 1e-3 * readout_ms
     return Intrinsics(
-        camera, depth_scale, fisheye or distortion or None, fps, bool(fisheye), 1e-3 * readout_ms
+        camera, depth_scale, fisheye or distortion or None, fps, bool(fisheye), readout_s
     )
 
 

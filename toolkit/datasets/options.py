@@ -52,8 +52,9 @@ class DatasetOptions:
     depth_offset: Literal["auto"] | tuple[float, float] | None = None
     """Offset (x, y) in pixels of the colour images from the depth images; depth is shifted by it.
     auto estimates a constant offset from the edges of both. By default, depth is not shifted."""
-    readout_ms: Annotated[float, Range(ge=0, le=1000)] | None = None
+    readout_ms: Literal["auto"] | Annotated[float, Range(ge=0, le=1000)] = "auto"
     """Time in milliseconds from the exposure of the first row of an image to that of the last
-    (rolling shutter), for input with depth. 0 for a global shutter. By default, 27 for tum and
-    seven-scenes, readout_ms in intrinsics.yaml for a folder, 0 otherwise."""
+    (rolling shutter), for input with depth. 0 for a global shutter. auto uses readout_ms in
+    intrinsics.yaml of a folder; otherwise, it is estimated from the images, and 0 if uncertain.
+    Rendered images (synthetic, replica) have 0."""
     topics: BagTopics = BagTopics()

@@ -27,7 +27,9 @@ from toolkit.datasets import (
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.options import BagTopics
+from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.errors import DatasetError
+from toolkit.frame import Frame
 
 _log = logging.getLogger(__name__)
 
@@ -63,7 +65,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     fov_deg: float | None = None,
     topics: BagTopics | None = None,
     depth_offset: Literal["auto"] | tuple[float, float] | None = None,
-    readout_ms: float | None = None,
+    readout_ms: Literal["auto"] | float = "auto",
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -81,7 +83,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         depth_offset: (x, y) in pixels of the files by which colour is offset from depth, or "auto"
             to estimate it; depth is shifted by it.
         readout_ms: time in milliseconds from the exposure of the first row of an image to that of
-            the last; None for that of the format. Not used without depth.
+            the last; "auto" for that of the recording, which is estimated from its images if it is
+            not stated. Not used without depth.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
@@ -98,33 +101,46 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
         recording = _with_offset(recording, depth_offset, max_frames)
     if not needs_depth:  # motion is estimated from features of the images as they are
         readout_ms = 0.0
-    if readout_ms is not None:
+    if readout_ms != "auto":
         recording = replace(recording, readout_s=1e-3 * readout_ms)
     dataset = RecordedDataset(recording, image_size, max_frames)
     first = dataset[0]
-    depth = dataset.files(0).depth
-    if needs_depth and depth is None:
+    if needs_depth:
+        _check_depth(dataset, first, path)
+    if recording.readout_s is None:
+        recording = _with_readout(recording, max_frames)
+        dataset = RecordedDataset(recording, image_size, max_frames)
+    for flaw in dataset.recording.flaws:
+        _log.warning("%s: %s", dataset.name, flaw)
+    for note in dataset.recording.notes:
+        _log.info("%s: %s", dataset.name, note)
+    return dataset
+
+
+def _check_depth(dataset: RecordedDataset, first: Frame, path: str | os.PathLike[str]) -> None:
+    """Check that a recording has depth and intrinsics.
+
+    Raises:
+        DatasetError: it has not.
+    """
+    recording, depth = dataset.recording, dataset.files(0).depth
+    if depth is None:
         raise DatasetError(
             f"{path}: {recording.depth_fault}"
             if recording.depth_fault
             else f"{path} has no depth images; add them, or estimate depth from the images with "
             "--depth none"
         )
-    if needs_depth and not recording.calibrated:
+    if not recording.calibrated:
         raise DatasetError(
             f"{path} has no intrinsics; add them (docs/guides/datasets.md), or specify the field "
             f"of view with --dataset.fov-deg"
         )
-    if needs_depth and not first.depth_m.any():
+    if not first.depth_m.any():
         raise DatasetError(
             f"{depth} contains no valid depth; remove the first frame or check "
             f"how its depth was saved"
         )
-    for flaw in dataset.recording.flaws:
-        _log.warning("%s: %s", dataset.name, flaw)
-    for note in dataset.recording.notes:
-        _log.info("%s: %s", dataset.name, note)
-    return dataset
 
 
 def _with_fov(recording: Recording, fov_deg: float, path: str | os.PathLike[str]) -> Recording:
@@ -154,6 +170,20 @@ def _with_offset(
         recording.name, found, found.sigma_px,
     )  # fmt: skip
     return replace(recording, depth_offset_px=(found.x_px, found.y_px))
+
+
+def _with_readout(recording: Recording, max_frames: int | None) -> Recording:
+    """A recording with the estimated time of its rolling shutter, 0 if that is uncertain."""
+    found = estimate_readout(recording, max_frames)
+    _log.info(
+        "%s: rolling shutter: %s; %s",
+        recording.name,
+        found,
+        f"{1e3 * found.certain_readout_s:.1f} ms is undone"
+        if found.certain_readout_s
+        else "it is not undone",
+    )
+    return replace(recording, readout_s=found.certain_readout_s)
 
 
 def _reduced(recording: Recording) -> tuple[int, int] | None:

@@ -59,6 +59,7 @@ def describe(path: Path) -> Recording:
         depth_scale=depth_scale,
         ground_truth=trajectory,
         label_names=read_class_names(names_file) if names_file else None,
+        readout_s=0.0,
         flaws=flaws,
     )
 

@@ -24,8 +24,6 @@ from toolkit.io.trajectories import read_matrix
 
 FPS = 30.0
 DEPTH_SCALE = 1000.0
-# Of the Kinect's images; see docs/method.md.
-READOUT_S = 0.027
 _STANDARD_FOCAL = 585.0
 
 _log = logging.getLogger(__name__)
@@ -64,7 +62,6 @@ def describe(path: Path) -> Recording:
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
         saturated_is_missing=True,
-        readout_s=READOUT_S,
         flaws=flaws + truth.flaws,
     )
 

@@ -25,8 +25,6 @@ from toolkit.io.trajectories import read_tum_lines, text_lines
 # Maximum time difference of associated images, as in the benchmark's own tool.
 MAX_DIFFERENCE_S = 0.02
 DEPTH_SCALE = 5000.0
-# Of the Kinect's and the Xtion's images of 30 Hz; see docs/method.md.
-READOUT_S = 0.027
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,6 @@ def describe(path: Path) -> Recording:
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
         distortion=calibration.distortion,
-        readout_s=READOUT_S,
         flaws=rgb_flaws + depth_flaws + truth.infinite + truth.not_rigid,
         notes=unpaired(
             "colour image(s) without depth within 20 ms", [rgb.files[i].name for i in alone]

@@ -41,7 +41,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.depth_views import DepthImage, DepthView
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.rolling_shutter import as_exposed, rectified, velocity_between
+from toolkit.tracking.rolling_shutter import as_exposed, rectified, steady_velocity
 
 _log = logging.getLogger(__name__)
 
@@ -230,12 +230,10 @@ def _tracked_views(
 
 
 def _velocity(frames: Sequence[TrackedFrame]) -> NDArray[np.float64] | None:
-    """Mean velocity [6] from the first to the last of a few frames in a row."""
-    first, last = frames[0], frames[-1]
-    if last.index - first.index != len(frames) - 1 or len(frames) < 2:
+    """Mean velocity [6] from the first to the last of a few frames in a row, if known."""
+    if frames[-1].index - frames[0].index != len(frames) - 1:
         return None
-    elapsed_s = last.timestamp_s - first.timestamp_s
-    return velocity_between(first.T_map_camera, last.T_map_camera, elapsed_s)
+    return steady_velocity([f.T_map_camera for f in frames], [f.timestamp_s for f in frames])
 
 
 def _unseen_views(

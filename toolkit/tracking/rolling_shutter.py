@@ -13,6 +13,7 @@ few pixels, and colour and depth must be moved alike.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -26,6 +27,10 @@ from toolkit.geometry.camera import Camera
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
+# Frames that are farther apart in time (seconds) do not give the velocity of a hand.
+MAX_GAP_S = 0.11
+# Minimum speed from frame to frame, relative to the largest one.
+_MIN_SPEED = 0.3
 # Smaller displacements (pixels) are not worth the resampling.
 _MIN_DISPLACEMENT = 0.5
 # Larger displacements, as a fraction of the image's height, follow from wrong velocities.
@@ -91,6 +96,25 @@ def as_exposed(
 def velocity_between(T_world_first: Array, T_world_second: Array, elapsed_s: float) -> Array:
     """Velocity [6] (m/s, rad/s) of a camera in its own frame, from two of its poses [4, 4]."""
     return se3.log(se3.inverse(T_world_first) @ T_world_second) / elapsed_s
+
+
+def steady_velocity(poses: Sequence[Array], times_s: Sequence[float]) -> Array | None:
+    """Mean velocity [6] over neighbouring poses [4, 4] of a camera, in the frame of the first.
+
+    Returns:
+        None if it is not known: there are less than two poses, they are far apart in time, or the
+        camera hardly moved between two of them only, as if an image had been delivered twice.
+    """
+    if len(poses) < 2 or max(np.diff(times_s)) > MAX_GAP_S:
+        return None
+    steps = [
+        velocity_between(poses[n], poses[n + 1], times_s[n + 1] - times_s[n])
+        for n in range(len(poses) - 1)
+    ]
+    speeds = [float(np.linalg.norm(step)) for step in steps]
+    if min(speeds) < _MIN_SPEED * max(speeds):
+        return None
+    return velocity_between(poses[0], poses[-1], times_s[-1] - times_s[0])
 
 
 @dataclass(frozen=True, eq=False)
