@@ -19,6 +19,7 @@ from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.motion_cases import CaseDataset, MixedDataset
 from benchmarks.recordings import RECORDINGS, room
@@ -103,8 +104,7 @@ def semsplat(
     counted = [number for number in steps if number is not None]
     return Estimate(
         np.array(times_s),
-        dict(zip(result.frame_indices, result.trajectory.T_world_camera, strict=True)),
-        parts_of_frames(result),
+        *poses_by_frame(result),
         frozenset(result.lost_frames),
         frozenset(result.doubtful_frames),
         {
@@ -115,14 +115,15 @@ def semsplat(
     )
 
 
-def parts_of_frames(result: SlamResult) -> dict[int, int]:
-    """The part of each tracked frame, by those of the submaps."""
-    parts = result.parts or [tuple(range(len(result.submaps)))]
-    of_submap = {number: place for place, part in enumerate(parts) for number in part}
-    return {
-        index: of_submap[number]
-        for index, number in zip(result.frame_indices, result.frame_submaps, strict=True)
-    }
+def poses_by_frame(result: SlamResult) -> tuple[dict[int, NDArray[np.float64]], dict[int, int]]:
+    """Pose [4, 4] of each tracked frame in the frame of its part, and the part's number."""
+    main = zip(result.frame_indices, result.trajectory.T_world_camera, strict=True)
+    poses, parts = dict(main), dict.fromkeys(result.frame_indices, 0)
+    for number, other in enumerate(result.other_parts, start=1):
+        own = other.frames
+        poses |= dict(zip(own.indices, own.trajectory.T_world_camera, strict=True))
+        parts |= dict.fromkeys(own.indices, number)
+    return poses, parts
 
 
 class FrameToFrame(Protocol):

@@ -107,9 +107,19 @@ class TrackedFrames:
     exposures: list[Exposure]
     covariances: NDArray[np.float64] | None = None
 
-    def of(self, submaps: Collection[int], T_part_world: NDArray[np.float64]) -> TrackedFrames:
-        """The frames of some submaps, transformed by [4, 4]."""
-        chosen = [k for k, number in enumerate(self.submaps) if number in submaps]
+    def of(
+        self,
+        submaps: Collection[int],
+        T_part_world: NDArray[np.float64],
+        doubtful: Collection[int] = (),
+    ) -> TrackedFrames:
+        """The frames of some submaps, transformed by [4, 4], without doubtful ones."""
+        numbered = zip(self.indices, self.submaps, strict=True)
+        chosen = [
+            k
+            for k, (index, number) in enumerate(numbered)
+            if number in submaps and index not in doubtful
+        ]
         poses = self.trajectory.T_world_camera[chosen]
         if not np.array_equal(T_part_world, np.eye(4)):
             poses = np.array([se3.orthonormalise(T_part_world @ T) for T in poses])

@@ -263,8 +263,9 @@ class Slam:
 
     def _poses_beside(self, number: int) -> NDArray[np.float64]:
         """Poses [P, 4, 4] of the frames in the same part of the map as a submap."""
-        part = next(part for part in self.parts if number in part)
-        inside = np.isin(self._path.submaps, part)
+        part, path = next(part for part in self.parts if number in part), self._path
+        inside = np.isin(path.submaps, part)
+        inside &= ~np.isin(path.indices, list(path.doubtful_frames))
         return self._path.trajectory(self.atlas).T_world_camera[inside]
 
     def result(self) -> SlamResult:
@@ -293,7 +294,8 @@ class Slam:
             path.exposures(atlas, exposures),
             covariances,
         )
-        by_part = [frames.of(part, T_part[part[0]]) for part in parts]
+        doubtful = path.doubtful_frames
+        by_part = [frames.of(part, T_part[part[0]], doubtful) for part in parts]
         main, fused = by_part[0], maps[0] if maps else None
         return SlamResult(
             trajectory=main.trajectory,
@@ -309,7 +311,7 @@ class Slam:
             taxonomy=None if self._labeller is None else self._labeller.taxonomy,
             covariances=main.covariances,
             dropped_frames=list(path.dropped_frames),
-            doubtful_frames=path.doubtful_frames,
+            doubtful_frames=doubtful,
             frame_submaps=main.submaps,
             parts=parts,
             other_parts=separate_parts(parts, by_part, maps, path),
@@ -374,8 +376,10 @@ class Slam:
         with self._recorder.timed("tracking"):
             gaussians = self.mapper.gaussians
             tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
-        if tracking.lost or (tracking.doubtful and self._recovery.out_of_patience(frame)):
-            return self._recovery.recover(frame, tracking, may_map)
+        if tracking.lost or tracking.doubtful:
+            found = self._recovery.recover(frame, tracking, may_map)
+            if tracking.lost or found.T_map_camera is not None:
+                return found
         return Located(tracking.T_map_camera, tracking)
 
     def _proposals(self, frame: Frame) -> Iterator[NDArray[np.float64]]:

@@ -22,8 +22,6 @@ class HealthLimits:
     """Maximum robust scale of the depth residuals at a depth of 1 m, in metres."""
     min_information: NonNegativeFloat = 1e4
     """Minimum eigenvalue of the pose's information matrix, in 1/m^2 and 1/rad^2."""
-    max_residual_ratio: PositiveFloat = 4.0
-    """Maximum product of the photometric and the depth scale, relative to the previous frame."""
     min_correlation: Fraction = 0.6
     """Minimum median correlation of the textures of a frame and the map. Below it, the pose of the
     frame is doubtful."""

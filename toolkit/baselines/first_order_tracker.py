@@ -115,7 +115,12 @@ class FirstOrderTracker(MovingTracker):
         return result
 
     def locate(
-        self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64]
+        self,
+        frame: Frame,
+        gaussians: GaussianCloud,
+        T_map_camera: NDArray[np.float64],
+        *,
+        search: bool = True,
     ) -> TrackingResult:
         """Locate a frame near an initial pose; the tracker's state does not change."""
         device = gaussians.means.device

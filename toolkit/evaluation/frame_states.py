@@ -90,13 +90,9 @@ def frame_states(result: SlamResult) -> list[FrameState]:
         parts |= dict.fromkeys(other.frames.indices, numbers[other.submaps])
     dropped = set(result.dropped_frames)
     states = [FrameState(index, "lost", why) for index, why in result.lost_frames.items()]
+    states += [FrameState(index, "doubtful", why) for index, why in result.doubtful_frames.items()]
     for index, part in parts.items():
-        if index in dropped:
-            states.append(FrameState(index, "dropped", part=part))
-        elif index in result.doubtful_frames:
-            states.append(FrameState(index, "doubtful", result.doubtful_frames[index], part))
-        else:
-            states.append(FrameState(index, "tracked", part=part))
+        states.append(FrameState(index, "dropped" if index in dropped else "tracked", part=part))
     return sorted(states, key=lambda state: state.index)
 
 

@@ -125,7 +125,7 @@ class Relocaliser:
         if offset is None:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
-        result = tracker.locate(frame, submap.gaussians, start)
+        result = tracker.locate(frame, submap.gaussians, start, search=False)
         if result.health is not Health.GOOD or result.visible_fraction < self.options.min_visible:
             return None
         if result.intensity_residual > self.options.max_intensity_residual:

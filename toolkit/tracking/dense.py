@@ -160,6 +160,7 @@ class DenseTracker(MovingTracker):
         gaussians: GaussianCloud,
         *starts: NDArray[np.float64],
         proposals: Proposals | None = None,
+        search: bool = True,
     ) -> TrackingResult:
         """Locate a frame near one of several initial poses; the tracker's state does not change.
 
@@ -167,6 +168,7 @@ class DenseTracker(MovingTracker):
             starts: initial poses T_map_camera [4, 4]. The map is rendered at the first one.
                 Alignment starts at the one with the lowest cost on the coarsest level.
             proposals: further initial poses, which are asked for if the result is not clear.
+            search: look for other initial poses at all.
 
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
@@ -176,7 +178,8 @@ class DenseTracker(MovingTracker):
         start = self._best_start(task, view, starts)
         results = [self._align(task, view, start)]
         unclear = not _is_clear(results[0]) and has_depth(frame)
-        if self.options.start == "both" or (self.options.start == "auto" and unclear):
+        always, sometimes = self.options.start == "both", self.options.start == "auto"
+        if search and (always or (sometimes and unclear)):
             for T_map_camera, levels in self._further_starts(task, view, start, results, proposals):
                 nearby = self._render(task, T_map_camera)
                 results.append(self._align(task, nearby, T_map_camera, levels))

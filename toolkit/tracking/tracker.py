@@ -58,9 +58,19 @@ class LocatingTracker(Tracker, Protocol):
     """A tracker that can also locate a frame anywhere in a map, and continue from there."""
 
     def locate(
-        self, frame: Frame, gaussians: GaussianCloud, T_map_camera: NDArray[np.float64], /
+        self,
+        frame: Frame,
+        gaussians: GaussianCloud,
+        T_map_camera: NDArray[np.float64],
+        /,
+        *,
+        search: bool = True,
     ) -> TrackingResult:
-        """Locate a frame near an initial pose [4, 4]; the tracker's state does not change."""
+        """Locate a frame near an initial pose [4, 4]; the tracker's state does not change.
+
+        Args:
+            search: look for other initial poses if the result is not clear.
+        """
         ...
 
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
