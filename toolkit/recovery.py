@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.alignment.options import HealthLimits
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing
 from toolkit.exposure import IDENTITY
 from toolkit.frame import Frame, FrameStamp, Recorder
+from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker, Tracker
@@ -63,6 +67,7 @@ class Recovery:
     ) -> None:
         self._tracker, self._atlas, self._path = tracker, atlas, path
         self._closer, self._label, self._recorder = closer, label, recorder
+        self._unreliable: Frame | None = None
 
     def out_of_patience(self, frame: FrameStamp) -> bool:
         """Whether the frames before this one were unreliable for so long that a submap may start.
@@ -83,7 +88,8 @@ class Recovery:
         """Relocalise a lost frame.
 
         If it is found in the active submap, tracking continues there. If it is found in another
-        submap, or too many frames were lost in a row, a new submap starts at the frame. Frames
+        submap, or too many frames were unreliable in a row, a new submap starts at the frame; in
+        the latter case only where it can be aligned to the unreliable frame before it. Frames
         without depth are ignored.
 
         Args:
@@ -106,13 +112,41 @@ class Recovery:
             return Located(found.T_submap_camera, found.result)
         if not may_map:
             return Located(None, lost)
-        if found is None and (not out_of_patience or tracker.first_pose(frame) is None):
+        if found is None and not (out_of_patience and self._may_start(frame)):
+            self._unreliable = frame
             return Located(None, lost)
         self._start_submap(frame, found)
         tracker.continue_from(frame.timestamp_s, np.eye(4))
         if found is None:
             return Located(np.eye(4), replace(lost, health=Health.LOST))
         return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
+
+    def _may_start(self, frame: Frame) -> bool:
+        """Whether a submap of unknown position may start at a frame."""
+        before = self._unreliable
+        return (
+            before is not None
+            and shows_same_place(before, frame, HealthLimits())
+            and self._tracker.first_pose(frame) is not None
+        )
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        frame = self._unreliable
+        if frame is None:
+            return {}, {}
+        stamp = {"index": frame.index, "timestamp_s": frame.timestamp_s}
+        return {"rgb": frame.rgb, "depth_m": frame.depth_m}, stamp | {
+            "camera": asdict(frame.camera)
+        }
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        self._unreliable = None
+        if values:
+            rgb, depth_m = np.array(arrays["rgb"]), np.array(arrays["depth_m"])
+            camera = Camera(**values["camera"])
+            self._unreliable = Frame(values["index"], values["timestamp_s"], rgb, depth_m, camera)
 
     def _start_submap(self, frame: Frame, found: Relocalisation | None) -> None:
         """Start a submap at a frame, at its relocalised pose or else at the last known pose."""

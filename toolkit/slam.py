@@ -42,7 +42,7 @@ from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
 
-_Part = Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
+_Part = Recovery | Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
 
 
 class Slam:
@@ -480,7 +480,8 @@ class Slam:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
         for name, part in self._parts().items():
-            part.restore(arrays_below(arrays, f"{name}/"), values[name])
+            # Checkpoints of earlier versions have no "recovery".
+            part.restore(arrays_below(arrays, f"{name}/"), values.get(name, {}))
         self.tracker.restore(arrays_below(arrays, "tracker/"))
         if self._labeller is not None:
             self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
@@ -493,5 +494,6 @@ class Slam:
             "closer": self._closer,
             "path": self._path,
             "between": self._between,
+            "recovery": self._recovery,
         }
         return parts if self._correction is None else parts | {"correction": self._correction}

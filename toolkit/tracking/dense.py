@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.backend import align, linearise
+from toolkit.alignment.constraint import weakest_rise
 from toolkit.alignment.data import (
     INITIAL_SCALES,
     Alignment,
@@ -37,7 +38,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
-from toolkit.tracking.evidence import doubt_reason, is_clear, quality
+from toolkit.tracking.evidence import doubt_reason, is_clear, lacks_texture, quality
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
@@ -344,7 +345,8 @@ class DenseTracker(MovingTracker):
         reason = failure_reason(self.limits, alignment.scales, visible, information, measured)
         similarity = self._similarity(task, view, alignment)
         health = Health.LOST if reason else Health.GOOD
-        if not reason and (reason := doubt_reason(self.limits, similarity)):
+        rise = self._rise(task, view, alignment) if lacks_texture(similarity) else None
+        if not reason and (reason := doubt_reason(self.limits, similarity, rise)):
             health = Health.DOUBTFUL
         # Alignment that fails immediately returns a product of this tracker's own poses. Without
         # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
@@ -361,6 +363,18 @@ class DenseTracker(MovingTracker):
             reason=reason,
             exposure=self._estimated_exposure(task, view, alignment),
             similarity=similarity,
+        )
+
+    def _rise(self, task: _Task, view: _View, alignment: Alignment) -> float:
+        """Rise of the cost beside the estimated pose, see `weakest_rise`."""
+        level = min(_EVIDENCE_LEVEL, self.options.levels - 1)
+        return weakest_rise(
+            view.levels[level],
+            task.levels[level],
+            alignment.T_view_camera,
+            alignment.scales,
+            alignment.exposure,
+            self.options.max_distance * 2**level,
         )
 
     def _similarity(self, task: _Task, view: _View, alignment: Alignment) -> Similarity:

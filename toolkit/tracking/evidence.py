@@ -17,6 +17,8 @@ from toolkit.alignment.similarity import Similarity
 
 # Fewer textured blocks do not determine a correlation; it then has a neutral value.
 _MIN_BLOCKS, _NEUTRAL = 4, 0.5
+# With fewer textured blocks, it is examined whether the pose is determined at all.
+_FEW_BLOCKS = 12
 # A pose with this evidence is right, so that no other one is looked for.
 _CLEAR_CORRELATION, _CLEAR_LOW_CORRELATION = 0.8, 0.65
 _CLEAR_AGREEMENT, _CLEAR_COVERED = 0.85, 0.4
@@ -45,10 +47,23 @@ def is_clear(similarity: Similarity | None) -> bool:
     )
 
 
-def doubt_reason(limits: HealthLimits, similarity: Similarity | None) -> str:
-    """Why a pose may be wrong; empty if the evidence suffices."""
+def lacks_texture(similarity: Similarity) -> bool:
+    """Whether so little texture is left that the frame may not determine its pose."""
+    return similarity.blocks < _FEW_BLOCKS
+
+
+def doubt_reason(
+    limits: HealthLimits, similarity: Similarity | None, rise: float | None = None
+) -> str:
+    """Why a pose may be wrong; empty if the evidence suffices.
+
+    Args:
+        rise: of the cost beside the pose (`weakest_rise`), if the frame lacks texture.
+    """
     if similarity is None:
         return ""
+    if rise is not None and lacks_texture(similarity) and rise < limits.min_rise:
+        return "the view does not determine the pose: it has hardly any texture or structure"
     if similarity.covered < limits.min_covered:
         return f"the map covers only {100 * similarity.covered:.0f} % of the frame"
     if similarity.blocks >= _MIN_BLOCKS and similarity.correlation < limits.min_correlation:
