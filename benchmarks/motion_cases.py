@@ -167,7 +167,7 @@ class CaseDataset(RecordedDataset):
             recording,
             files=files,
             ground_truth=Trajectory(times_s[list(found)], np.array(list(found.values()))),
-            readout_s=selection.time_factor * recording.readout_s,
+            readout_s=selection.time_factor * (recording.readout_s or 0.0),
         )
         super().__init__(shown, image_size)
         self.truth, self._selection = found, selection

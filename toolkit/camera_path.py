@@ -85,9 +85,7 @@ class CameraPath:
             _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt)
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
-        information = np.zeros((6, 6)) if tracking is None else tracking.information
-        pixels = frame.camera.width * frame.camera.height
-        self._pixel_covariances.append(pixel_covariance(information, pixels, _UNSEEN))
+        self._pixel_covariances.append(_pixel_covariance(frame, tracking))
 
     def add_lost(self, frame: Frame, reason: str, tried: bool = True) -> None:
         """Add a frame without a pose, and why it has none.
@@ -288,6 +286,14 @@ class CameraPath:
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
+
+
+def _pixel_covariance(frame: Frame, tracking: TrackingResult | None) -> Array:
+    """Covariance [6, 6] of a frame's pose from one pixel; 0 for the first frame of a part."""
+    if tracking is None or tracking.lost:
+        return np.zeros((6, 6))
+    pixels = frame.camera.width * frame.camera.height
+    return pixel_covariance(tracking.information, pixels, _UNSEEN)
 
 
 def _interpolated(balances: Mapping[int, Balance], index: int) -> Balance:

@@ -31,6 +31,6 @@ def write_two_places(folder: Path, returns: bool = True) -> None:
 
 
 def elsewhere(frame: Frame) -> Frame:
-    """The view upside down and two metres farther away, in other colours."""
-    rgb = np.ascontiguousarray(frame.rgb[::-1, ::-1, ::-1])
-    return replace(frame, rgb=rgb, depth_m=frame.depth_m[::-1] + np.float32(2.0))
+    """The view upside down in a room of twice the size, in opposite colours."""
+    rgb = np.ascontiguousarray(1.0 - frame.rgb[::-1, ::-1])
+    return replace(frame, rgb=rgb, depth_m=np.float32(2.0) * frame.depth_m[::-1, ::-1])

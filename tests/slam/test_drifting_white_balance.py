@@ -99,6 +99,11 @@ def test_checkpoints_of_older_versions_are_neutral():
     path = CameraPath()
     exposure = {"gain": 1.2, "bias": 0.1}
     tracked = {"index": 3, "timestamp_s": 0.1, "submap": 0, "keyframe": 0, "exposure": exposure}
-    values = {"tracked": [tracked], "lost_frames": [], "lost_in_a_row": 0, "dropped_frames": []}
+    values = {
+        "tracked": [tracked],
+        "lost_frames": [],
+        "unreliable_in_a_row": 0,
+        "dropped_frames": [],
+    }
     path.restore({"T_keyframe_camera": np.eye(4)[None]}, values)
     assert path.state()[1]["tracked"][0]["exposure"] == {**exposure, "balance": NEUTRAL}

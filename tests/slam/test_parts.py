@@ -50,9 +50,9 @@ def later(frame, index):
 
 
 def another_place(frame):
-    """The view upside down and two metres farther away, in other colours."""
-    rgb = np.ascontiguousarray(frame.rgb[::-1, ::-1, ::-1])
-    return replace(frame, rgb=rgb, depth_m=frame.depth_m[::-1] + 2.0)
+    """The view upside down in a room of twice the size, in opposite colours."""
+    rgb = np.ascontiguousarray(1.0 - frame.rgb[::-1, ::-1])
+    return replace(frame, rgb=rgb, depth_m=2.0 * frame.depth_m[::-1, ::-1])
 
 
 def sequence(room, returns=False):
@@ -196,7 +196,7 @@ def test_a_frame_out_of_order_is_lost_with_the_reason(room, time_s, reason):
     results = fed(slam, frames)
     assert [result.lost for result in results] == [False] * 4 + [True, False]
     assert results[4].reason == reason and slam.result().lost_frames == {4: reason}
-    assert slam.camera_path.lost_in_a_row == 0
+    assert slam.camera_path.unreliable_in_a_row == 0
     assert len(slam.finish().trajectory) == 5
 
 

@@ -158,10 +158,10 @@ class TestLost:
         fed(system, room.frames[:6])
         far = replace(room.frames[6], depth_m=room.frames[6].depth_m + 5.0)
         assert system.process_frame(far).lost
-        assert system.slam._path.lost_in_a_row == 1
+        assert system.slam._path.unreliable_in_a_row == 1
         dropped = system.slam.drop_frame(room.frames[7])
         assert dropped.lost and dropped.dropped
-        assert system.slam._path.lost_in_a_row == 1
+        assert system.slam._path.unreliable_in_a_row == 1
         result = system.slam.result()
         assert list(result.lost_frames)[-1] == 7
         assert result.dropped_frames[-1] == 7

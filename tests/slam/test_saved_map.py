@@ -122,7 +122,11 @@ def test_a_held_out_frame_begins_nothing(room, saved):
 
 def strange(frames):
     return [
-        replace(f, rgb=np.ascontiguousarray(f.rgb[::-1, ::-1, ::-1]), depth_m=f.depth_m[::-1] + 2.0)
+        replace(
+            f,
+            rgb=np.ascontiguousarray(1.0 - f.rgb[::-1, ::-1]),
+            depth_m=2.0 * f.depth_m[::-1, ::-1],
+        )
         for f in frames
     ]
 

@@ -62,8 +62,8 @@ def _margin(half_tangent: float) -> float:
 
 
 def rotated_starts(
-    view: Sequence[ModelLevel],
-    frame: Sequence[FrameLevel],
+    view: list[ModelLevel],
+    frame: list[FrameLevel],
     T_view_camera: Array,
     exposure: Exposure,
     options: GaussNewtonOptions,
@@ -89,7 +89,7 @@ def rotated_starts(
     followed: list[tuple[float, Array]] = []
     for T in _distinct([T for _, T in found])[:_FOLLOWED]:
         start = Alignment(T, INITIAL_SCALES, exposure)
-        T = align(list(view), list(frame), start, options).T_view_camera
+        T = align(view, frame, start, options).T_view_camera
         followed.append((quality(aligned_correlation(view[0], frame[0], T)), T))
     followed.sort(key=lambda entry: -entry[0])
     return _distinct([T for _, T in followed])[:_RETURNED]
