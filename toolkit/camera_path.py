@@ -40,6 +40,7 @@ class _TrackedFrame:
     Attributes:
         keyframe: frame index of the reference keyframe, which belongs to `submap`.
         doubt: why the pose may be wrong; empty if it is reliable.
+        steps: number of optimisation steps on the frame, if it became a keyframe.
     """
 
     index: int
@@ -48,6 +49,7 @@ class _TrackedFrame:
     keyframe: int
     exposure: Exposure
     doubt: str = ""
+    steps: int = 0
 
 
 class CameraPath:
@@ -69,12 +71,18 @@ class CameraPath:
         self._pixel_covariances: list[Array] = []
 
     def add(
-        self, frame: Frame, atlas: Atlas, T_submap_camera: Array, tracking: TrackingResult | None
+        self,
+        frame: Frame,
+        atlas: Atlas,
+        T_submap_camera: Array,
+        tracking: TrackingResult | None,
+        steps: int = 0,
     ) -> None:
         """Add a frame of the active submap, relative to its newest keyframe.
 
         Args:
             T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
+            steps: number of optimisation steps on a keyframe.
         """
         last = atlas.mapper.keyframes[-1]
         # The map follows the exposures of its keyframes, not those of tracking.
@@ -82,7 +90,9 @@ class CameraPath:
         doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
         self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
         self._frames.append(
-            _TrackedFrame(frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt)
+            _TrackedFrame(
+                frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt, steps
+            )
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
         self._pixel_covariances.append(_pixel_covariance(frame, tracking))
@@ -121,7 +131,8 @@ class CameraPath:
         if self._is_lost or disorder:
             self.lost_frames[frame.index] = disorder or "dropped while the camera was lost"
             return False
-        last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
+        stamp = {"index": frame.index, "timestamp_s": frame.timestamp_s}
+        last = replace(self._frames[-1], **stamp, steps=0)
         self._frames.append(last)
         self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
         self._pixel_covariances.append(self._pixel_covariances[-1])
@@ -148,6 +159,11 @@ class CameraPath:
     def doubtful_frames(self) -> dict[int, str]:
         """Reason by index of the frames whose pose may be wrong, in order."""
         return {f.index: f.doubt for f in self._frames if f.doubt}
+
+    @property
+    def steps(self) -> dict[int, int]:
+        """Number of optimisation steps by index of the keyframes."""
+        return {f.index: f.steps for f in self._frames if f.steps}
 
     @property
     def submaps(self) -> list[int]:

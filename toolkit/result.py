@@ -217,6 +217,7 @@ class SlamResult:
         lost_frames: reason by index of the frames without a pose, in order.
         doubtful_frames: reason by index of the frames whose pose may be wrong, in order. They did
             not extend the map.
+        keyframe_steps: number of optimisation steps by index of the keyframes that took any.
         frame_submaps: [M] number of the submap of each of the M frames.
         parts: numbers of the submaps of each part of the map, the main part first: that of the
             loaded map if a frame was located there, otherwise the part of the most frames.
@@ -249,6 +250,7 @@ class SlamResult:
     covariances: NDArray[np.float64] | None = field(default=None, repr=False)
     dropped_frames: list[int] = field(default_factory=list)
     doubtful_frames: dict[int, str] = field(default_factory=dict)
+    keyframe_steps: dict[int, int] = field(default_factory=dict)
     frame_submaps: list[int] = field(default_factory=list)
     parts: list[tuple[int, ...]] = field(default_factory=list)
     other_parts: list[SeparatePart] = field(default_factory=list)

@@ -179,7 +179,8 @@ class Slam:
             last, exposure = self.mapper.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
 
-        self._path.add(frame, self.atlas, T_map_camera, tracking)
+        steps = 0 if mapping is None else mapping.steps
+        self._path.add(frame, self.atlas, T_map_camera, tracking, steps)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
         is_keyframe = self.mapper.keyframes[-1].index == frame.index
         return FrameResult(
@@ -312,6 +313,7 @@ class Slam:
             covariances=main.covariances,
             dropped_frames=list(path.dropped_frames),
             doubtful_frames=doubtful,
+            keyframe_steps=path.steps,
             frame_submaps=main.submaps,
             parts=parts,
             other_parts=separate_parts(parts, by_part, maps, path),

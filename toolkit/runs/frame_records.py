@@ -65,8 +65,8 @@ def state_rows(result: SlamResult, states: Sequence[FrameState]) -> list[dict[st
         if state.part is not None:
             row["part"] = state.part
         if state.index in keyframes:
-            # Values that only keyframes have.
             row["keyframe"] = True
+            row["steps"] = result.keyframe_steps.get(state.index, 0)
         rows.append(row)
     return rows
 

@@ -60,6 +60,9 @@ _ODOMETRY_LEVEL = 1
 # Pyramid level at which the agreement of a frame and the map is measured.
 _EVIDENCE_LEVEL = 1
 
+# Deviation from the predicted pose, translation as a fraction of the median depth plus rotation in
+# radians, up to which alignment hardly ever converges to a wrong pose.
+_EXPECTED = 0.03
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
 
@@ -178,7 +181,7 @@ class DenseTracker(MovingTracker):
         view = self._render(task, starts[0])
         start = self._best_start(task, view, starts)
         results = [self._align(task, view, start)]
-        unclear = not _is_clear(results[0]) and has_depth(frame)
+        unclear = has_depth(frame) and not self._is_expected(task, results[0], starts[0])
         always, sometimes = self.options.start == "both", self.options.start == "auto"
         if search and (always or (sometimes and unclear)):
             for T_map_camera, levels in self._further_starts(task, view, start, results, proposals):
@@ -190,6 +193,20 @@ class DenseTracker(MovingTracker):
             renders=sum(result.renders for result in results),
             iterations=sum(result.iterations for result in results),
         )
+
+    def _is_expected(
+        self, task: _Task, result: TrackingResult, T_predicted: NDArray[np.float64]
+    ) -> bool:
+        """Whether a result needs no search: its evidence is clear, or it is where it should be.
+
+        A pose that agrees with the prediction has evidence of its own, unless it is doubtful.
+        """
+        if _is_clear(result):
+            return True
+        T_predicted_camera = se3.inverse(T_predicted) @ result.T_map_camera
+        metres = float(np.linalg.norm(T_predicted_camera[:3, 3])) / task.prepared.median_depth_m
+        radians = se3.rotation_angle_rad(T_predicted_camera[:3, :3])
+        return result.health is Health.GOOD and metres + radians < _EXPECTED
 
     def _further_starts(
         self,
