@@ -62,7 +62,7 @@ _EVIDENCE_LEVEL = 1
 
 # Deviation from the predicted pose, translation as a fraction of the median depth plus rotation in
 # radians, up to which alignment hardly ever converges to a wrong pose.
-_EXPECTED = 0.03
+_EXPECTED = 0.015
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
 
