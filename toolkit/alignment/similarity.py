@@ -24,6 +24,8 @@ from toolkit.native.constants import NEAR_M
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
+# About the number of columns of pixels that are compared.
+_SAMPLES = 80
 # Rows and columns of blocks, as in a view of 4:3.
 _ROWS, _COLUMNS = 9, 12
 # Minimum number of pixels of a block, and minimum fraction of its pixels.
@@ -68,12 +70,17 @@ def aligned_correlation(
 
     Each pixel of the frame with depth is projected into the view. Blocks are those of the frame,
     and hold the pixels at the same depth as the view: an occluded pixel is no evidence about the
-    image. Intended for levels of about 160x120 pixels, where it takes a millisecond.
+    image. Takes half a millisecond.
 
     Args:
         T_model_frame: [4, 4].
     """
-    depth_m = frame.depth_m.cpu().numpy()
+    # Every n-th pixel of a large image, at its full sharpness.
+    step = max(1, frame.camera.width // _SAMPLES)
+    own, depth_m = (
+        np.ascontiguousarray(image.cpu().numpy()[::step, ::step])
+        for image in (frame.intensity, frame.depth_m)
+    )
     measured = depth_m > 0
     gap_m, view_m, intensity = _sampled(model, frame.camera, depth_m, T_model_frame)
     covered = view_m > 0
@@ -81,7 +88,7 @@ def aligned_correlation(
     judged = covered & np.isfinite(gap_m)
     margin_m = free_space_margin_m(view_m)
     agrees = judged & (np.abs(gap_m) <= margin_m)
-    ncc, weight = _block_correlations(agrees, frame.intensity.cpu().numpy(), intensity)
+    ncc, weight = _block_correlations(agrees, own, intensity)
     count = max(int(judged.sum()), 1)
     return Similarity(
         correlation=weighted_quantile(ncc, weight, 0.5),
@@ -99,13 +106,17 @@ def _sampled(
 ) -> tuple[Image, Image, Image]:
     """What a view shows at the pixels of a frame.
 
+    Args:
+        depth_m: [H, W] of every n-th pixel of the camera.
+
     Returns:
         Distance [H, W] of the frame's points behind the planes of the view (m, NaN where it has
         none), and depth (m, 0 where missing) and intensity [H, W] of the view there.
     """
     texture, view = model.texture.cpu().numpy(), model.camera
-    x = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
-    y = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)[:, None]
+    step = -(-camera.width // depth_m.shape[1])
+    x = ((np.arange(0, camera.width, step) - camera.cx) / camera.fx).astype(np.float32)
+    y = ((np.arange(0, camera.height, step) - camera.cy) / camera.fy).astype(np.float32)[:, None]
     R, t = (a.astype(np.float32) for a in (T_model_frame[:3, :3], T_model_frame[:3, 3]))
     right, down, forward = (
         depth_m * (R[axis, 0] * x + R[axis, 1] * y + R[axis, 2]) + t[axis] for axis in range(3)

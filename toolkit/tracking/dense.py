@@ -57,8 +57,9 @@ _MIN_PIXELS = 50
 # Pyramid level for odometry; an initial pose need not be precise.
 _ODOMETRY_LEVEL = 1
 
-# Pyramid level at which the agreement of a frame and the map is measured.
-_EVIDENCE_LEVEL = 1
+# Pyramid level at which the agreement of a frame and the map is measured, and width below which
+# it is the finest one: blocks of fewer pixels have no correlation.
+_EVIDENCE_LEVEL, _MIN_EVIDENCE_WIDTH = 1, 80
 
 # Deviation from the predicted pose, translation as a fraction of the median depth plus rotation in
 # radians, up to which alignment hardly ever converges to a wrong pose.
@@ -384,7 +385,7 @@ class DenseTracker(MovingTracker):
 
     def _rise(self, task: _Task, view: _View, alignment: Alignment) -> float:
         """Rise of the cost beside the estimated pose, see `weakest_rise`."""
-        level = min(_EVIDENCE_LEVEL, self.options.levels - 1)
+        level = _evidence_level(task)
         return weakest_rise(
             view.levels[level],
             task.levels[level],
@@ -396,11 +397,17 @@ class DenseTracker(MovingTracker):
 
     def _similarity(self, task: _Task, view: _View, alignment: Alignment) -> Similarity:
         """Agreement of the frame and the view at the estimated pose."""
-        level = min(_EVIDENCE_LEVEL, self.options.levels - 1)
+        level = _evidence_level(task)
         with self._recorder.timed("tracking evidence"):
             return aligned_correlation(
                 view.levels[level], task.levels[level], alignment.T_view_camera
             )
+
+
+def _evidence_level(task: _Task) -> int:
+    """Pyramid level at which a frame is compared with the map."""
+    coarser = [level.camera.width >= _MIN_EVIDENCE_WIDTH for level in task.levels[1:]]
+    return _EVIDENCE_LEVEL if any(coarser) else 0
 
 
 def _is_clear(result: TrackingResult) -> bool:

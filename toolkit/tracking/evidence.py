@@ -20,7 +20,7 @@ _MIN_BLOCKS, _NEUTRAL = 4, 0.5
 # With fewer textured blocks, it is examined whether the pose is determined at all.
 _FEW_BLOCKS = 12
 # A pose with this evidence is right, so that no other one is looked for.
-_CLEAR_CORRELATION, _CLEAR_LOW_CORRELATION = 0.88, 0.75
+_CLEAR_CORRELATION, _CLEAR_LOW_CORRELATION = 0.88, 0.7
 _CLEAR_AGREEMENT, _CLEAR_COVERED = 0.85, 0.4
 
 
