@@ -131,8 +131,8 @@ class CameraPath:
         if self._is_lost or disorder:
             self.lost_frames[frame.index] = disorder or "dropped while the camera was lost"
             return False
-        stamp = {"index": frame.index, "timestamp_s": frame.timestamp_s}
-        last = replace(self._frames[-1], **stamp, steps=0)
+        newest = self._frames[-1]
+        last = replace(newest, index=frame.index, timestamp_s=frame.timestamp_s, steps=0)
         self._frames.append(last)
         self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
         self._pixel_covariances.append(self._pixel_covariances[-1])

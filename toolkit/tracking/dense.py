@@ -207,7 +207,7 @@ class DenseTracker(MovingTracker):
         T_predicted_camera = se3.inverse(T_predicted) @ result.T_map_camera
         metres = float(np.linalg.norm(T_predicted_camera[:3, 3])) / task.prepared.median_depth_m
         radians = se3.rotation_angle_rad(T_predicted_camera[:3, :3])
-        return result.health is Health.GOOD and metres + radians < _EXPECTED
+        return result.health is Health.GOOD and bool(metres + radians < _EXPECTED)
 
     def _further_starts(
         self,
