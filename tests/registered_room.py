@@ -25,7 +25,7 @@ from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.submap import Submap
 
-QUICK = MapperOptions(first_iterations=4, iterations=8)
+QUICK = MapperOptions(first_iterations=4, iterations=6, max_iterations=6)
 
 
 @dataclass(frozen=True)
