@@ -41,6 +41,12 @@ def first_steps(count: int = 14) -> SlamRoom:
     return SlamRoom(frames, truth.transformed(se3.inverse(truth.T_world_camera[0])))
 
 
+def another_place(frame: Frame) -> Frame:
+    """The view upside down in a room of twice the size, in opposite colours."""
+    rgb = np.ascontiguousarray(1.0 - frame.rgb[::-1, ::-1])
+    return replace(frame, rgb=rgb, depth_m=2.0 * frame.depth_m[::-1, ::-1])
+
+
 def new_slam(seed: int = 0, placed: bool = True, **more: Any) -> Slam:
     """With keyframes placed by earlier ones, or where they are tracked."""
     mapper, placement = Mapper(FEW, np.random.default_rng(seed)), KeyframePlacement()

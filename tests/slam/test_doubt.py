@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_room import FEW, fed, first_steps
+from slam_room import FEW, another_place, fed, first_steps
 
 from toolkit.alignment.options import HealthLimits
 from toolkit.closing.factory import ClosingContext, build_loop_closer
@@ -49,12 +49,6 @@ def blank_wall(frame):
     return replace(frame, rgb=np.stack([0.6 + noise[0]] * 3, axis=-1), depth_m=1.0 + noise[1])
 
 
-def elsewhere(frame):
-    """The view upside down in a room of twice the size, in opposite colours."""
-    rgb = np.ascontiguousarray(1.0 - frame.rgb[::-1, ::-1])
-    return replace(frame, rgb=rgb, depth_m=2.0 * frame.depth_m[::-1, ::-1])
-
-
 def test_a_frame_in_doubt_extends_no_map_and_is_in_no_result(room):
     slam = new_slam(patience=10)
     fed(slam, room.frames[:5])
@@ -72,7 +66,7 @@ def test_a_frame_in_doubt_extends_no_map_and_is_in_no_result(room):
 def test_patience_ends_by_time_at_a_low_frame_rate(room, period_s, started):
     """Four frames elsewhere, within an eighth of a second or within two seconds."""
     slam = new_slam(patience=15, patience_s=1.0)
-    shown = [*room.frames[:4], *map(elsewhere, room.frames[4:8])]
+    shown = [*room.frames[:4], *map(another_place, room.frames[4:8])]
     fed(slam, [replace(f, index=k, timestamp_s=period_s * k) for k, f in enumerate(shown)])
     assert (len(slam.atlas) == 2) == started
 
@@ -88,7 +82,7 @@ def test_a_blank_wall_becomes_no_map(room):
 
 def test_two_frames_confirm_each_other_only_if_they_show_one_place(room):
     limits = HealthLimits()
-    first, second, far = room.frames[0], room.frames[1], elsewhere(room.frames[8])
+    first, second, far = room.frames[0], room.frames[1], another_place(room.frames[8])
     assert shows_same_place(first, second, limits)
     assert not shows_same_place(first, far, limits)
     assert not shows_same_place(blank_wall(first), blank_wall(second), limits)

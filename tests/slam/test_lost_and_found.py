@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_room import FEW, blind_frames, fed, fingerprint, first_steps
+from slam_room import FEW, another_place, blind_frames, fed, fingerprint, first_steps
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.closing.options import LoopClosureOptions
@@ -102,15 +102,7 @@ def test_darkness_ends_no_patience_and_widens_no_limit(room):
 
 
 def views_of_another_place(frames):
-    """Frames upside down in a room of twice the size, in opposite colours."""
-    return [
-        replace(
-            f,
-            rgb=np.ascontiguousarray(1.0 - f.rgb[::-1, ::-1]),
-            depth_m=2.0 * f.depth_m[::-1, ::-1],
-        )
-        for f in (later(frame, 100) for frame in frames)
-    ]
+    return [another_place(later(frame, 100)) for frame in frames]
 
 
 def test_where_nothing_is_found_a_new_submap_begins(room):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_room import FEW, fed, first_steps
+from slam_room import FEW, another_place, fed, first_steps
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.closing.options import LoopClosureOptions
@@ -47,12 +47,6 @@ def new_slam(folder=None, max_keyframes=150):
 def later(frame, index):
     """The same view as a frame of another index."""
     return replace(frame, index=index, timestamp_s=index / 30.0)
-
-
-def another_place(frame):
-    """The view upside down in a room of twice the size, in opposite colours."""
-    rgb = np.ascontiguousarray(1.0 - frame.rgb[::-1, ::-1])
-    return replace(frame, rgb=rgb, depth_m=2.0 * frame.depth_m[::-1, ::-1])
 
 
 def sequence(room, returns=False):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_room import FEW, blind_frames, fed, fingerprint, first_steps
+from slam_room import FEW, another_place, blind_frames, fed, fingerprint, first_steps
 
 from toolkit.closing.factory import ClosingContext, build_loop_closer
 from toolkit.closing.options import LoopClosureOptions
@@ -120,20 +120,9 @@ def test_a_held_out_frame_begins_nothing(room, saved):
     assert slam.process_frame(frame, may_map=False).lost and not slam.atlas.has_active_submap
 
 
-def strange(frames):
-    return [
-        replace(
-            f,
-            rgb=np.ascontiguousarray(1.0 - f.rgb[::-1, ::-1]),
-            depth_m=2.0 * f.depth_m[::-1, ::-1],
-        )
-        for f in frames
-    ]
-
-
 def test_where_nothing_is_found_a_submap_of_its_own_begins(room, saved):
     slam = begun(saved, patience=2)
-    results = fed(slam, strange(back(room)[:5]))
+    results = fed(slam, map(another_place, back(room)[:5]))
     assert [r.lost for r in results[:2]] == [True, True] and not results[-1].lost
     assert len(slam.atlas) == len(saved) + 1
     final = slam.finish()

@@ -12,22 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, ModelLevel
-from toolkit.alignment.similarity import weighted_quantile
+from toolkit.alignment.similarity import (
+    COLUMNS,
+    FULL_CONTRAST,
+    MIN_CONTRAST,
+    MIN_PIXELS,
+    MIN_SHARE,
+    ROWS,
+    weighted_quantile,
+)
 from toolkit.geometry.free_space import free_space_margin_m
 from toolkit.native.constants import NEAR_M
 
 Array = NDArray[np.float64]
 
-# Rows and columns of blocks, as in a view of 4:3.
-_ROWS, _COLUMNS = 9, 12
-_BLOCKS = _ROWS * _COLUMNS
+_BLOCKS = ROWS * COLUMNS
 _ITERATIONS = 4
 # Maximum displacement of a block, and maximum step, in pixels.
 _MAX_PX, _MAX_STEP_PX = 6.0, 1.5
 # Relative increase of the diagonal of a block's normal equations: edges fix one direction only.
 _DAMPING = 0.05
-_MIN_PIXELS, _MIN_SHARE = 24, 0.4
-_MIN_CONTRAST, _FULL_CONTRAST = 0.02, 0.1
 # Minimum correlation of a block that was found, and minimum number of such blocks.
 _MIN_CORRELATION, _MIN_BLOCKS = 0.6, 5
 
@@ -56,12 +60,12 @@ def displacement_rad(
         step, found, contrast, count = _step(blocks[hit], own[hit], texels[hit])
         shift = np.clip(shift + step, -_MAX_PX, _MAX_PX)
     size = frame.depth_m.numel() / _BLOCKS
-    usable = (count >= max(_MIN_PIXELS, _MIN_SHARE * size)) & (contrast >= _MIN_CONTRAST)
+    usable = (count >= max(MIN_PIXELS, MIN_SHARE * size)) & (contrast >= MIN_CONTRAST)
     usable &= found >= _MIN_CORRELATION
     if usable.sum() < _MIN_BLOCKS:
         return float("nan")
     angles = np.linalg.norm(shift[usable], axis=1) / model.camera.focal
-    return weighted_quantile(angles, np.minimum(contrast[usable], _FULL_CONTRAST), 0.5)
+    return weighted_quantile(angles, np.minimum(contrast[usable], FULL_CONTRAST), 0.5)
 
 
 def _agreeing_pixels(
@@ -72,7 +76,7 @@ def _agreeing_pixels(
     rows, columns = np.nonzero(depth_m > 0)
     points = frame.camera.rays()[rows, columns] * depth_m[rows, columns, None]
     points = points @ T_model_frame[:3, :3].T + T_model_frame[:3, 3]
-    agrees, view_m, _ = _sampled(model, points)
+    agrees, view_m = _depths_at(model, points)
     margin_m = free_space_margin_m(view_m.astype(np.float32))
     agrees &= np.abs(points[:, 2] - view_m) <= margin_m
     own = frame.intensity.cpu().numpy()[rows, columns][agrees].astype(np.float64)
@@ -80,38 +84,24 @@ def _agreeing_pixels(
     return blocks, own, model.camera.project(points[agrees])
 
 
-def _sampled(model: ModelLevel, points: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Depth and intensity of a view at points [n, 3] in its frame.
-
-    Returns:
-        Mask [n] of the points on measured pixels, and depths (m) and intensities [n] there.
-    """
-    texture = model.texture.cpu().numpy()
-    height, width = texture.shape[:2]
+def _depths_at(model: ModelLevel, points: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Mask [n] of the points [n, 3] on measured pixels of a view, and its depths [n] there (m)."""
+    depth_m = model.texture.cpu().numpy()[..., 3]
+    height, width = depth_m.shape
     ahead = points[:, 2] > NEAR_M
     uv = model.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
     inside = ahead & (uv >= 0).all(axis=1)
     inside &= (uv[:, 0] < width - 1) & (uv[:, 1] < height - 1)
-    uv = np.where(inside[:, None], uv, 0.0)
-    nearest = (uv + 0.5).astype(np.intp)
-    depth_m = texture[nearest[:, 1], nearest[:, 0], 3].astype(np.float64)
-    x, y = uv[:, 0].astype(np.intp), uv[:, 1].astype(np.intp)
-    a, b = uv[:, 0] - x, uv[:, 1] - y
-    weights = ((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b)
-    total, intensity = np.zeros(len(points)), np.zeros(len(points))
-    for weight, dx, dy in zip(weights, (0, 1, 0, 1), (0, 0, 1, 1), strict=True):
-        tap = texture[y + dy, x + dx]
-        weight = weight * (tap[:, 3] > 0)
-        total += weight
-        intensity += weight * tap[:, 0]
-    return inside & (depth_m > 0), depth_m, intensity / np.maximum(total, 1e-9)
+    column, row = (np.where(inside[:, None], uv, 0.0) + 0.5).astype(np.intp).T
+    view_m = depth_m[row, column].astype(np.float64)
+    return inside & (view_m > 0), view_m
 
 
 def _block_numbers(
     rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
 ) -> NDArray[np.intp]:
     """Number of the block [n] of each pixel of an image of a shape (H, W)."""
-    return (rows * _ROWS // shape[0]) * _COLUMNS + columns * _COLUMNS // shape[1]
+    return (rows * ROWS // shape[0]) * COLUMNS + columns * COLUMNS // shape[1]
 
 
 def _interpolated(texture: Array, uv: Array) -> tuple[NDArray[np.bool_], Array]:

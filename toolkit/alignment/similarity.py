@@ -27,13 +27,13 @@ Image = NDArray[np.float32]
 # About the number of columns of pixels that are compared.
 _SAMPLES = 80
 # Rows and columns of blocks, as in a view of 4:3.
-_ROWS, _COLUMNS = 9, 12
+ROWS, COLUMNS = 9, 12
 # Minimum number of pixels of a block, and minimum fraction of its pixels.
-_MIN_PIXELS, _MIN_SHARE = 24, 0.4
+MIN_PIXELS, MIN_SHARE = 24, 0.4
 # Minimum standard deviation of a block's intensity (0-1): the noise of a camera in a dark room.
-_MIN_CONTRAST = 0.02
+MIN_CONTRAST = 0.02
 # The contrast at which a block has full weight. More contrast does not make it more reliable.
-_FULL_CONTRAST = 0.1
+FULL_CONTRAST = 0.1
 # Minimum share of measured pixels among those that an interpolated pixel is a mean of.
 _MIN_KNOWN = 0.99
 
@@ -153,16 +153,16 @@ def _block_correlations(
     covariance = _block_sums(a * b) / safe
     weakest, strongest = np.sqrt(variances.min(axis=0)), np.sqrt(variances.max(axis=0))
     # A texture that only one of the images shows is a contradiction and not missing evidence.
-    size = used.size / (_ROWS * _COLUMNS)
-    textured = (count >= max(_MIN_PIXELS, _MIN_SHARE * size)) & (strongest >= _MIN_CONTRAST)
-    textured &= weakest >= 0.25 * _MIN_CONTRAST
+    size = used.size / (ROWS * COLUMNS)
+    textured = (count >= max(MIN_PIXELS, MIN_SHARE * size)) & (strongest >= MIN_CONTRAST)
+    textured &= weakest >= 0.25 * MIN_CONTRAST
     ncc = covariance[textured] / np.sqrt(variances.prod(axis=0)[textured])
-    return ncc, np.minimum(strongest[textured], _FULL_CONTRAST)
+    return ncc, np.minimum(strongest[textured], FULL_CONTRAST)
 
 
 def _block_sums(image: NDArray) -> Array:
     """Sums [9, 12] of an image [H, W] over its blocks."""
-    rows, columns = _starts(image.shape[0], _ROWS), _starts(image.shape[1], _COLUMNS)
+    rows, columns = _starts(image.shape[0], ROWS), _starts(image.shape[1], COLUMNS)
     by_rows = np.add.reduceat(image, rows, axis=0)
     return np.add.reduceat(by_rows, columns, axis=1, dtype=np.float64)
 
@@ -171,7 +171,7 @@ def _spread(blocks: Array, shape: tuple[int, ...]) -> Image:
     """An image [H, W] with the value of each block [9, 12] at its pixels."""
     heights, widths = (
         np.diff([*_starts(size, number), size])
-        for size, number in zip(shape, (_ROWS, _COLUMNS), strict=True)
+        for size, number in zip(shape, (ROWS, COLUMNS), strict=True)
     )
     return np.repeat(np.repeat(blocks.astype(np.float32), heights, axis=0), widths, axis=1)
 
