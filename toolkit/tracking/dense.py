@@ -67,6 +67,9 @@ _EXPECTED = 0.015
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
 
+# Evidence that most frames at moderate speed have.
+_CONVINCING_CORRELATION, _CONVINCING_LOW_CORRELATION = 0.92, 0.85
+
 # First level of the search over rotations: half the resolution, as that of its view of the map.
 _SEARCH_LEVEL = 1
 
@@ -182,7 +185,11 @@ class DenseTracker(MovingTracker):
         view = self._render(task, starts[0])
         start = self._best_start(task, view, starts)
         results = [self._align(task, view, start)]
-        unclear = has_depth(frame) and not self._is_expected(task, results[0], starts[0])
+        if search and has_depth(frame) and not _is_convincing(results[0]):
+            # Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
+            results.append(self._align(task, view, start, _FINE_LEVELS))
+        likely = max(results, key=_rank)
+        unclear = has_depth(frame) and not self._is_expected(task, likely, starts[0])
         always, sometimes = self.options.start == "both", self.options.start == "auto"
         if search and (always or (sometimes and unclear)):
             for T_map_camera, levels in self._further_starts(task, view, start, results, proposals):
@@ -227,8 +234,6 @@ class DenseTracker(MovingTracker):
         if self.options.start == "both":
             yield from self._odometry(task, view, start)
         searches = chain(
-            # Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
-            [(start, _FINE_LEVELS)],
             ((T_map_camera, _FINE_LEVELS) for T_map_camera in proposed),
             self._rotated_starts(task, start),
             self._odometry(task, view, start),
@@ -413,6 +418,16 @@ def _evidence_level(task: _Task) -> int:
 def _is_clear(result: TrackingResult) -> bool:
     """Whether no other pose needs to be considered."""
     return not result.lost and is_clear(result.similarity)
+
+
+def _is_convincing(result: TrackingResult) -> bool:
+    """Whether it is not even worth while to repeat the alignment at the finest levels."""
+    found = result.similarity
+    return (
+        _is_clear(result)
+        and found.correlation >= _CONVINCING_CORRELATION
+        and found.low_correlation >= _CONVINCING_LOW_CORRELATION
+    )
 
 
 def _rank(result: TrackingResult) -> tuple[bool, float]:
