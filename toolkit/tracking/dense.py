@@ -38,7 +38,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
-from toolkit.tracking.evidence import doubt_reason, is_clear, lacks_texture, quality
+from toolkit.tracking.evidence import doubt_reason, is_clear, is_convincing, lacks_texture, quality
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
@@ -61,14 +61,11 @@ _ODOMETRY_LEVEL = 1
 # it is the finest one: blocks of fewer pixels have no correlation.
 _EVIDENCE_LEVEL, _MIN_EVIDENCE_WIDTH = 1, 80
 
-# Deviation from the predicted pose, translation as a fraction of the median depth plus rotation in
-# radians, up to which alignment hardly ever converges to a wrong pose.
-_EXPECTED = 0.015
+# Distance from the predicted pose, see `_size`, up to which alignment hardly ever converges to a
+# wrong pose, and distance up to which two results are the same.
+_EXPECTED, _SAME = 0.015, 0.004
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
-
-# Evidence that most frames at moderate speed have.
-_CONVINCING_CORRELATION, _CONVINCING_LOW_CORRELATION = 0.92, 0.85
 
 # First level of the search over rotations: half the resolution, as that of its view of the map.
 _SEARCH_LEVEL = 1
@@ -185,7 +182,7 @@ class DenseTracker(MovingTracker):
         view = self._render(task, starts[0])
         start = self._best_start(task, view, starts)
         results = [self._align(task, view, start)]
-        if search and has_depth(frame) and not _is_convincing(results[0]):
+        if search and has_depth(frame) and not is_convincing(results[0].similarity):
             # Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
             results.append(self._align(task, view, start, _FINE_LEVELS))
         likely = max(results, key=_rank)
@@ -211,10 +208,8 @@ class DenseTracker(MovingTracker):
         """
         if _is_clear(result):
             return True
-        T_predicted_camera = se3.inverse(T_predicted) @ result.T_map_camera
-        metres = float(np.linalg.norm(T_predicted_camera[:3, 3])) / task.prepared.median_depth_m
-        radians = se3.rotation_angle_rad(T_predicted_camera[:3, :3])
-        return result.health is Health.GOOD and bool(metres + radians < _EXPECTED)
+        distance = _distance(task, T_predicted, result.T_map_camera)
+        return result.health is Health.GOOD and distance < _EXPECTED
 
     def _further_starts(
         self,
@@ -224,12 +219,15 @@ class DenseTracker(MovingTracker):
         results: list[TrackingResult],
         proposals: Proposals | None,
     ) -> Iterator[tuple[NDArray[np.float64], int]]:
-        """Initial poses T_map_camera [4, 4] with the levels to align, until a result is clear.
+        """Initial poses T_map_camera [4, 4] with the levels to align, until a result is certain.
+
+        It is if its evidence is clear, or if another initial pose has led to the likely pose again.
 
         Args:
             view, start: the first view of the map, and the initial pose chosen there.
             results: those so far; the caller extends them.
         """
+        likely = max(results, key=_rank)
         proposed = () if proposals is None else proposals(task.frame)
         if self.options.start == "both":
             yield from self._odometry(task, view, start)
@@ -240,7 +238,8 @@ class DenseTracker(MovingTracker):
         )
         for search in searches:
             yield search
-            if any(_is_clear(result) for result in results):
+            again = _distance(task, likely.T_map_camera, results[-1].T_map_camera) < _SAME
+            if any(_is_clear(result) for result in results) or (again and not likely.lost):
                 return
 
     def _render(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
@@ -322,7 +321,7 @@ class DenseTracker(MovingTracker):
         while True:
             with self._recorder.timed("tracking align"):
                 alignment = align(view.levels[:levels], task.levels[:levels], alignment, options)
-            near = not self._is_far(alignment.T_view_camera, task.prepared.median_depth_m)
+            near = _size(task, alignment.T_view_camera) <= self.options.rerender_distance
             if (near and alignment.converged) or renders == self.options.renders:
                 return self._result(task, view, alignment, renders)
             view = self._render(task, view.T_map_view @ alignment.T_view_camera)
@@ -342,12 +341,6 @@ class DenseTracker(MovingTracker):
             min_translation_m=_SMALL_TRANSLATION_M,
             min_rotation_rad=_SMALL_ROTATION_RAD,
         )
-
-    def _is_far(self, T_view_camera: NDArray[np.float64], median_depth_m: float) -> bool:
-        """Whether a camera is too far from the pose at which the map was rendered."""
-        translation = np.linalg.norm(T_view_camera[:3, 3]) / median_depth_m
-        rotation = se3.rotation_angle_rad(T_view_camera[:3, :3])
-        return bool(translation + rotation > self.options.rerender_distance)
 
     def _estimated_exposure(self, task: _Task, view: _View, alignment: Alignment) -> Exposure:
         """Exposure of the frame that is stored with a keyframe."""
@@ -415,19 +408,22 @@ def _evidence_level(task: _Task) -> int:
     return _EVIDENCE_LEVEL if any(coarser) else 0
 
 
+def _distance(
+    task: _Task, T_map_first: NDArray[np.float64], T_map_second: NDArray[np.float64]
+) -> float:
+    """Size of the motion between two poses [4, 4]."""
+    return _size(task, se3.inverse(T_map_first) @ T_map_second)
+
+
+def _size(task: _Task, motion: NDArray[np.float64]) -> float:
+    """Translation of a motion [4, 4] as a fraction of the median depth, plus rotation (rad)."""
+    metres = float(np.linalg.norm(motion[:3, 3]))
+    return float(metres / task.prepared.median_depth_m + se3.rotation_angle_rad(motion[:3, :3]))
+
+
 def _is_clear(result: TrackingResult) -> bool:
     """Whether no other pose needs to be considered."""
     return not result.lost and is_clear(result.similarity)
-
-
-def _is_convincing(result: TrackingResult) -> bool:
-    """Whether it is not even worth while to repeat the alignment at the finest levels."""
-    found = result.similarity
-    return (
-        _is_clear(result)
-        and found.correlation >= _CONVINCING_CORRELATION
-        and found.low_correlation >= _CONVINCING_LOW_CORRELATION
-    )
 
 
 def _rank(result: TrackingResult) -> tuple[bool, float]:

@@ -22,6 +22,8 @@ _FEW_BLOCKS = 12
 # A pose with this evidence is right, so that no other one is looked for.
 _CLEAR_CORRELATION, _CLEAR_LOW_CORRELATION = 0.88, 0.7
 _CLEAR_AGREEMENT, _CLEAR_COVERED = 0.85, 0.4
+# Most frames of a slow camera have this evidence.
+_CONVINCING_CORRELATION, _CONVINCING_LOW_CORRELATION = 0.92, 0.85
 
 
 def quality(similarity: Similarity | None) -> float:
@@ -44,6 +46,16 @@ def is_clear(similarity: Similarity | None) -> bool:
         and similarity.low_correlation >= _CLEAR_LOW_CORRELATION
         and similarity.agreeing >= _CLEAR_AGREEMENT
         and similarity.covered >= _CLEAR_COVERED
+    )
+
+
+def is_convincing(similarity: Similarity | None) -> bool:
+    """Whether not even a second alignment from the same initial pose is worth while."""
+    return (
+        similarity is not None
+        and is_clear(similarity)
+        and similarity.correlation >= _CONVINCING_CORRELATION
+        and similarity.low_correlation >= _CONVINCING_LOW_CORRELATION
     )
 
 
