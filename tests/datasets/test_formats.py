@@ -89,6 +89,21 @@ def test_tum_associates_by_time(make_tum):
         assert dataset.camera.fx == pytest.approx(535.4 / 20)
 
 
+def test_tum_interpolates_poses_in_time(make_tum):
+    folder = make_tum()
+    moving = [
+        f"{100.1 + offset_s:.3f} {offset_s} 0 0 0 0 {np.sin(half)} {np.cos(half)}"
+        for offset_s, half in ((-0.004, -0.02), (0.006, 0.03))
+    ]
+    alone = "100.31 5 0 0 0 0 0 1"
+    (folder / "groundtruth.txt").write_text("\n".join([*moving, alone]))
+    truth = open_dataset("tum", folder, image_size=(32, 24)).ground_truth
+    # Of the two frames with a pose, one is between two poses, the other before a single one.
+    np.testing.assert_allclose(truth.positions_m[:, 0], [0.0, 5.0], atol=1e-6)
+    angles = [se3.rotation_angle_rad(T[:3, :3]) for T in truth.T_world_camera]
+    np.testing.assert_allclose(angles, [0.0, 0.0], atol=1e-6)
+
+
 def test_tum_omits_frames_without_depth_and_poses_without_ground_truth(make_tum):
     folder = make_tum()
     for name in ("depth.txt", "groundtruth.txt"):

@@ -19,6 +19,7 @@ from toolkit.datasets.pairing import (
     unpaired,
 )
 from toolkit.errors import DatasetError
+from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.trajectories import read_tum_lines, text_lines
 
@@ -50,7 +51,7 @@ def describe(path: Path) -> Recording:
     """Describe a sequence folder or the only sequence in a folder.
 
     Colour and depth images are associated one to one by the smallest time difference, at most
-    20 ms. A frame has the timestamp of its colour image and the pose nearest in time.
+    20 ms. A frame has the timestamp of its colour image and the interpolated pose at this time.
 
     Raises:
         DatasetError: the folder has a different layout, or its name does not identify the camera.
@@ -110,7 +111,10 @@ def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
 
 
 def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.float64] | None]:
-    """Return the pose nearest in time to each frame, or None beyond 20 ms."""
+    """Return the pose at the time of each frame, or None without one within 20 ms.
+
+    Poses are interpolated: motion capture samples every 10 ms, in which a fast turn covers a degree.
+    """
     poses = read_tum_lines(path)
     if len(poses.timestamps_s) == 0:
         return [None] * len(files)
@@ -119,9 +123,15 @@ def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.floa
     found: list[NDArray[np.float64] | None] = []
     for frame in files:
         right = int(np.clip(np.searchsorted(times, frame.timestamp_s), 1, len(times) - 1))
-        nearest = min((right - 1, right), key=lambda i: abs(times[i] - frame.timestamp_s))
-        close = abs(times[nearest] - frame.timestamp_s) <= MAX_DIFFERENCE_S
-        found.append(poses.T_world_camera[order[nearest]] if close else None)
+        after_s = frame.timestamp_s - times[[right - 1, right]]
+        nearest = right - 1 + int(np.argmin(np.abs(after_s)))
+        first, second = poses.T_world_camera[order[[right - 1, right]]]
+        if np.abs(after_s).max() <= MAX_DIFFERENCE_S and after_s[0] > after_s[1]:
+            fraction = np.clip(after_s[0] / (after_s[0] - after_s[1]), 0.0, 1.0)
+            found.append(first @ se3.exp(fraction * se3.log(se3.inverse(first) @ second)))
+        else:
+            close = np.abs(after_s).min() <= MAX_DIFFERENCE_S
+            found.append(poses.T_world_camera[order[nearest]] if close else None)
     return found
 
 

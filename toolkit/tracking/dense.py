@@ -417,7 +417,7 @@ def _distance(
 
 def _size(task: _Task, motion: NDArray[np.float64]) -> float:
     """Translation of a motion [4, 4] as a fraction of the median depth, plus rotation (rad)."""
-    metres = float(np.linalg.norm(motion[:3, 3]))
+    metres = np.linalg.norm(motion[:3, 3])
     return float(metres / task.prepared.median_depth_m + se3.rotation_angle_rad(motion[:3, :3]))
 
 
