@@ -183,8 +183,7 @@ class DenseTracker(MovingTracker):
         start = self._best_start(task, view, starts)
         results = [self._align(task, view, start)]
         if search and has_depth(frame) and not is_convincing(results[0].similarity):
-            # Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
-            results.append(self._align(task, view, start, _FINE_LEVELS))
+            results.extend(self._finely_aligned(task, view, start, results[0]))
         likely = max(results, key=_rank)
         unclear = has_depth(frame) and not self._is_expected(task, likely, starts[0])
         always, sometimes = self.options.start == "both", self.options.start == "auto"
@@ -198,6 +197,21 @@ class DenseTracker(MovingTracker):
             renders=sum(result.renders for result in results),
             iterations=sum(result.iterations for result in results),
         )
+
+    def _finely_aligned(
+        self, task: _Task, view: _View, start: NDArray[np.float64], result: TrackingResult
+    ) -> Iterator[TrackingResult]:
+        """The result at the fine levels alone, if it differs from that at all levels.
+
+        Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
+        """
+        initial = Alignment(se3.inverse(view.T_map_view) @ start, self._scales, self._exposure)
+        models, frames = view.levels[:_FINE_LEVELS], task.levels[:_FINE_LEVELS]
+        with self._recorder.timed("tracking align"):
+            aligned = align(models, frames, initial, self._alignment_options)
+        T_map_camera = view.T_map_view @ aligned.T_view_camera
+        if _distance(task, T_map_camera, result.T_map_camera) >= _SAME:
+            yield self._align(task, view, start, _FINE_LEVELS)
 
     def _is_expected(
         self, task: _Task, result: TrackingResult, T_predicted: NDArray[np.float64]
