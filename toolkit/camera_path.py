@@ -245,7 +245,7 @@ class CameraPath:
     def measured_poses(self, atlas: Atlas) -> list[PathPose]:
         """Pose of each frame in its own submap, and how well tracking determined it."""
         return [
-            PathPose(f.submap, T, f.keyframe == f.index, covariance, bool(f.doubt))
+            PathPose(f.submap, T, f.keyframe == f.index, covariance)
             for f, T, covariance in zip(
                 self._frames, self.poses_in_submaps(atlas), self._pixel_covariances, strict=True
             )

@@ -112,7 +112,7 @@ class Recovery:
             return Located(found.T_submap_camera, found.result)
         if not may_map:
             return Located(None, lost)
-        if found is None and not (out_of_patience and self._may_start(frame)):
+        if found is None and not (out_of_patience and self._may_start(frame, tracker.limits)):
             self._unreliable = frame
             return Located(None, lost)
         self._start_submap(frame, found)
@@ -121,12 +121,12 @@ class Recovery:
             return Located(np.eye(4), replace(lost, health=Health.LOST))
         return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
 
-    def _may_start(self, frame: Frame) -> bool:
+    def _may_start(self, frame: Frame, limits: HealthLimits) -> bool:
         """Whether a submap of unknown position may start at a frame."""
         before = self._unreliable
         return (
             before is not None
-            and shows_same_place(before, frame, HealthLimits())
+            and shows_same_place(before, frame, limits)
             and self._tracker.first_pose(frame) is not None
         )
 

@@ -94,15 +94,6 @@ def test_a_turned_anchor_moves_what_is_far_from_it():
     np.testing.assert_allclose(difference[1, 1], 1e-4 * 9.0, rtol=1e-6)
 
 
-def test_a_doubtful_frame_is_unsure_but_not_what_follows():
-    poses = walk(4)
-    path = keyframes(poses)
-    path[2] = PathPose(0, poses[2], False, PIXEL, doubtful=True)
-    found = covariances(path)
-    assert found[2][0, 0] >= NOISE.options.doubtful_m**2
-    assert found[3][0, 0] < 0.1 * found[2][0, 0]
-
-
 def test_without_measurements_the_constants_count():
     (found,) = covariances([PathPose(0, walk(2)[1], False, SURE)])
     np.testing.assert_allclose(found, NOISE.covariance(1e9 * np.eye(6), 0.1, 0.0))
@@ -115,7 +106,7 @@ def test_an_odometry_edge_is_as_sure_as_the_keyframe_it_ends_at():
     (measured,) = measured_links([link], path, NOISE)
     last = covariances(path, (SURE, SURE))[9]
     assert (measured.first, measured.second) == (0, 1)
-    step = NOISE.of_frame(PIXEL, 0.1, False) - NOISE.of_frame(PIXEL, 0.0, False)
+    step = NOISE.of_frame(PIXEL, 0.1) - NOISE.of_frame(PIXEL, 0.0)
     found = np.linalg.inv(measured.information)
     np.testing.assert_allclose(found, last - step, rtol=1e-6, atol=1e-12)
 

@@ -36,14 +36,12 @@ class PathPose:
         keyframe: whether the map was extended with it.
         pixel_covariance: [6, 6] covariance of the pose from one pixel's residuals
             (`toolkit.pose_graph.noise.pixel_covariance`); 0 if tracking did not measure it.
-        doubtful: whether the pose may be wrong.
     """
 
     submap: int
     T_submap_camera: Array
     keyframe: bool
     pixel_covariance: Array = field(repr=False)
-    doubtful: bool = False
 
 
 def frame_covariances(
@@ -133,7 +131,7 @@ class _Views:
             step: motion since the frame before, metres plus radians.
         """
         covariance, _ = self._drifted(frame)
-        return covariance + self._noise.of_frame(frame.pixel_covariance, step, frame.doubtful)
+        return covariance + self._noise.of_frame(frame.pixel_covariance, step)
 
     def _drifted(self, frame: PathPose) -> tuple[Array, float]:
         """Covariance [6, 6] and chained motion of a frame through the keyframe it depends on.

@@ -113,7 +113,8 @@ def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
 def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.float64] | None]:
     """Return the pose at the time of each frame, or None without one within 20 ms.
 
-    Poses are interpolated: motion capture samples every 10 ms, in which a fast turn covers a degree.
+    Poses are interpolated: motion capture samples every 10 ms, and a fast turn covers a degree
+    in this time.
     """
     poses = read_tum_lines(path)
     if len(poses.timestamps_s) == 0:

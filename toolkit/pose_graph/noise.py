@@ -97,18 +97,14 @@ class OdometryNoise(LoopNoise):
             return self.covariance(_NO_NOISE, metres, radians)
         return self.options.drift**2 * (metres + radians) * pixel
 
-    def of_frame(self, pixel: Array, step: float, doubtful: bool) -> Array:
+    def of_frame(self, pixel: Array, step: float) -> Array:
         """Covariance [6, 6] of a frame against the map.
 
         Args:
             pixel: [6, 6] of `pixel_covariance`; 0 if it is unknown.
             step: motion since the frame before, metres plus radians.
-            doubtful: whether the pose may be wrong.
         """
-        doubt = (self.options.doubtful_m, self.options.doubtful_rad)
-        unknown = np.diag([doubt[0] ** 2] * 3 + [doubt[1] ** 2] * 3) * doubtful
-        own = self.options.frame**2 * (1.0 + step / self.options.moved) * pixel
-        return np.asarray(own + unknown)
+        return np.asarray(self.options.frame**2 * (1.0 + step / self.options.moved) * pixel)
 
     def along(
         self, first: int, second: int, T_map_camera: Sequence[Array], information: Array

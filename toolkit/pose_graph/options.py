@@ -63,10 +63,6 @@ class OdometryNoiseOptions(LoopNoiseOptions):
     """Maximum distance of two views of the same surfaces, in metres."""
     near_rad: PositiveFloat = 0.5
     """Maximum angle between two views of the same surfaces, in radians."""
-    doubtful_m: PositiveFloat = 0.3
-    """Standard deviation of the position of a doubtful frame, in metres."""
-    doubtful_rad: PositiveFloat = 0.2
-    """Standard deviation of the rotation of a doubtful frame, in radians."""
 
 
 @dataclass(frozen=True)

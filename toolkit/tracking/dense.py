@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -17,20 +17,15 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.backend import align, linearise
-from toolkit.alignment.constraint import weakest_rise
 from toolkit.alignment.data import (
     INITIAL_SCALES,
     Alignment,
-    FrameLevel,
     GaussNewtonOptions,
-    ModelLevel,
     ResidualScales,
 )
 from toolkit.alignment.exposure import estimate_exposure
-from toolkit.alignment.health import failure_reason
 from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.alignment.options import HealthLimits
-from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.errors import DependencyError
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
@@ -38,15 +33,17 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
-from toolkit.tracking.evidence import doubt_reason, is_clear, is_convincing, lacks_texture, quality
+from toolkit.tracking.evidence import is_clear, is_convincing, quality
 from toolkit.tracking.health import has_depth, relaxed_scales
+from toolkit.tracking.judgement import judged
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.options import DenseOptions
-from toolkit.tracking.prepared import PreparedFrame, PreparedFrames
+from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
+from toolkit.tracking.views import Task, View
 
 _log = logging.getLogger(__name__)
 
@@ -57,12 +54,8 @@ _MIN_PIXELS = 50
 # Pyramid level for odometry; an initial pose need not be precise.
 _ODOMETRY_LEVEL = 1
 
-# Pyramid level at which the agreement of a frame and the map is measured, and width below which
-# it is the finest one: blocks of fewer pixels have no correlation.
-_EVIDENCE_LEVEL, _MIN_EVIDENCE_WIDTH = 1, 80
-
-# Distance from the predicted pose, see `_size`, up to which alignment hardly ever converges to a
-# wrong pose, and distance up to which two results are the same.
+# Distance from the predicted pose (`Task.distance`) up to which alignment hardly ever converges to
+# a wrong pose, and distance up to which two results are the same.
 _EXPECTED, _SAME = 0.015, 0.004
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
@@ -73,32 +66,6 @@ _SEARCH_LEVEL = 1
 # Smaller steps end a pyramid level: a thousandth of a pixel at usual focal lengths.
 _SMALL_TRANSLATION_M = 2e-5
 _SMALL_ROTATION_RAD = 1e-5
-
-
-@dataclass(frozen=True)
-class _View:
-    """The map rendered at a pose: image pyramid from fine to coarse."""
-
-    T_map_view: NDArray[np.float64]
-    levels: list[ModelLevel]
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A frame to be located in a map."""
-
-    prepared: PreparedFrame
-    gaussians: GaussianCloud
-
-    @property
-    def frame(self) -> Frame:
-        """The frame without preprocessing."""
-        return self.prepared.frame
-
-    @property
-    def levels(self) -> list[FrameLevel]:
-        """Image pyramid of the frame, from fine to coarse."""
-        return self.prepared.levels
 
 
 class DenseTracker(MovingTracker):
@@ -178,7 +145,7 @@ class DenseTracker(MovingTracker):
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
         """
-        task = _Task(self._prepared.of(frame, gaussians.means.device), gaussians)
+        task = Task(self._prepared.of(frame, gaussians.means.device), gaussians)
         view = self._render(task, starts[0])
         start = self._best_start(task, view, starts)
         results = [self._align(task, view, start)]
@@ -199,7 +166,7 @@ class DenseTracker(MovingTracker):
         )
 
     def _finely_aligned(
-        self, task: _Task, view: _View, start: NDArray[np.float64], result: TrackingResult
+        self, task: Task, view: View, start: NDArray[np.float64], result: TrackingResult
     ) -> Iterator[TrackingResult]:
         """The result at the fine levels alone, if it differs from that at all levels.
 
@@ -210,11 +177,11 @@ class DenseTracker(MovingTracker):
         with self._recorder.timed("tracking align"):
             aligned = align(models, frames, initial, self._alignment_options)
         T_map_camera = view.T_map_view @ aligned.T_view_camera
-        if _distance(task, T_map_camera, result.T_map_camera) >= _SAME:
+        if task.distance(T_map_camera, result.T_map_camera) >= _SAME:
             yield self._align(task, view, start, _FINE_LEVELS)
 
     def _is_expected(
-        self, task: _Task, result: TrackingResult, T_predicted: NDArray[np.float64]
+        self, task: Task, result: TrackingResult, T_predicted: NDArray[np.float64]
     ) -> bool:
         """Whether a result needs no search: its evidence is clear, or it is where it should be.
 
@@ -222,13 +189,13 @@ class DenseTracker(MovingTracker):
         """
         if _is_clear(result):
             return True
-        distance = _distance(task, T_predicted, result.T_map_camera)
+        distance = task.distance(T_predicted, result.T_map_camera)
         return result.health is Health.GOOD and distance < _EXPECTED
 
     def _further_starts(
         self,
-        task: _Task,
-        view: _View,
+        task: Task,
+        view: View,
         start: NDArray[np.float64],
         results: list[TrackingResult],
         proposals: Proposals | None,
@@ -252,26 +219,26 @@ class DenseTracker(MovingTracker):
         )
         for search in searches:
             yield search
-            again = _distance(task, likely.T_map_camera, results[-1].T_map_camera) < _SAME
+            again = task.distance(likely.T_map_camera, results[-1].T_map_camera) < _SAME
             if any(_is_clear(result) for result in results) or (again and not likely.lost):
                 return
 
-    def _render(self, task: _Task, T_map_view: NDArray[np.float64]) -> _View:
+    def _render(self, task: Task, T_map_view: NDArray[np.float64]) -> View:
         return self._view(task, T_map_view, task.frame.camera, self.options.levels)
 
     def _view(
-        self, task: _Task, T_map_view: NDArray[np.float64], camera: Camera, levels: int
-    ) -> _View:
+        self, task: Task, T_map_view: NDArray[np.float64], camera: Camera, levels: int
+    ) -> View:
         min_silhouette = self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
         with self._recorder.timed("tracking render"):
             options = RenderOptions(min_silhouette)
             surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
             images = pyramid(view_level(surface, min_silhouette), levels)
-            return _View(T_map_view.copy(), [model_level(level) for level in images])
+            return View(T_map_view.copy(), [model_level(level) for level in images])
 
     def _best_start(
-        self, task: _Task, view: _View, starts: tuple[NDArray[np.float64], ...]
+        self, task: Task, view: View, starts: tuple[NDArray[np.float64], ...]
     ) -> NDArray[np.float64]:
         """The initial pose with the lowest cost against a view."""
         if len(starts) == 1:
@@ -286,7 +253,7 @@ class DenseTracker(MovingTracker):
         return starts[int(np.argmin(costs))]
 
     def _odometry(
-        self, task: _Task, view: _View, start: NDArray[np.float64]
+        self, task: Task, view: View, start: NDArray[np.float64]
     ) -> Iterator[tuple[NDArray[np.float64], int]]:
         """T_map_camera [4, 4] from odometry against a view, and the levels to align, if any."""
         level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
@@ -303,7 +270,7 @@ class DenseTracker(MovingTracker):
             yield view.T_map_view @ T_view_camera, self.options.levels
 
     def _rotated_starts(
-        self, task: _Task, start: NDArray[np.float64]
+        self, task: Task, start: NDArray[np.float64]
     ) -> Iterator[tuple[NDArray[np.float64], int]]:
         """Initial poses T_map_camera [4, 4] by rotations in all directions, and their levels."""
         levels = task.levels[_SEARCH_LEVEL:]
@@ -320,7 +287,7 @@ class DenseTracker(MovingTracker):
         yield from ((view.T_map_view @ T, _FINE_LEVELS) for T in found)
 
     def _align(
-        self, task: _Task, view: _View, start: NDArray[np.float64], levels: int | None = None
+        self, task: Task, view: View, start: NDArray[np.float64], levels: int | None = None
     ) -> TrackingResult:
         """Align a frame from an initial pose.
 
@@ -335,7 +302,7 @@ class DenseTracker(MovingTracker):
         while True:
             with self._recorder.timed("tracking align"):
                 alignment = align(view.levels[:levels], task.levels[:levels], alignment, options)
-            near = _size(task, alignment.T_view_camera) <= self.options.rerender_distance
+            near = task.size(alignment.T_view_camera) <= self.options.rerender_distance
             if (near and alignment.converged) or renders == self.options.renders:
                 return self._result(task, view, alignment, renders)
             view = self._render(task, view.T_map_view @ alignment.T_view_camera)
@@ -356,7 +323,7 @@ class DenseTracker(MovingTracker):
             min_rotation_rad=_SMALL_ROTATION_RAD,
         )
 
-    def _estimated_exposure(self, task: _Task, view: _View, alignment: Alignment) -> Exposure:
+    def _estimated_exposure(self, task: Task, view: View, alignment: Alignment) -> Exposure:
         """Exposure of the frame that is stored with a keyframe."""
         if not self.options.exposure or alignment.last is None:
             return alignment.exposure
@@ -365,19 +332,9 @@ class DenseTracker(MovingTracker):
         pose, scales = alignment.T_view_camera, alignment.scales
         return estimate_exposure(levels, pose, scales, alignment.exposure, gate)
 
-    def _result(
-        self, task: _Task, view: _View, alignment: Alignment, renders: int
-    ) -> TrackingResult:
-        measured, linear = float(task.prepared.measured), alignment.last
-        visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
-        # The perturbation is in the view's frame; the view is close to the estimated pose.
-        information = linear.H[:6, :6] if linear else np.zeros((6, 6))
-        reason = failure_reason(self.limits, alignment.scales, visible, information, measured)
-        similarity = self._similarity(task, view, alignment)
-        health = Health.LOST if reason else Health.GOOD
-        rise = self._rise(task, view, alignment) if lacks_texture(similarity) else None
-        if not reason and (reason := doubt_reason(self.limits, similarity, rise)):
-            health = Health.DOUBTFUL
+    def _result(self, task: Task, view: View, alignment: Alignment, renders: int) -> TrackingResult:
+        max_distance = self.options.max_distance
+        judgement = judged(self.limits, task, view, alignment, max_distance, self._recorder)
         # Alignment that fails immediately returns a product of this tracker's own poses. Without
         # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
         return TrackingResult(
@@ -387,52 +344,13 @@ class DenseTracker(MovingTracker):
             renders=renders,
             intensity_residual=alignment.scales.intensity,
             depth_residual_m=alignment.scales.depth_m,
-            visible_fraction=visible,
-            information=information,
-            health=health,
-            reason=reason,
+            visible_fraction=judgement.visible,
+            information=judgement.information,
+            health=judgement.health,
+            reason=judgement.reason,
             exposure=self._estimated_exposure(task, view, alignment),
-            similarity=similarity,
+            similarity=judgement.similarity,
         )
-
-    def _rise(self, task: _Task, view: _View, alignment: Alignment) -> float:
-        """Rise of the cost beside the estimated pose, see `weakest_rise`."""
-        level = _evidence_level(task)
-        return weakest_rise(
-            view.levels[level],
-            task.levels[level],
-            alignment.T_view_camera,
-            alignment.scales,
-            alignment.exposure,
-            self.options.max_distance * 2**level,
-        )
-
-    def _similarity(self, task: _Task, view: _View, alignment: Alignment) -> Similarity:
-        """Agreement of the frame and the view at the estimated pose."""
-        level = _evidence_level(task)
-        with self._recorder.timed("tracking evidence"):
-            return aligned_correlation(
-                view.levels[level], task.levels[level], alignment.T_view_camera
-            )
-
-
-def _evidence_level(task: _Task) -> int:
-    """Pyramid level at which a frame is compared with the map."""
-    coarser = [level.camera.width >= _MIN_EVIDENCE_WIDTH for level in task.levels[1:]]
-    return _EVIDENCE_LEVEL if any(coarser) else 0
-
-
-def _distance(
-    task: _Task, T_map_first: NDArray[np.float64], T_map_second: NDArray[np.float64]
-) -> float:
-    """Size of the motion between two poses [4, 4]."""
-    return _size(task, se3.inverse(T_map_first) @ T_map_second)
-
-
-def _size(task: _Task, motion: NDArray[np.float64]) -> float:
-    """Translation of a motion [4, 4] as a fraction of the median depth, plus rotation (rad)."""
-    metres = np.linalg.norm(motion[:3, 3])
-    return float(metres / task.prepared.median_depth_m + se3.rotation_angle_rad(motion[:3, :3]))
 
 
 def _is_clear(result: TrackingResult) -> bool:

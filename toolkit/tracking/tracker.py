@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.options import HealthLimits
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking.proposals import Proposals
@@ -56,6 +57,8 @@ class Tracker(Protocol):
 @runtime_checkable
 class LocatingTracker(Tracker, Protocol):
     """A tracker that can also locate a frame anywhere in a map, and continue from there."""
+
+    limits: HealthLimits
 
     def locate(
         self,

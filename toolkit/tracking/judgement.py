@@ -1,0 +1,80 @@
+"""Whether the alignment of a frame to a view of the map is reliable, doubtful or wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.constraint import weakest_rise
+from toolkit.alignment.data import Alignment
+from toolkit.alignment.health import failure_reason
+from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.similarity import Similarity, aligned_correlation
+from toolkit.frame import Recorder
+from toolkit.tracking.evidence import doubt_reason, lacks_texture
+from toolkit.tracking.result import Health
+from toolkit.tracking.views import Task, View
+
+# Pyramid level at which the agreement of a frame and the map is measured, and width below which
+# it is the finest one: blocks of fewer pixels have no correlation.
+_LEVEL, _MIN_WIDTH = 1, 80
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What is known about the result of an alignment.
+
+    Attributes:
+        reason: why the frame is doubtful or lost; empty if it is neither.
+        visible: fraction of the measured pixels that were aligned.
+        information: [6, 6] of the pose at the finest level; 0 if nothing was aligned.
+    """
+
+    health: Health
+    reason: str
+    similarity: Similarity
+    visible: float
+    information: NDArray[np.float64]
+
+
+def judged(
+    limits: HealthLimits,
+    task: Task,
+    view: View,
+    alignment: Alignment,
+    max_distance: float,
+    recorder: Recorder,
+) -> Judgement:
+    """Judge the alignment of a frame to a view.
+
+    Args:
+        max_distance: maximum depth difference of corresponding pixels at the finest level, as a
+            fraction of depth.
+    """
+    measured, linear = float(task.prepared.measured), alignment.last
+    visible = linear.depth_pixels / max(measured, 1.0) if linear else 0.0
+    # The perturbation is in the view's frame; the view is close to the estimated pose.
+    information = linear.H[:6, :6] if linear else np.zeros((6, 6))
+    reason = failure_reason(limits, alignment.scales, visible, information, measured)
+    health = Health.LOST if reason else Health.GOOD
+    level = _level(task)
+    model, frame, T_view_camera = view.levels[level], task.levels[level], alignment.T_view_camera
+    with recorder.timed("tracking evidence"):
+        similarity = aligned_correlation(model, frame, T_view_camera)
+        if not reason:
+            rise = None
+            if lacks_texture(similarity):
+                scales, exposure = alignment.scales, alignment.exposure
+                gate = max_distance * 2**level
+                rise = weakest_rise(model, frame, T_view_camera, scales, exposure, gate)
+            reason = doubt_reason(limits, similarity, rise)
+            health = Health.DOUBTFUL if reason else health
+    return Judgement(health, reason, similarity, visible, information)
+
+
+def _level(task: Task) -> int:
+    """Pyramid level at which a frame is compared with the map."""
+    coarser = [level.camera.width >= _MIN_WIDTH for level in task.levels[1:]]
+    return _LEVEL if any(coarser) else 0
