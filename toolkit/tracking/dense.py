@@ -33,7 +33,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
-from toolkit.tracking.evidence import is_clear, is_convincing, quality
+from toolkit.tracking.evidence import is_clear, is_convincing, quality, unexpected_reason
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.judgement import judged
 from toolkit.tracking.moving import MovingTracker
@@ -159,6 +159,8 @@ class DenseTracker(MovingTracker):
                 nearby = self._render(task, T_map_camera)
                 results.append(self._align(task, nearby, T_map_camera, levels))
         best = max(results, key=_rank)
+        if has_depth(frame) and not self._is_expected(task, best, starts[0]):
+            best = _doubted(best, unexpected_reason(best.similarity))
         return replace(
             best,
             renders=sum(result.renders for result in results),
@@ -356,6 +358,13 @@ class DenseTracker(MovingTracker):
 def _is_clear(result: TrackingResult) -> bool:
     """Whether no other pose needs to be considered."""
     return not result.lost and is_clear(result.similarity)
+
+
+def _doubted(result: TrackingResult, reason: str) -> TrackingResult:
+    """The result, doubtful if there is a reason and it counted as good."""
+    if not reason or result.health is not Health.GOOD:
+        return result
+    return replace(result, health=Health.DOUBTFUL, reason=reason)
 
 
 def _rank(result: TrackingResult) -> tuple[bool, float]:
