@@ -266,7 +266,7 @@ def measure(job: Job, seed: int, rivals: RivalProcess) -> Metrics:
     method, name, case = job
     sequence = SEQUENCES[name]
     source = CaseSource(sequence.name, sequence.image_size, case, seed)
-    dataset = source.open()
+    dataset = source.open(estimate_shutter=method == "semsplat")
     if method == "semsplat":
         return motion_metrics(semsplat(dataset, seed, SETTINGS), dataset.truth, sequence.error)
     rival = next(known for known in LABELS if known == method)

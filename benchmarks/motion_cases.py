@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
@@ -146,6 +147,7 @@ class CaseDataset(RecordedDataset):
         image_size: (width, height) in pixels, or None for the native size.
         case: a key of CASES.
         seed: of the choice of frames.
+        estimate_shutter: estimate the rolling shutter from these frames, as a run does.
     """
 
     def __init__(
@@ -154,6 +156,7 @@ class CaseDataset(RecordedDataset):
         image_size: tuple[int, int] | None,
         case: str,
         seed: int = 0,
+        estimate_shutter: bool = False,
     ) -> None:
         times_s = np.array([files.timestamp_s for files in recording.files])
         selection = CASES[case](times_s, np.random.default_rng(seed))
@@ -169,6 +172,8 @@ class CaseDataset(RecordedDataset):
             ground_truth=Trajectory(times_s[list(found)], np.array(list(found.values()))),
             readout_s=selection.time_factor * (recording.readout_s or 0.0),
         )
+        if estimate_shutter:
+            shown = replace(shown, readout_s=estimate_readout(shown).certain_readout_s)
         super().__init__(shown, image_size)
         self.truth, self._selection = found, selection
 

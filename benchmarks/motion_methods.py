@@ -64,10 +64,11 @@ class CaseSource:
     case: str
     seed: int = 0
 
-    def open(self) -> CaseDataset:
+    def open(self, estimate_shutter: bool = False) -> CaseDataset:
         """The frames; images are loaded on access."""
         recording, usual = _described(self.sequence)
-        return CaseDataset(recording, self.image_size or usual, self.case, self.seed)
+        size = self.image_size or usual
+        return CaseDataset(recording, size, self.case, self.seed, estimate_shutter)
 
 
 def recorded(sequence: str, image_size: ImageSize, seed: int = 0) -> RecordedDataset:
