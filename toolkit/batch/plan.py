@@ -11,6 +11,7 @@ import yaml
 
 from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
+from toolkit.io.user_files import read_text
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, as_plain, validated
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.settings import PresetName, RunSettings, load_settings, overridden
@@ -136,7 +137,7 @@ def load_plan(path: Path) -> PlannedRuns:
 
 def _read_plan(path: Path) -> Plan:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.safe_load(read_text(path))
     except OSError as error:
         raise SettingsError(f"cannot read the plan {path}: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:

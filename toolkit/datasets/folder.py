@@ -19,6 +19,7 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
 from toolkit.io.trajectories import read_tum_lines
+from toolkit.io.user_files import read_text, visible
 
 DEFAULT_FPS = 30.0
 _REQUIRED = ("fx", "fy", "cx", "cy", "width", "height")
@@ -149,7 +150,7 @@ def _load_mapping(path: Path) -> dict:
     import yaml  # only this layout needs it, so it may be missing on a GPU server
 
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = yaml.safe_load(read_text(path))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
         raise DatasetError(f"cannot read {path}: {reason}; it must be YAML") from error
@@ -161,7 +162,7 @@ def _load_mapping(path: Path) -> dict:
 def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Return files by stem, sorted numerically if all stems are numbers, otherwise by name."""
     found = (
-        {f.stem: f for f in folder.iterdir() if f.suffix.lower() in suffixes}
+        {f.stem: f for f in visible(folder) if f.suffix.lower() in suffixes}
         if folder.is_dir()
         else {}
     )
@@ -192,7 +193,7 @@ def _timestamps_s(path: Path, stems: list[str], fps: float) -> list[float]:
     if not path.exists():
         return [i / fps for i in range(len(stems))]
     try:
-        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+        rows = [line.split() for line in read_text(path).splitlines()]
         times_s = {stem: float(time_s) for stem, time_s in rows}
     except (OSError, ValueError) as error:
         raise DatasetError(

@@ -24,6 +24,7 @@ from toolkit.datasets.pairing import (
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_depth_m
+from toolkit.io.user_files import read_text
 
 FPS = 30.0
 METRES_PER_VALUE = 0.001
@@ -116,7 +117,7 @@ class _Entry:
 
 def _load(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise DatasetError(f"cannot read {file}: {error}; it must be JSON") from error
     if not isinstance(content, dict):

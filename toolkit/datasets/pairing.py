@@ -15,6 +15,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_matrix
+from toolkit.io.user_files import visible
 
 # From the axes of OpenGL's camera, y up and z back, to ours: T_world_camera = T @ OPENGL_AXES.
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -61,7 +62,7 @@ def folder_holding(path: Path, names: tuple[str, ...], layout: str) -> Path:
         raise DatasetError(f"{path} is a file; specify the folder of the {layout} dataset")
     if all((path / name).exists() for name in names):
         return path
-    children = [c for c in sorted(path.iterdir()) if all((c / n).exists() for n in names)]
+    children = [c for c in visible(path) if all((c / n).exists() for n in names)]
     if len(children) == 1:
         return children[0]
     if children:
@@ -80,7 +81,7 @@ def numbered(folder: Path, pattern: str) -> dict[int, Path]:
     """Return the files of a folder by the number in the pattern's only group, ascending."""
     expression = re.compile(pattern)
     found = {}
-    for file in folder.iterdir() if folder.is_dir() else ():
+    for file in visible(folder) if folder.is_dir() else ():
         match = expression.fullmatch(file.name)
         if match:
             found[int(match.group(1))] = file

@@ -17,6 +17,7 @@ from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 from toolkit.io.exif import PhotoInfo, read_photo_info
 from toolkit.io.trajectories import text_lines
+from toolkit.io.user_files import visible
 
 INTRINSICS = "intrinsics.yaml"
 _SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -91,7 +92,7 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 
 def _inside(folder: Path) -> tuple[Path, list[Path]]:
     """The folder with images, `folder` or its only child that has any, and the images in order."""
-    for candidates in ([folder], sorted(child for child in folder.iterdir() if child.is_dir())):
+    for candidates in ([folder], [child for child in visible(folder) if child.is_dir()]):
         found = {place: _images_in(place) for place in candidates}
         filled = [place for place, images in found.items() if images]
         if len(filled) == 1:
@@ -101,18 +102,13 @@ def _inside(folder: Path) -> tuple[Path, list[Path]]:
                 f"{folder} contains {len(filled)} folders with images "
                 f"({listed([place.name for place in filled])}); specify the path of one"
             )
-    other = sorted({f.suffix for f in folder.iterdir() if f.suffix.lower() in _OTHER_SUFFIXES})
+    other = sorted({f.suffix for f in visible(folder) if f.suffix.lower() in _OTHER_SUFFIXES})
     reason = f"; convert its {', '.join(other)} files to JPEG" if other else "; check the path"
     raise DatasetError(f"{folder} contains no JPEG or PNG images{reason}")
 
 
 def _images_in(folder: Path) -> list[Path]:
-    hidden = "."  # macOS writes ._NAME beside files on foreign disks
-    files = [
-        file
-        for file in folder.iterdir()
-        if file.suffix.lower() in _SUFFIXES and not file.name.startswith(hidden)
-    ]
+    files = [file for file in visible(folder) if file.suffix.lower() in _SUFFIXES]
     return sorted(files, key=lambda file: natural_key(file.name))
 
 

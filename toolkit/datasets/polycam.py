@@ -22,6 +22,7 @@ from toolkit.datasets.photos import natural_key
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_depth_m
+from toolkit.io.user_files import read_text, visible
 
 DEPTH_SCALE = 1000.0
 FPS = 30.0
@@ -98,7 +99,7 @@ class _Entry:
     @classmethod
     def read(cls, file: Path) -> _Entry:
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = json.loads(read_text(file))
         except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
             raise DatasetError(f"cannot read {file}: {error}; it must be JSON") from error
         keys = ["fx", "fy", "cx", "cy", "width", "height"]
@@ -124,7 +125,7 @@ def _keyframes(path: Path) -> Path:
 def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     if not folder.is_dir():
         return {}
-    found = [file for file in folder.iterdir() if file.suffix.lower() in suffixes]
+    found = [file for file in visible(folder) if file.suffix.lower() in suffixes]
     return {file.stem: file for file in sorted(found, key=lambda file: natural_key(file.stem))}
 
 

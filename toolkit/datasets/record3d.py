@@ -23,6 +23,7 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.record3d import Record3DFile
 from toolkit.io.trajectories import pose_of_quaternion
+from toolkit.io.user_files import visible
 
 _FPS = 60.0
 
@@ -73,7 +74,7 @@ def _file_at(path: Path) -> Path:
     """The file at a path, or the only one in a folder."""
     if not path.is_dir() or (path / "metadata").exists():
         return path
-    inside = sorted(path.glob("*.r3d"))
+    inside = [file for file in visible(path) if file.suffix.lower() == ".r3d"]
     if len(inside) != 1:
         raise DatasetError(
             f"{path} contains {len(inside) or 'no'} .r3d file{'s' * bool(inside)}; specify the "

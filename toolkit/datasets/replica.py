@@ -17,6 +17,7 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
 from toolkit.io.trajectories import read_matrix_lines
+from toolkit.io.user_files import read_text
 
 # Frame rate; the layout has no timestamps.
 FPS = 30.0
@@ -71,7 +72,7 @@ def read_camera(path: Path) -> tuple[Camera, float]:
         DatasetError: the file is malformed or a value is out of range.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))["camera"]
+        values = json.loads(read_text(path))["camera"]
         camera = Camera(
             fx=float(values["fx"]),
             fy=float(values["fy"]),

@@ -21,6 +21,7 @@ from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_rgb
 from toolkit.io.trajectories import read_matrix
+from toolkit.io.user_files import visible
 
 FPS = 30.0
 DEPTH_SCALE = 1000.0
@@ -70,7 +71,7 @@ def _sequence_folder(path: Path) -> Path:
     """Return `path`, or its only child folder with frames."""
     if any(path.glob("frame-*.color.*")):
         return path
-    children = [c for c in sorted(path.iterdir()) if c.is_dir() and any(c.glob("frame-*.color.*"))]
+    children = [c for c in visible(path) if c.is_dir() and any(c.glob("frame-*.color.*"))]
     if len(children) > 1:
         raise DatasetError(
             f"{path} contains {len(children)} sequences; specify the path of one, for example "

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError, DependencyError, ToolkitError
+from toolkit.io.user_files import visible
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _METADATA = "metadata.yaml"
@@ -141,7 +142,7 @@ def _bag_at(path: Path) -> Path:
         return path
     inside = [
         file
-        for file in sorted(path.iterdir())
+        for file in visible(path)
         if (file.is_file() and file.suffix in SUFFIXES) or (file / _METADATA).exists()
     ]
     if len(inside) == 1:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError
+from toolkit.io.user_files import read_text
 
 _FORM = '{"void": 0, "classes": {"1": "name", ...}}'
 _COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
@@ -60,7 +61,7 @@ def read_class_colours(path: Path) -> dict[int, tuple[int, int, int]] | None:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unique)
+        content = json.loads(read_text(path), object_pairs_hook=_unique)
     except OSError as error:
         raise DatasetError(
             f"cannot read {path}: {error.strerror}; it must contain {_FORM}"

@@ -16,6 +16,7 @@ from toolkit.errors import DatasetError, FormatError, SettingsError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.trajectories import pose_of_quaternion, text_lines
+from toolkit.io.user_files import read_text
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def read_images(path: Path) -> list[ColmapImage]:
 def _image_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines of images with their numbers; each is followed by a line of points, maybe empty."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"cannot read {path}: {error}; export the model again") from error
     points_follow = False

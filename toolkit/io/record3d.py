@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError, DependencyError
+from toolkit.io.user_files import visible
 
 _METADATA = "metadata"
 _FRAME = re.compile(r"rgbd/(\d+)\.(jpg|depth|conf)")
@@ -154,5 +155,6 @@ class Record3DFile:
 
 def _files_below(folder: Path) -> list[str]:
     """Names of `metadata` and of the files in `rgbd`, as in the archive."""
-    files = [folder / _METADATA, *(folder / "rgbd").glob("*")]
+    images = folder / "rgbd"
+    files = [folder / _METADATA, *(visible(images) if images.is_dir() else ())]
     return [file.relative_to(folder).as_posix() for file in files if file.is_file()]

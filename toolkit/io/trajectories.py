@@ -6,7 +6,6 @@ import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from toolkit.errors import DatasetError, FormatError
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.atomic import write_bytes
+from toolkit.io.user_files import read_text
 
 PathLike = str | os.PathLike[str]
 
@@ -129,7 +129,7 @@ def text_lines(path: PathLike) -> Iterator[tuple[int, str]]:
         DatasetError: the file cannot be read.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
         raise DatasetError(f"cannot read {path}: {reason}; check the path") from error

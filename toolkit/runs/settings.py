@@ -14,6 +14,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
+from toolkit.io.user_files import read_text
 from toolkit.mapping.options import MapperOptions
 from toolkit.monocular.options import ScaleOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
@@ -130,7 +131,7 @@ def load_stored_settings(path: Path) -> RunSettings:
 def _read(path: Path) -> dict[str, Any]:
     """The keys and values of a YAML file."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.safe_load(read_text(path))
     except OSError as error:
         raise SettingsError(f"cannot read settings {path}: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from toolkit.errors import FormatError
+from toolkit.io.user_files import read_text
 
 
 def read_values(path: Path) -> Any:
@@ -19,7 +20,7 @@ def read_values(path: Path) -> Any:
     """
     try:
         # JSON is a subset of YAML; this loader rejects duplicate keys in both.
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
+        return yaml.load(read_text(path), Loader=_UniqueKeys)
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(f"{path}: cannot be read ({error})") from error
     except yaml.YAMLError as error:

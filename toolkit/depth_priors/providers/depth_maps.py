@@ -23,6 +23,7 @@ from toolkit.errors import DatasetError, DependencyError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_labels
+from toolkit.io.user_files import visible
 
 _SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr")
 # Largest relative difference of aspect ratios that belong to the same field of view.
@@ -49,7 +50,7 @@ class DepthMapFolder:
         folder = options.folder
         if folder is None or not folder.is_dir():
             raise DatasetError(f"{folder} is not a folder; set --depth-prior.maps.folder")
-        found = {f.stem: f for f in sorted(folder.iterdir()) if f.suffix.lower() in _SUFFIXES}
+        found = {f.stem: f for f in visible(folder) if f.suffix.lower() in _SUFFIXES}
         self._files = {i: found[stem] for i, stem in enumerate(stems) if stem in found}
         if not self._files:
             raise DatasetError(

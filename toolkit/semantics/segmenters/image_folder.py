@@ -14,6 +14,7 @@ from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.io.class_names import read_class_colours, read_class_names
 from toolkit.io.images import read_labels, read_rgb
+from toolkit.io.user_files import visible
 from toolkit.semantics.segmenters.vocabulary import Vocabulary
 
 _log = logging.getLogger(__name__)
@@ -138,7 +139,7 @@ class _Palette:
 
 
 def _images(folder: Path) -> list[Path]:
-    found = sorted(f for f in folder.iterdir() if f.suffix.lower() == ".png")
+    found = [f for f in visible(folder) if f.suffix.lower() == ".png"]
     if not found:
         raise DatasetError(f"{folder} contains no PNG file; set the folder of the label images")
     return found
