@@ -15,6 +15,7 @@ from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
 from toolkit.datasets.registry import describe
 from toolkit.datasets.shutter.recording import estimate_readout
+from toolkit.datasets.times import unit_fault
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 
@@ -174,6 +175,8 @@ def _time_faults(dataset: RecordedDataset) -> list[str]:
     if backwards.size:
         names = [dataset.files(int(i)).name for i in backwards]
         faults.append(f"timestamps out of order at {listed(names)}; sort the list of images")
+    if fault := unit_fault(dataset.timestamps_s):
+        faults.append(fault)
     return faults
 
 

@@ -28,6 +28,7 @@ from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.options import BagTopics
 from toolkit.datasets.shutter.recording import estimate_readout
+from toolkit.datasets.times import is_impossible, unit_fault
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 
@@ -104,6 +105,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     if readout_ms != "auto":
         recording = replace(recording, readout_s=1e-3 * readout_ms)
     dataset = RecordedDataset(recording, image_size, max_frames)
+    _check_times(dataset, path)
     first = dataset[0]
     if needs_depth:
         _check_depth(dataset, first, path)
@@ -115,6 +117,19 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     for note in dataset.recording.notes:
         _log.info("%s: %s", dataset.name, note)
     return dataset
+
+
+def _check_times(dataset: RecordedDataset, path: str | os.PathLike[str]) -> None:
+    """Check that the times of the frames are seconds.
+
+    Raises:
+        DatasetError: they cannot be.
+    """
+    fault = unit_fault(dataset.timestamps_s)
+    if fault and is_impossible(dataset.timestamps_s):
+        raise DatasetError(f"{path}: {fault}")
+    if fault:
+        _log.warning("%s: %s", dataset.name, fault)
 
 
 def _check_depth(dataset: RecordedDataset, first: Frame, path: str | os.PathLike[str]) -> None:
