@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,33 +17,21 @@ from toolkit.datasets.pairing import (
     listed,
     unpaired,
 )
+from toolkit.datasets.tum_cameras import camera_of
 from toolkit.errors import DatasetError
 from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.io.trajectories import read_tum_lines, text_lines
+from toolkit.io.user_files import visible
 
 # Maximum time difference of associated images, as in the benchmark's own tool.
 MAX_DIFFERENCE_S = 0.02
-DEPTH_SCALE = 5000.0
-
-
-@dataclass(frozen=True)
-class _Calibration:
-    camera: Camera
-    distortion: tuple[float, ...] | None
-
-
-# The benchmark's calibration of each Kinect's colour camera; depth is registered to it.
-# The images of freiburg3 are published undistorted.
-CALIBRATIONS = {
-    1: _Calibration(
-        Camera(517.3, 516.5, 318.6, 255.3, 640, 480), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
-    ),
-    2: _Calibration(
-        Camera(520.9, 521.0, 325.1, 249.7, 640, 480), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
-    ),
-    3: _Calibration(Camera(535.4, 539.2, 320.1, 247.6, 640, 480), None),
-}
+# Lists of colour and of depth images: TUM's and OpenLORIS'. ICL-NUIM has one list of pairs.
+_LISTS, _OPENLORIS = ("rgb.txt", "depth.txt"), ("color.txt", "aligned_depth.txt")
+_PAIRS = ("associations.txt",)
+# Frames per second of lists whose times are the numbers of the frames, as ICL-NUIM's are.
+_FPS = 30.0
+# From a y axis that points up to one that points down.
+_FLIP = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def describe(path: Path) -> Recording:
@@ -52,29 +39,39 @@ def describe(path: Path) -> Recording:
 
     Colour and depth images are associated one to one by the smallest time difference, at most
     20 ms. A frame has the timestamp of its colour image and the interpolated pose at this time.
+    The camera is that of `intrinsics.yaml`, of ETH3D's `calibration.txt`, or of the benchmark that
+    the name states.
 
     Raises:
-        DatasetError: the folder has a different layout, or its name does not identify the camera.
+        DatasetError: the folder has a different layout, or does not state its camera.
         FormatError: a line of a list file is malformed.
     """
-    folder = folder_holding(path, ("rgb.txt", "depth.txt"), "TUM")
-    calibration = _calibration(folder, path)
-    rgb, rgb_flaws = _read_list(folder / "rgb.txt")
-    depth, depth_flaws = _read_list(folder / "depth.txt")
+    folder, names = _folder(path)
+    if names == _PAIRS:
+        rgb, depth = _read_pairs(folder / names[0])
+        flaws: tuple[str, ...] = ()
+    else:
+        (rgb, rgb_flaws), (depth, depth_flaws) = (_read_list(folder / name) for name in names)
+        flaws = rgb_flaws + depth_flaws
+    if not rgb.files:
+        raise DatasetError(f"{folder / names[0]} lists no images; check the path")
+    known = camera_of(folder, path, rgb.files[0], openloris=names == _OPENLORIS)
     pairs = associate(rgb.times_s, depth.times_s, MAX_DIFFERENCE_S)
     files = tuple(FrameFiles(float(rgb.times_s[i]), rgb.files[i], depth.files[j]) for i, j in pairs)
     alone = sorted(set(range(len(rgb.files))) - {i for i, _ in pairs})
-    truth = Truth(None)
-    if (folder / "groundtruth.txt").exists():
-        truth = attach_poses(files, _poses_at(folder / "groundtruth.txt", files))
+    truth, file = Truth(None), _truth_file(folder)
+    if file is not None:
+        truth = attach_poses(files, _poses_at(file, files, rgb.interval_s, known.mirrored))
     return Recording(
         name=folder.resolve().name,
-        camera=calibration.camera,
+        camera=known.camera,
         files=files,
-        depth_scale=DEPTH_SCALE,
+        depth_scale=known.depth_scale,
         ground_truth=truth.trajectory,
-        distortion=calibration.distortion,
-        flaws=rgb_flaws + depth_flaws + truth.infinite + truth.not_rigid,
+        distortion=known.distortion,
+        fisheye=known.fisheye,
+        readout_s=known.readout_s,
+        flaws=flaws + truth.infinite + truth.not_rigid,
         notes=unpaired(
             "colour image(s) without depth within 20 ms", [rgb.files[i].name for i in alone]
         )
@@ -82,10 +79,29 @@ def describe(path: Path) -> Recording:
     )
 
 
+def _folder(path: Path) -> tuple[Path, tuple[str, ...]]:
+    """The folder of the recording, and the names of its lists."""
+    places = [path, *(visible(path) if path.is_dir() else ())]
+    for names in (_LISTS, _OPENLORIS, _PAIRS):
+        if any(all((place / name).exists() for name in names) for place in places):
+            return folder_holding(path, names, "TUM"), names
+    return folder_holding(path, _LISTS, "TUM"), _LISTS
+
+
+def _truth_file(folder: Path) -> Path | None:
+    """The file of the ground truth; ICL-NUIM's is `NAME.gt.freiburg`."""
+    if (folder / "groundtruth.txt").exists():
+        return folder / "groundtruth.txt"
+    return next(iter(sorted(folder.glob("*.gt.freiburg"))), None)
+
+
 @dataclass(frozen=True)
 class _ImageList:
+    """Images by time. `interval_s` is that of one unit of the times in the files of a recording."""
+
     times_s: NDArray[np.float64]
     files: list[Path]
+    interval_s: float = 1.0
 
 
 def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
@@ -110,7 +126,43 @@ def _read_list(path: Path) -> tuple[_ImageList, tuple[str, ...]]:
     return _ImageList(np.array(list(ordered)), list(ordered.values())), flaws
 
 
-def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.float64] | None]:
+def _read_pairs(path: Path) -> tuple[_ImageList, _ImageList]:
+    """Read lines of `time file time file`, depth and colour in any order."""
+    colour: list[tuple[float, Path]] = []
+    depth: list[tuple[float, Path]] = []
+    for number, line in text_lines(path):
+        words = line.split()
+        try:
+            entries = [
+                (float(words[k]), path.parent / words[k + 1].removeprefix("./")) for k in (0, 2)
+            ]
+        except (ValueError, IndexError) as error:
+            raise DatasetError(
+                f"{path}, line {number}: expected `time file time file`, got {line!r}; fix the line"
+            ) from error
+        first_is_depth = "depth" in words[1].lower()
+        depth.append(entries[not first_is_depth])
+        colour.append(entries[first_is_depth])
+    colour.sort(), depth.sort()
+    times = np.array([time for time, _ in colour])
+    numbers = len(times) > 1 and bool(
+        np.all(times == np.round(times)) and np.median(np.diff(times)) == 1
+    )
+    interval_s = 1.0 / _FPS if numbers else 1.0
+    lists = [
+        _ImageList(
+            np.array([time for time, _ in entries]) * interval_s,
+            [file for _, file in entries],
+            interval_s,
+        )
+        for entries in (colour, depth)
+    ]
+    return lists[0], lists[1]
+
+
+def _poses_at(
+    path: Path, files: tuple[FrameFiles, ...], interval_s: float, mirrored: bool
+) -> list[NDArray[np.float64] | None]:
     """Return the pose at the time of each frame, or None without one within 20 ms.
 
     Poses are interpolated: motion capture samples every 10 ms, and a fast turn covers a degree
@@ -120,29 +172,20 @@ def _poses_at(path: Path, files: tuple[FrameFiles, ...]) -> list[NDArray[np.floa
     if len(poses.timestamps_s) == 0:
         return [None] * len(files)
     order = np.argsort(poses.timestamps_s, kind="stable")
-    times = poses.timestamps_s[order]
+    times = poses.timestamps_s[order] * interval_s
+    T_world_camera = poses.T_world_camera[order]
+    if mirrored:
+        T_world_camera = _FLIP @ T_world_camera @ _FLIP
     found: list[NDArray[np.float64] | None] = []
     for frame in files:
         right = int(np.clip(np.searchsorted(times, frame.timestamp_s), 1, len(times) - 1))
         after_s = frame.timestamp_s - times[[right - 1, right]]
         nearest = right - 1 + int(np.argmin(np.abs(after_s)))
-        first, second = poses.T_world_camera[order[[right - 1, right]]]
+        first, second = T_world_camera[[right - 1, right]]
         if np.abs(after_s).max() <= MAX_DIFFERENCE_S and after_s[0] > after_s[1]:
             fraction = np.clip(after_s[0] / (after_s[0] - after_s[1]), 0.0, 1.0)
             found.append(first @ se3.exp(fraction * se3.log(se3.inverse(first) @ second)))
         else:
             close = np.abs(after_s).min() <= MAX_DIFFERENCE_S
-            found.append(poses.T_world_camera[order[nearest]] if close else None)
+            found.append(T_world_camera[nearest] if close else None)
     return found
-
-
-def _calibration(folder: Path, path: Path) -> _Calibration:
-    for name in (folder.resolve().name, path.resolve().name):
-        match = re.search(r"freiburg(\d)", name)
-        if match and int(match.group(1)) in CALIBRATIONS:
-            return CALIBRATIONS[int(match.group(1))]
-    raise DatasetError(
-        f"{folder}: the camera cannot be determined from the folder's name; include freiburg1, "
-        f"freiburg2 or freiburg3 in the name, or convert it to a `folder` dataset with "
-        f"intrinsics.yaml"
-    )
