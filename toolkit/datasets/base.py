@@ -105,7 +105,7 @@ class Recording:
         depth_scale: depth image values per metre.
         ground_truth: poses at the timestamps of the frames, or None.
         label_names: class names by id, or None.
-        saturated_is_missing: whether the depth value 65535 marks missing depth.
+        missing_from_m: depth (m) from which on it means that nothing was measured.
         distortion: OpenCV's (k1, k2, p1, p2, k3[, k4, k5, k6]) of both images, or None.
         fisheye: whether `distortion` is (k1, k2, k3, k4) of the model of Kannala and Brandt.
         colour_may_be_larger: whether colour images are resized to the size of the depth images.
@@ -130,7 +130,7 @@ class Recording:
     depth_scale: float
     ground_truth: Trajectory | None = None
     label_names: dict[int, str] | None = None
-    saturated_is_missing: bool = False
+    missing_from_m: float = float("inf")
     distortion: tuple[float, ...] | None = None
     fisheye: bool = False
     colour_may_be_larger: bool = False
@@ -252,9 +252,10 @@ class RecordedDataset:
         if recording.container is not None and files.number is not None:
             depth_m = recording.container.depth_m(files.number)
         else:
-            depth_m = images.read_depth_m(
-                files.depth, recording.depth_scale, recording.saturated_is_missing
-            )
+            depth_m = images.read_depth_m(files.depth, recording.depth_scale)
+        # Not finite, or negative: containers have floating-point depth.
+        measured = (depth_m > 0.0) & (depth_m < recording.missing_from_m)
+        depth_m = np.where(measured, depth_m, np.float32(0.0))
         if files.confidence is not None:
             confidence = images.read_labels(files.confidence)
             height, width = depth_m.shape

@@ -62,7 +62,6 @@ def describe(path: Path) -> Recording:
         files=files,
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
-        saturated_is_missing=True,
         flaws=flaws + truth.flaws,
     )
 

@@ -50,15 +50,24 @@ def read_rgb(path: PathLike) -> NDArray[np.float32]:
     return image[..., :3].astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
 
 
-def read_depth_m(
-    path: PathLike, scale: float, saturated_is_missing: bool = False
-) -> NDArray[np.float32]:
+def read_depth_m(path: PathLike, scale: float) -> NDArray[np.float32]:
     """Read a 16-bit depth PNG as [H, W] float32 metres, 0 where missing.
 
     Args:
-        path: the image file; the value 0 marks missing depth.
+        path: the image file; the values 0 and 65535 mark missing depth.
         scale: values per metre, > 0 (metres = value / scale).
-        saturated_is_missing: whether the value 65535 also marks missing depth (7-Scenes).
+
+    Raises:
+        DatasetError: the file is missing, truncated, corrupt or not a 16-bit greyscale image.
+    """
+    raw = read_depth_values(path)
+    depth_m = raw.astype(np.float32) / np.float32(scale)
+    depth_m[raw == SATURATED_DEPTH] = 0.0
+    return depth_m
+
+
+def read_depth_values(path: PathLike) -> NDArray[np.uint16]:
+    """Read the values [H, W] of a 16-bit depth PNG.
 
     Raises:
         DatasetError: the file is missing, truncated, corrupt or not a 16-bit greyscale image.
@@ -69,11 +78,7 @@ def read_depth_m(
             f"{path} is not a depth image: {raw.shape[2]} channel(s) of {raw.dtype}; "
             f"save depth as a 16-bit PNG with one channel"
         )
-    raw = raw[..., 0]
-    depth_m = raw.astype(np.float32) / np.float32(scale)
-    if saturated_is_missing:
-        depth_m[raw == SATURATED_DEPTH] = 0.0
-    return depth_m
+    return raw[..., 0]
 
 
 def read_labels(path: PathLike) -> NDArray[np.int32]:

@@ -1,0 +1,98 @@
+"""Depth values that mean "no measurement", found from the depth images of a recording.
+
+Cameras and converters write 0 where nothing was measured, and some a constant far value: the
+largest one of the type, or the end of the range. Taken as a distance, it is a wall of the room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import FrameFiles, Recording
+from toolkit.errors import DatasetError
+from toolkit.io import images
+
+# Number of frames that are read.
+_FRAMES = 8
+# A surface has a neighbour in depth; the value of no measurement is at least so many times as far
+# as everything else, in at least two frames, and takes at least this share of the pixels.
+_MIN_RATIO, _MIN_FRAMES, _MIN_SHARE = 2.0, 2, 0.001
+# Readings of one value are equal up to the rounding of their conversion to metres.
+_SAME = 1e-4
+
+
+@dataclass(frozen=True)
+class FarValue:
+    """A constant value beyond all others.
+
+    Attributes:
+        value: in the unit of the images.
+        share: of the pixels that are not 0.
+    """
+
+    value: float
+    share: float
+
+
+def far_value(depths: Sequence[NDArray]) -> FarValue | None:
+    """The constant far value of some depth images [H, W] (0 where missing); None without any."""
+    measured = [depth[depth > 0].astype(np.float64) for depth in depths]
+    every = np.concatenate([*measured, np.zeros(0)])
+    if not every.size:
+        return None
+    value = every.max()
+    equal = every >= value * (1.0 - _SAME)
+    frames = sum(bool((depth >= value * (1.0 - _SAME)).any()) for depth in measured)
+    farthest = every[~equal].max(initial=0.0)
+    share = float(equal.mean())
+    is_apart = 0.0 < _MIN_RATIO * farthest <= value
+    if not is_apart or frames < _MIN_FRAMES or share < _MIN_SHARE:
+        return None
+    return FarValue(float(value), share)
+
+
+def without_far_value(recording: Recording, max_frames: int | None = None) -> Recording:
+    """The recording with the far value of its depth, and a note about what counts as missing.
+
+    Args:
+        max_frames: maximum number of frames from the start that may be read, or None for all.
+    """
+    files = [frame for frame in recording.files[:max_frames] if frame.depth is not None]
+    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, _FRAMES).astype(int))]
+    if not chosen:
+        return recording
+    try:
+        depths = [_values(recording, frame) for frame in chosen]
+    except DatasetError:
+        return recording  # reading the frames reports it, with the name of the file
+    notes = []
+    if recording.container is None:
+        saturated = float(np.mean([np.mean(d == images.SATURATED_DEPTH) for d in depths]))
+        if saturated > 0:
+            notes.append(
+                f"{100 * saturated:.2g} % of the depth pixels have the largest value of their "
+                f"type, {images.SATURATED_DEPTH}; they count as missing"
+            )
+        depths = [np.where(d == images.SATURATED_DEPTH, 0, d) for d in depths]
+    found = far_value(depths)
+    if found is None:
+        return replace(recording, notes=(*recording.notes, *notes))
+    metres = found.value / (recording.depth_scale if recording.container is None else 1.0)
+    notes.append(
+        f"{100 * found.share:.2g} % of the depth pixels have one constant value of {metres:.4g} m, "
+        f"far behind all others; they count as missing"
+    )
+    far_m = metres * (1.0 - _SAME)
+    return replace(recording, missing_from_m=far_m, notes=(*recording.notes, *notes))
+
+
+def _values(recording: Recording, frame: FrameFiles) -> NDArray:
+    """Depth values [H, W] of a frame in the unit of its image."""
+    if recording.container is not None and frame.number is not None:
+        return np.nan_to_num(recording.container.depth_m(frame.number), posinf=0.0, neginf=0.0)
+    assert frame.depth is not None
+    return images.read_depth_values(frame.depth)
