@@ -62,9 +62,9 @@ def without_far_value(recording: Recording, max_frames: int | None = None) -> Re
         max_frames: maximum number of frames from the start that may be read, or None for all.
     """
     files = [frame for frame in recording.files[:max_frames] if frame.depth is not None]
-    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, _FRAMES).astype(int))]
-    if not chosen:
+    if not files:
         return recording
+    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, _FRAMES).astype(int))]
     try:
         depths = [_values(recording, frame) for frame in chosen]
     except DatasetError:
