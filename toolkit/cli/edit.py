@@ -15,6 +15,7 @@ from toolkit.io.splats import write_splat_ply
 from toolkit.io.visualisation import Panel, colour_image, strip
 from toolkit.runs.editing import EditedMap, EditedView, Edits, Paint, Shift, edit, view_edit
 from toolkit.runs.labelled import LabelledRun, load_labelled_run
+from toolkit.runs.lock import locked
 
 _HOLE_COLOUR = (255, 0, 200)
 
@@ -27,15 +28,18 @@ def main(options: EditOptions) -> int:
 
     Raises:
         ToolkitError: there is no finished run with labels, a name is unknown or has no Gaussians,
-            or the output folder cannot be written.
+            or the output folder cannot be written or is in use.
     """
     labelled = load_labelled_run(options.run)
     edited = edit(labelled, _edits(options))
-    renders = _output_folder(options.out)
-    write_splat_ply(options.out / "map.ply", edited.gaussians, edited.columns)
-    views = _write_views(options, labelled, edited, renders)
-    report = _report(edited, views)
-    write_bytes(options.out / "edit.json", (json.dumps(report, indent=1) + "\n").encode())
+    _create(options.out)
+    with locked(options.out):
+        renders = options.out / "renders"
+        _create(renders)
+        write_splat_ply(options.out / "map.ply", edited.gaussians, edited.columns)
+        views = _write_views(options, labelled, edited, renders)
+        report = _report(edited, views)
+        write_bytes(options.out / "edit.json", (json.dumps(report, indent=1) + "\n").encode())
     for line in _lines(report):
         print(line)
     print(f"wrote map.ply, edit.json and {len(views)} view(s) to {options.out}")
@@ -52,13 +56,11 @@ def _edits(options: EditOptions) -> Edits:
     )
 
 
-def _output_folder(out: Path) -> Path:
-    renders = out / "renders"
+def _create(folder: Path) -> None:
     try:
-        renders.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise cannot_write(out, error) from error
-    return renders
+        raise cannot_write(folder, error) from error
 
 
 def _write_views(

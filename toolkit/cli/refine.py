@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from toolkit.cli.batch_programs import RefineOptions
+from toolkit.io.atomic import cannot_write
 from toolkit.io.storage import is_url
+from toolkit.runs.lock import locked
 from toolkit.runs.refining.pipeline import refine_map
 from toolkit.runs.refining.tasks import InThisProcess, Tasks
 
@@ -23,7 +25,7 @@ def main(options: RefineOptions) -> int:
         ToolkitError: there is no finished run, its map cannot be refined, or there is no cluster.
     """
     source, out = _absolute(options.run), _absolute(options.out)
-    with _tasks(options) as tasks:
+    with _tasks(options) as tasks, _held(out):
         refined = refine_map(source, out, tasks, options.threads, options.iterations)
     moved = f"submaps moved by up to {100.0 * refined.largest_m:.2f} cm"
     if not refined.largest_m:
@@ -34,6 +36,25 @@ def main(options: RefineOptions) -> int:
     )
     print(f"wrote {refined.gaussians} Gaussians to {out}; metrics: semsplat evaluate {out}")
     return 0
+
+
+@contextmanager
+def _held(out: str) -> Iterator[None]:
+    """Hold the output folder, if it is one of this machine; an empty one is not left behind."""
+    if is_url(out):
+        yield
+        return
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    with locked(folder):
+        try:
+            yield
+        finally:
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
 
 
 @contextmanager

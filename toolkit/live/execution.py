@@ -32,6 +32,7 @@ from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.execution import Progress, check_settings, no_progress
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import absolute, with_absolute_paths
+from toolkit.runs.lock import locked
 from toolkit.runs.observers import Observers, ProgressObserver
 from toolkit.runs.results import RunRecord, write_results
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
@@ -114,7 +115,8 @@ def run_live(
         folder = RunFolder.create(out, dump_settings(settings))
         source = _source(camera, intrinsics, settings, options, folder)
         try:
-            _execute(settings, options, source, folder, hooks)
+            with locked(out):
+                _execute(settings, options, source, folder, hooks)
         except Exception as error:
             if not folder.has_checkpoint:
                 # Frames that could not be mapped are of no use; others can be processed again.

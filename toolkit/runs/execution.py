@@ -30,6 +30,7 @@ from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
+from toolkit.runs.lock import locked
 from toolkit.runs.observers import Observers, ProgressObserver
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import (
@@ -72,7 +73,7 @@ def run(
         observers: follow the progress, for instance a recording or a viewer.
 
     Raises:
-        ToolkitError: bad settings, data or output folder.
+        ToolkitError: bad settings, data or output folder, or another process runs in it.
     """
     check_settings(settings)
     out = Path(out)
@@ -85,20 +86,19 @@ def run(
     # Check the saved map before the folder is created. A checkpoint already contains the map.
     has_checkpoint = resume and RunFolder(out).has_checkpoint
     saved = None if has_checkpoint else open_saved_map(settings, dataset)
-    if resume:
-        folder = RunFolder.open(out)
-        folder.check_config(config)
-        folder.remove_leftovers()
-    else:
-        folder = RunFolder.create(out, config)
-    try:
-        followers = Observers([SnapshotWriter(), *observers])
-        _execute(settings, dataset, folder, saved, progress, followers)
-    except Exception:
-        # Without a checkpoint there is nothing to resume.
-        if not resume and not folder.has_checkpoint:
-            folder.discard()
-        raise
+    folder = RunFolder.open(out) if resume else RunFolder.create(out, config)
+    with locked(out):
+        if resume:
+            folder.check_config(config)
+            folder.remove_leftovers()
+        try:
+            followers = Observers([SnapshotWriter(), *observers])
+            _execute(settings, dataset, folder, saved, progress, followers)
+        except Exception:
+            # Without a checkpoint there is nothing to resume.
+            if not resume and not folder.has_checkpoint:
+                folder.discard()
+            raise
 
 
 def _execute(

@@ -1,0 +1,46 @@
+"""One process writes a run folder; another one ends at once, and death releases the folder."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from toolkit.errors import RunFolderError
+from toolkit.runs.lock import locked
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from toolkit.runs.lock import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_held_folder_is_refused_and_afterwards_free(tmp_path):
+    with (
+        locked(tmp_path),
+        pytest.raises(RunFolderError, match="another process is running in"),
+        locked(tmp_path),
+    ):
+        raise AssertionError("held twice")
+    with locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_death_of_the_holder_releases_the_folder(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(RunFolderError), locked(tmp_path):
+        pass
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    holder.stdout.close()
+    with locked(tmp_path):
+        pass
