@@ -34,6 +34,7 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
 from toolkit.tracking.depth_filter import DepthFilter
+from toolkit.tracking.health import is_black
 from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.proposals import FeatureProposals
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
@@ -167,7 +168,7 @@ class Slam:
             return FrameResult(frame.index, None, tracking)
 
         mapping = None
-        may_map &= not located.doubtful
+        may_map &= not located.doubtful and not is_black(frame)
         if may_map:
             frame = self._with_prior(frame, T_map_camera)
         if may_map and self.mapper.wants(frame, T_map_camera):
@@ -374,7 +375,11 @@ class Slam:
             lost = not_tracked("the camera has not been relocalised in the loaded map")
             return self._recovery.recover(frame, lost, may_map)
         if not self.mapper.keyframes:
-            return Located(self.tracker.first_pose(frame) if may_map else None)
+            if not may_map:
+                return Located(None, not_tracked("it is held out, and the map has not started"))
+            first = self.tracker.first_pose(frame)
+            unusable = not_tracked("the map cannot start with it: black, or too little depth")
+            return Located(first, None if first is not None else unusable)
         with self._recorder.timed("tracking"):
             gaussians = self.mapper.gaussians
             tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)

@@ -283,7 +283,10 @@ def test_empty_recordings_wrong_sizes_and_empty_depth_raise(make_replica):
         open_dataset("replica", folder)
     (folder / "cam_params.json").write_text(json.dumps(camera))
     images.write_png(folder / "results/depth000000.png", np.zeros((24, 32), np.uint16))
-    with pytest.raises(DatasetError, match=r"depth000000\.png contains no valid depth"):
+    assert not open_dataset("replica", folder)[0].depth_m.any()
+    for file in (folder / "results").glob("depth*.png"):
+        images.write_png(file, np.zeros((24, 32), np.uint16))
+    with pytest.raises(DatasetError, match=r"depth000000\.png and all later depth images"):
         open_dataset("replica", folder)
     for file in (folder / "results").iterdir():
         file.unlink()

@@ -155,9 +155,17 @@ def _check_depth(dataset: RecordedDataset, first: Frame, path: str | os.PathLike
             f"of view with --dataset.fov-deg"
         )
     if not first.depth_m.any():
-        raise DatasetError(
-            f"{depth} contains no valid depth; remove the first frame or check "
-            f"how its depth was saved"
+        start = next((i for i in range(1, len(dataset)) if dataset[i].depth_m.any()), None)
+        if start is None:
+            raise DatasetError(
+                f"{depth} and all later depth images contain no valid depth; check how depth was "
+                f"saved"
+            )
+        _log.warning(
+            "%s: the first %d frame(s) have no depth; the map starts at frame %d or later",
+            dataset.name,
+            start,
+            start,
         )
 
 

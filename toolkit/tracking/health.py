@@ -15,6 +15,9 @@ _log = logging.getLogger(__name__)
 # Growth of the scales with every lost frame, up to the initial ones: the alignment of the next
 # frame starts with larger errors.
 _RELAXATION = 1.25
+# Intensity (0-1) that the noise of a covered sensor does not reach, and the share of pixels that do
+# in the darkest image that shows anything.
+_DARK, _MIN_BRIGHT = 0.05, 0.005
 
 
 def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
@@ -24,10 +27,18 @@ def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
         reason = "its colour image contains values that are not finite"
     elif measured < limits.min_measured:
         reason = f"only {measured} pixels have depth"
+    elif is_black(frame):
+        reason = "its colour image is black"
     else:
         return True
     _log.warning("Frame %d cannot start the map: %s.", frame.index, reason)
     return False
+
+
+def is_black(frame: Frame) -> bool:
+    """Whether a colour image shows nothing, as under a lens cap or before the first exposure."""
+    bright = frame.rgb[::4, ::4] > _DARK
+    return bool(bright.any(axis=-1).mean() < _MIN_BRIGHT)
 
 
 def has_depth(frame: Frame) -> bool:
