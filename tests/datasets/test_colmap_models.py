@@ -1,4 +1,4 @@
-"""Reconstructions of COLMAP as text."""
+"""Reconstructions of COLMAP, as text and in binary."""
 
 from __future__ import annotations
 
@@ -168,11 +168,73 @@ def test_bad_images_are_refused(tmp_path):
 
 def test_other_folders_are_refused_with_the_remedy(tmp_path):
     project = write(tmp_path)
-    for name in ("images", "cameras"):
-        (project / f"sparse/0/{name}.txt").rename(project / f"sparse/0/{name}.bin")
-    with pytest.raises(DatasetError, match=r"colmap model_converter .* --output_type TXT"):
+    (project / "sparse/0/cameras.txt").unlink()
+    with pytest.raises(DatasetError, match=r"has no cameras\.bin and images\.bin \(or \.txt\)"):
         opened(project)
-    with pytest.raises(DatasetError, match=r"has no cameras\.txt and images\.txt"):
-        opened(tmp_path)
     with pytest.raises(DatasetError, match="is not a folder"):
         opened(tmp_path / "none")
+
+
+def without_spaces(project: Path) -> Path:
+    """The project with names that COLMAP's own reader of texts accepts."""
+    (project / "images/IMG 11.png").rename(project / "images/IMG_11.png")
+    file = project / "sparse/0/images.txt"
+    file.write_text(file.read_text().replace("IMG 11", "IMG_11"))
+    return project
+
+
+def as_binary(project: Path) -> Path:
+    """The project with a binary model, as COLMAP writes it, instead of a text model."""
+    pycolmap = pytest.importorskip("pycolmap")
+    model = project / "sparse/0"
+    lines = (model / "images.txt").read_text().replace("1.5 2.5 -1 3.5 4.5 7", "1.5 2.5 -1")
+    (model / "images.txt").write_text(lines)
+    (model / "points3D.txt").write_text("")
+    reconstruction = pycolmap.Reconstruction()
+    reconstruction.read_text(str(model))
+    for file in model.iterdir():
+        file.unlink()
+    reconstruction.write_binary(str(model))
+    return project
+
+
+def test_a_binary_model_is_read_like_a_text_model(tmp_path):
+    text = opened(without_spaces(write(tmp_path / "a")))
+    project = as_binary(without_spaces(write(tmp_path / "b")))
+    binary = opened(project)
+    assert not list(project.rglob("*.txt"))
+    assert binary.camera == text.camera
+    assert [f.rgb.name for f in binary.recording.files] == [
+        f.rgb.name for f in text.recording.files
+    ]
+    np.testing.assert_allclose(
+        binary.ground_truth.T_world_camera, text.ground_truth.T_world_camera, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+def test_a_binary_model_that_is_cut_off_raises_wherever_it_ends(tmp_path, name):
+    project = as_binary(write(tmp_path))
+    file = project / "sparse/0" / name
+    whole = file.read_bytes()
+    for end in range(len(whole)):
+        file.write_bytes(whole[:end])
+        with pytest.raises(FormatError, match=rf"{name} ends too early"):
+            opened(project)
+
+
+def test_an_unknown_binary_camera_model_raises(tmp_path):
+    project = as_binary(write(tmp_path))
+    file = project / "sparse/0/cameras.bin"
+    content = bytearray(file.read_bytes())
+    content[12] = 99
+    file.write_bytes(content)
+    with pytest.raises(FormatError, match="camera model 99 is not known"):
+        opened(project)
+
+
+def test_cameras_of_single_images_name_the_option_of_colmap(tmp_path):
+    cameras = "\n".join(f"{k + 1} PINHOLE {WIDTH} {HEIGHT} {30 + k} 31 16 12" for k in range(3))
+    lines = [image_line(index, name, index + 1) for index, name in enumerate(NAMES)]
+    with pytest.raises(DatasetError, match="single_camera 1"):
+        opened(write(tmp_path, cameras, lines))

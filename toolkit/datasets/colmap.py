@@ -1,4 +1,4 @@
-"""A reconstruction of COLMAP as text: images with intrinsics and poses, without depth."""
+"""A reconstruction of COLMAP: images with intrinsics and poses, without depth."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from toolkit.errors import DatasetError
 from toolkit.io.colmap import ColmapCamera, read_cameras, read_images
 
 FPS = 30.0
-_CAMERAS, _IMAGES = "cameras.txt", "images.txt"
+# Names of the files as text, which a user may have edited, and in binary.
+_CAMERAS, _IMAGES = "cameras", "images"
+_SUFFIXES = (".txt", ".bin")
 # Places of the model in the folder of a project, and of the images seen from the model.
 _MODELS = ("sparse/0", "sparse", "", "colmap/sparse/0")
 _IMAGE_FOLDERS = ("images", "../images", "../../images", "../../../images")
 
 
 def describe(path: Path) -> Recording:
-    """Describe `sparse/0/cameras.txt`, `sparse/0/images.txt` and the images in `images/`.
+    """Describe `cameras` and `images` (.txt or .bin) in `sparse/0/`, and the images in `images/`.
 
     The path is the folder of the project or of the model. Frames are the registered images, sorted
     by name with numbers by value; the timestamp of frame i is i / 30 s. Images of several cameras
@@ -29,21 +31,21 @@ def describe(path: Path) -> Recording:
     truth; their unit of length is COLMAP's.
 
     Raises:
-        DatasetError: there is no text model or an image is missing, or the cameras differ in model
+        DatasetError: there is no model or an image is missing, or the cameras differ in model
             or size, or by more than 2 % in focal length.
         FormatError: a file is malformed or its camera model is not supported.
     """
-    model = _model(path)
-    folder = _images(model)
-    cameras = read_cameras(model / _CAMERAS)
-    images = sorted(read_images(model / _IMAGES), key=lambda image: natural_key(image.name))
+    camera_file, image_file = _model(path)
+    folder = _images(camera_file.parent)
+    cameras = read_cameras(camera_file)
+    images = sorted(read_images(image_file), key=lambda image: natural_key(image.name))
     if not images:
-        raise DatasetError(f"{model / _IMAGES} contains no images; export the model again")
+        raise DatasetError(f"{image_file} contains no images; export the model again")
     for image in images:
         if image.camera_id not in cameras:
             raise DatasetError(
-                f"{model / _IMAGES}: {image.name} has camera {image.camera_id}, which {_CAMERAS} "
-                f"lacks; export the model again"
+                f"{image_file}: {image.name} has camera {image.camera_id}, which "
+                f"{camera_file.name} lacks; export the model again"
             )
     files = tuple(FrameFiles(i / FPS, folder / im.name, None) for i, im in enumerate(images))
     missing = [file.name for file in files if not file.rgb.is_file()]
@@ -53,8 +55,13 @@ def describe(path: Path) -> Recording:
             f"images that COLMAP used"
         )
     used = [cameras[image.camera_id] for image in images]
-    _check_models(model / _CAMERAS, used)
-    common = common_camera(model / _CAMERAS, [camera.camera for camera in used])
+    _check_models(camera_file, used)
+    common = common_camera(
+        camera_file,
+        [camera.camera for camera in used],
+        "if it was one camera, reconstruct with `--ImageReader.single_camera 1` of `colmap "
+        "feature_extractor`",
+    )
     truth = attach_poses(files, [image.T_world_camera for image in images])
     return Recording(
         name=path.resolve().name,
@@ -68,22 +75,18 @@ def describe(path: Path) -> Recording:
     )
 
 
-def _model(path: Path) -> Path:
+def _model(path: Path) -> tuple[Path, Path]:
+    """The files of cameras and of images."""
     if not path.is_dir():
         raise DatasetError(f"{path} is not a folder; specify the folder of the COLMAP project")
-    places = [path / place for place in _MODELS]
-    for place in places:
-        if all((place / name).exists() for name in (_CAMERAS, _IMAGES)):
-            return place
-    binary = next((place for place in places if (place / "images.bin").exists()), None)
-    if binary is not None:
-        raise DatasetError(
-            f"{binary} is a binary model; convert it with: colmap model_converter --input_path "
-            f"{binary} --output_path {binary} --output_type TXT"
-        )
+    for place in (path / place for place in _MODELS):
+        for suffix in _SUFFIXES:
+            files = place / f"{_CAMERAS}{suffix}", place / f"{_IMAGES}{suffix}"
+            if all(file.exists() for file in files):
+                return files
     raise DatasetError(
-        f"{path} has no {_CAMERAS} and {_IMAGES}, nor has {_MODELS[0]}/ in it; check the path and "
-        f"the kind of the dataset"
+        f"{path} has no {_CAMERAS}.bin and {_IMAGES}.bin (or .txt), nor has {_MODELS[0]}/ in it; "
+        f"check the path and the kind of the dataset"
     )
 
 

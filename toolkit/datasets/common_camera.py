@@ -33,12 +33,15 @@ class CommonCamera:
     flaws: tuple[str, ...]
 
 
-def common_camera(source: Path, cameras: Sequence[Camera]) -> CommonCamera:
+def common_camera(
+    source: Path, cameras: Sequence[Camera], remedy: str = "record with fixed focus and zoom"
+) -> CommonCamera:
     """Return the median of the intrinsics of all frames.
 
     Args:
         source: file that contains them, for messages.
         cameras: of the frames, at least one.
+        remedy: of focal lengths that differ too much.
 
     Raises:
         DatasetError: the frames differ in size, or by more than 2 % in focal length.
@@ -56,7 +59,7 @@ def common_camera(source: Path, cameras: Sequence[Camera]) -> CommonCamera:
     if not deviation <= MAX_FOCAL_DEVIATION:
         raise DatasetError(
             f"{source}: focal lengths of the frames differ by {100 * deviation:.1f} % from their "
-            f"median; record with fixed focus and zoom"
+            f"median; {remedy}"
         )
     fx, fy, cx, cy = (float(value) for value in median)
     flaw = (

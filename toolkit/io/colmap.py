@@ -1,4 +1,4 @@
-"""COLMAP's text model: `cameras.txt` and `images.txt`.
+"""COLMAP's model: `cameras.txt` and `images.txt`, or the same in binary.
 
 Format: https://colmap.github.io/format.html. Models of cameras: `src/colmap/sensor/models.h`.
 """
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, FormatError, SettingsError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.io.colmap_binary import camera_rows, image_rows
 from toolkit.io.trajectories import pose_of_quaternion, text_lines
 from toolkit.io.user_files import read_text
 
@@ -74,53 +75,71 @@ class ColmapImage:
 
 
 def read_cameras(path: Path) -> dict[int, ColmapCamera]:
-    """Read `cameras.txt`.
+    """Read `cameras.txt` or `cameras.bin`.
 
     Raises:
         DatasetError: the file cannot be read.
         FormatError: a line is malformed or its camera model is not supported.
     """
     cameras = {}
-    for number, line in text_lines(path):
-        words = line.split()
+    for place, (identifier, name, width, height, values) in _camera_rows(path):
+        model = _MODELS.get(name)
+        if model is None:
+            raise FormatError(
+                f"{place}: the camera model {name} is not supported; undistort the images with "
+                f"`colmap image_undistorter`"
+            )
         try:
-            identifier, name, width, height, *parameters = words
-            values = [float(word) for word in parameters]
-            model = _MODELS.get(name)
-            if model is None:
-                raise FormatError(
-                    f"{path}, line {number}: the camera model {name} is not supported; undistort "
-                    f"the images with `colmap image_undistorter`"
-                )
-            cameras[int(identifier)] = _camera(model, values, int(width), int(height))
+            cameras[identifier] = _camera(model, values, width, height)
         except (ValueError, SettingsError) as error:
-            raise FormatError(f"{path}, line {number}: {error}; export the model again") from error
+            raise FormatError(f"{place}: {error}; export the model again") from error
     return cameras
 
 
+def _camera_rows(path: Path) -> Iterator[tuple[str, tuple[int, str, int, int, list[float]]]]:
+    """Rows of cameras with the place of each in the file."""
+    if path.suffix == ".bin":
+        for row in camera_rows(path):
+            yield f"{path}, camera {row[0]}", row
+        return
+    for number, line in text_lines(path):
+        place = f"{path}, line {number}"
+        try:
+            identifier, name, width, height, *parameters = line.split()
+            values = [float(word) for word in parameters]
+            row = int(identifier), name, int(width), int(height), values
+        except ValueError as error:
+            raise FormatError(f"{place}: {error}; export the model again") from error
+        yield place, row
+
+
 def read_images(path: Path) -> list[ColmapImage]:
-    """Read `images.txt`.
+    """Read `images.txt` or `images.bin`.
 
     Raises:
         DatasetError: the file cannot be read.
         FormatError: a line is malformed.
     """
     images = []
-    for number, line in _image_lines(path):
-        words = line.split(maxsplit=9)
-        try:
-            values = np.array([float(word) for word in words[1:8]])
-            camera_id, name = int(words[8]), words[9].strip()
-        except (ValueError, IndexError) as error:
-            raise FormatError(
-                f"{path}, line {number}: expected `id qw qx qy qz tx ty tz camera name`; export "
-                f"the model again"
-            ) from error
+    for pose, camera_id, name in image_rows(path) if path.suffix == ".bin" else _text_rows(path):
+        values = np.array(pose)
         T_camera_world = pose_of_quaternion(values[4:], values[[1, 2, 3, 0]])
         finite = bool(np.isfinite(T_camera_world).all())
         T_world_camera = se3.inverse(T_camera_world) if finite else T_camera_world
         images.append(ColmapImage(name, camera_id, T_world_camera))
     return images
+
+
+def _text_rows(path: Path) -> Iterator[tuple[list[float], int, str]]:
+    for number, line in _image_lines(path):
+        words = line.split(maxsplit=9)
+        try:
+            yield [float(word) for word in words[1:8]], int(words[8]), words[9].strip()
+        except (ValueError, IndexError) as error:
+            raise FormatError(
+                f"{path}, line {number}: expected `id qw qx qy qz tx ty tz camera name`; export "
+                f"the model again"
+            ) from error
 
 
 def _image_lines(path: Path) -> Iterator[tuple[int, str]]:
