@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from toolkit.errors import DatasetError, DependencyError, RunFolderError
 from toolkit.io import images
@@ -78,6 +79,19 @@ def test_label_round_trip(tmp_path, dtype, decoder):
     labels = images.read_labels(tmp_path / "l.png")
     assert labels.dtype == np.int32
     np.testing.assert_array_equal(labels, ids)
+
+
+@pytest.mark.parametrize("colours", [2, 16, 250])
+def test_labels_of_a_palette_are_its_indices(tmp_path, colours, decoder):
+    ids = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20 % colours
+    image = Image.fromarray(ids, mode="P")
+    image.putpalette(np.random.default_rng(0).integers(0, 256, 3 * colours).tolist())
+    image.save(tmp_path / "l.png", bits=(colours - 1).bit_length())
+    np.testing.assert_array_equal(images.read_labels(tmp_path / "l.png"), ids)
+    content = (tmp_path / "l.png").read_bytes()
+    (tmp_path / "l.png").write_bytes(content[:-20])
+    with pytest.raises(DatasetError, match="truncated"):
+        images.read_labels(tmp_path / "l.png")
 
 
 def test_labels_with_three_channels_raise(tmp_path, rgb):

@@ -28,6 +28,8 @@ PathLike = str | os.PathLike[str]
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 SATURATED_DEPTH = 65535
+# Colour type of a PNG's header.
+_PALETTE = b"\x03"
 
 _log = logging.getLogger(__name__)
 
@@ -82,18 +84,42 @@ def read_depth_values(path: PathLike) -> NDArray[np.uint16]:
 
 
 def read_labels(path: PathLike) -> NDArray[np.int32]:
-    """Read an 8- or 16-bit greyscale PNG of class ids as [H, W] int32.
+    """Read a PNG of class ids as [H, W] int32: 8- or 16-bit greyscale, or the indices of a palette.
 
     Raises:
-        DatasetError: the file is missing, truncated, corrupt or not a greyscale image.
+        DatasetError: the file is missing, truncated, corrupt or neither of these.
     """
+    if _has_palette(Path(path)):
+        return _palette_indices(Path(path))
     raw = _read(Path(path))
     if raw.dtype not in (np.uint8, np.uint16) or raw.shape[2] != 1:
         raise DatasetError(
             f"{path} is not a label image: {raw.shape[2]} channel(s) of {raw.dtype}; "
-            f"save class ids as an 8- or 16-bit PNG with one channel"
+            f"save class ids as an 8- or 16-bit PNG with one channel, or as indices of a palette"
         )
     return raw[..., 0].astype(np.int32)
+
+
+def _has_palette(path: Path) -> bool:
+    """Whether a file is a PNG whose pixels are indices of a palette."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(26)
+    except OSError:
+        return False  # reading it reports why
+    return start.startswith(_PNG_SIGNATURE) and start[25:26] == _PALETTE
+
+
+def _palette_indices(path: Path) -> NDArray[np.int32]:
+    """Read the indices, which the other decoders replace by the colours of the palette."""
+    from PIL import Image, UnidentifiedImageError
+
+    check_whole(path)
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image).astype(np.int32)
+    except (OSError, UnidentifiedImageError, ValueError) as error:
+        raise DatasetError(f"image {path} cannot be decoded ({error}); convert it again") from error
 
 
 def write_rgb(path: PathLike, rgb: NDArray[np.floating]) -> None:
