@@ -84,7 +84,7 @@ def test_the_unit_of_depth_can_be_given(make_nerfstudio):
     ("frame", "values", "message"),
     [
         (None, {"frames": []}, "no list of frames"),
-        (None, {"w": None}, "lacks the number w"),
+        (None, {"fl_x": None}, "lacks the number fl_x"),
         (None, {"fl_x": "wide"}, "no valid number fl_x"),
         (None, {"fl_x": -5.0}, "correct the intrinsics"),
         (None, {"camera_model": "EQUIRECTANGULAR"}, "undistort the images"),
@@ -148,3 +148,29 @@ def test_broken_json_names_the_file(make_nerfstudio):
     (folder / "transforms.json").write_text("{")
     with pytest.raises(DatasetError, match=r"cannot read .*transforms\.json"):
         open_dataset("nerfstudio", folder)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_blenders_layout_has_no_sizes_and_no_endings(make_nerfstudio, suffix):
+    folder = make_nerfstudio()
+    content = json.loads((folder / "transforms.json").read_text())
+    expected = open_dataset("nerfstudio", folder, needs_depth=False)
+    (folder / "transforms.json").unlink()
+    frames = []
+    for frame in sorted(content["frames"], key=lambda frame: frame["file_path"]):
+        name = folder / frame["file_path"]
+        images.write_rgb(name.with_name(f"r.{name.stem}{suffix}"), images.read_rgb(name))
+        path = f"./images/r.{name.stem}"
+        frames.append({"file_path": path, "transform_matrix": frame["transform_matrix"]})
+    angle = 2 * np.arctan(0.5 * content["w"] / content["fl_x"])
+    written = {"camera_angle_x": angle, "frames": frames}
+    (folder / "transforms_train.json").write_text(json.dumps(written))
+    found = open_dataset("nerfstudio", folder, needs_depth=False)
+    assert [file.rgb.name for file in found.recording.files] == [
+        f"r.{k + 1}{suffix}" for k in range(4)
+    ]
+    assert found.camera.size == expected.camera.size
+    assert found.camera.fx == pytest.approx(expected.camera.fx)
+    np.testing.assert_allclose(
+        found.ground_truth.T_world_camera, expected.ground_truth.T_world_camera
+    )

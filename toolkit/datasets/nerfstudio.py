@@ -23,12 +23,14 @@ from toolkit.datasets.pairing import (
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
-from toolkit.io.images import read_depth_m
-from toolkit.io.user_files import read_text
+from toolkit.io.images import read_depth_m, read_rgb
+from toolkit.io.user_files import read_text, visible
 
 FPS = 30.0
 METRES_PER_VALUE = 0.001
-_FILE = "transforms.json"
+# nerfstudio's file, and the first one of the layout of Blender's synthetic scenes.
+_FILES = ("transforms.json", "transforms_train.json")
+_SUFFIXES = (".png", ".jpg", ".jpeg")
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 _PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
@@ -47,6 +49,9 @@ class _Lens:
 def describe(path: Path) -> Recording:
     """Describe the images and depth images that `transforms.json` names.
 
+    Without this file, those of `transforms_train.json`. If it does not state their size, it is that
+    of the first image.
+
     Frames are sorted by file name, numerically if all names are numbers; the timestamp of frame i
     is i / 30 s. Frames without a depth image are left out. Values of depth images are millimetres,
     or `depth_unit_scale_factor` metres. Colour is resized to smaller depth images. The poses become
@@ -56,12 +61,13 @@ def describe(path: Path) -> Recording:
         DatasetError: the file is malformed, or its frames differ in camera model or size, or by
             more than 2 % in focal length, or the camera model is not supported.
     """
-    folder = folder_holding(path, (_FILE,), "nerfstudio")
-    file = folder / _FILE
-    content = _load(file)
+    file = _file(path)
+    folder, content = file.parent, _load(file)
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames:
         raise DatasetError(f"{file} has no list of frames; export the recording again")
+    if not _states_size(content) and not any(_states_size(frame) for frame in frames):
+        content = content | _size_of(file, frames[0])
     entries = _sorted([_Entry.parse(file, frame, content) for frame in frames])
     with_depth = [entry for entry in entries if entry.depth is not None]
     used = with_depth or entries
@@ -89,6 +95,25 @@ def describe(path: Path) -> Recording:
         colour_camera=lens.camera,
         flaws=unpaired("colour image(s) without depth", alone) + truth.flaws + lens_flaws,
     )
+
+
+def _file(path: Path) -> Path:
+    places = [path, *(visible(path) if path.is_dir() else ())]
+    name = next((n for n in _FILES if any((place / n).is_file() for place in places)), _FILES[0])
+    return folder_holding(path, (name,), "nerfstudio") / name
+
+
+def _states_size(values: Any) -> bool:
+    return isinstance(values, dict) and "w" in values and "h" in values
+
+
+def _size_of(file: Path, frame: Any) -> dict[str, int]:
+    """The keys `w` and `h` of the image of a frame; none if it has no image."""
+    name = frame.get("file_path") if isinstance(frame, dict) else None
+    if not isinstance(name, str):
+        return {}
+    height, width = read_rgb(_resolved(file.parent, name)).shape[:2]
+    return {"w": width, "h": height}
 
 
 @dataclass(frozen=True)
@@ -128,9 +153,13 @@ def _load(file: Path) -> dict[str, Any]:
 def _resolved(folder: Path, name: str) -> Path:
     """A path of the file, which may have Windows' separators or lack the suffix."""
     path = folder / name.replace("\\", "/")
-    if not path.suffix and not path.exists():
-        return path.with_suffix(".png")
-    return path
+    if path.exists() or path.suffix.lower() in _SUFFIXES:
+        return path
+    # Names may contain dots, as "frame.001".
+    endings = [path.with_name(path.name + suffix) for suffix in _SUFFIXES]
+    return next(
+        (file for file in endings if file.exists()), endings[0] if not path.suffix else path
+    )
 
 
 def _sorted(entries: list[_Entry]) -> list[_Entry]:
