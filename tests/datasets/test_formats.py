@@ -273,7 +273,7 @@ def test_error_for_an_unknown_kind_lists_the_supported_ones():
         open_dataset("kitti", "anywhere")
 
 
-def test_empty_recordings_wrong_sizes_and_empty_depth_raise(make_replica):
+def test_empty_recordings_wrong_sizes_and_empty_depth_raise(make_replica, caplog):
     folder = make_replica()
     camera = json.loads((folder / "cam_params.json").read_text())
     (folder / "cam_params.json").write_text(
@@ -283,7 +283,9 @@ def test_empty_recordings_wrong_sizes_and_empty_depth_raise(make_replica):
         open_dataset("replica", folder)
     (folder / "cam_params.json").write_text(json.dumps(camera))
     images.write_png(folder / "results/depth000000.png", np.zeros((24, 32), np.uint16))
-    assert not open_dataset("replica", folder)[0].depth_m.any()
+    with caplog.at_level(logging.WARNING):
+        assert not open_dataset("replica", folder)[0].depth_m.any()
+    assert "the first 1 frame(s) have no depth; the map starts at frame 1" in caplog.text
     for file in (folder / "results").glob("depth*.png"):
         images.write_png(file, np.zeros((24, 32), np.uint16))
     with pytest.raises(DatasetError, match=r"depth000000\.png and all later depth images"):

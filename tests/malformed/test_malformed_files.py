@@ -62,11 +62,7 @@ TARGETS = [
     (
         "data/depth/0000.png",
         ["run"],
-        IMAGE
-        | {
-            "no depth": damage.image(np.zeros((48, 64), np.uint16)),
-            "colour": damage.image(COLOUR),
-        },
+        IMAGE | {"colour": damage.image(COLOUR)},
     ),
     ("data/depth/0004.png", ["run"], {n: IMAGE[n] for n in ("garbage", "directory")}),
     ("data/labels/0000.png", ["run"], IMAGE | {"colour": damage.image(COLOUR)}),
