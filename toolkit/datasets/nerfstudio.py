@@ -17,19 +17,19 @@ from toolkit.datasets.common_camera import camera_of_depth, common_camera
 from toolkit.datasets.pairing import (
     OPENGL_AXES,
     attach_poses,
-    folder_holding,
+    folder_holding_any,
     is_number,
     unpaired,
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_depth_m, read_rgb
-from toolkit.io.user_files import read_text, visible
+from toolkit.io.user_files import read_text
 
 FPS = 30.0
 METRES_PER_VALUE = 0.001
 # nerfstudio's file, and the first one of the layout of Blender's synthetic scenes.
-_FILES = ("transforms.json", "transforms_train.json")
+_FILES = (("transforms.json",), ("transforms_train.json",))
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
@@ -61,8 +61,9 @@ def describe(path: Path) -> Recording:
         DatasetError: the file is malformed, or its frames differ in camera model or size, or by
             more than 2 % in focal length, or the camera model is not supported.
     """
-    file = _file(path)
-    folder, content = file.parent, _load(file)
+    folder, (name,) = folder_holding_any(path, _FILES, "nerfstudio")
+    file = folder / name
+    content = _load(file)
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames:
         raise DatasetError(f"{file} has no list of frames; export the recording again")
@@ -95,12 +96,6 @@ def describe(path: Path) -> Recording:
         colour_camera=lens.camera,
         flaws=unpaired("colour image(s) without depth", alone) + truth.flaws + lens_flaws,
     )
-
-
-def _file(path: Path) -> Path:
-    places = [path, *(visible(path) if path.is_dir() else ())]
-    name = next((n for n in _FILES if any((place / n).is_file() for place in places)), _FILES[0])
-    return folder_holding(path, (name,), "nerfstudio") / name
 
 
 def _states_size(values: Any) -> bool:

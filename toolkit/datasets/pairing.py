@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,6 +76,21 @@ def folder_holding(path: Path, names: tuple[str, ...], layout: str) -> Path:
         f"{path} has no {missing}, which a {layout} dataset needs; check the path and the "
         f"kind of the dataset (layouts: docs/guides/datasets.md)"
     )
+
+
+def folder_holding_any(
+    path: Path, choices: Sequence[tuple[str, ...]], layout: str
+) -> tuple[Path, tuple[str, ...]]:
+    """As `folder_holding`, with the first of several sets of names that any folder contains.
+
+    Raises:
+        DatasetError: as of `folder_holding`, for the first set if no folder contains any.
+    """
+    places = [path, *(visible(path) if path.is_dir() else ())]
+    for names in choices:
+        if any(all((place / name).exists() for name in names) for place in places):
+            return folder_holding(path, names, layout), names
+    return folder_holding(path, choices[0], layout), choices[0]
 
 
 def numbered(folder: Path, pattern: str) -> dict[int, Path]:

@@ -13,7 +13,7 @@ from toolkit.datasets.pairing import (
     Truth,
     associate,
     attach_poses,
-    folder_holding,
+    folder_holding_any,
     listed,
     unpaired,
 )
@@ -21,7 +21,6 @@ from toolkit.datasets.tum_cameras import camera_of
 from toolkit.errors import DatasetError
 from toolkit.geometry import se3
 from toolkit.io.trajectories import read_tum_lines, text_lines
-from toolkit.io.user_files import visible
 
 # Maximum time difference of associated images, as in the benchmark's own tool.
 MAX_DIFFERENCE_S = 0.02
@@ -46,7 +45,7 @@ def describe(path: Path) -> Recording:
         DatasetError: the folder has a different layout, or does not state its camera.
         FormatError: a line of a list file is malformed.
     """
-    folder, names = _folder(path)
+    folder, names = folder_holding_any(path, (_LISTS, _OPENLORIS, _PAIRS), "TUM")
     if names == _PAIRS:
         rgb, depth = _read_pairs(folder / names[0])
         flaws: tuple[str, ...] = ()
@@ -77,15 +76,6 @@ def describe(path: Path) -> Recording:
         )
         + truth.missing,
     )
-
-
-def _folder(path: Path) -> tuple[Path, tuple[str, ...]]:
-    """The folder of the recording, and the names of its lists."""
-    places = [path, *(visible(path) if path.is_dir() else ())]
-    for names in (_LISTS, _OPENLORIS, _PAIRS):
-        if any(all((place / name).exists() for name in names) for place in places):
-            return folder_holding(path, names, "TUM"), names
-    return folder_holding(path, _LISTS, "TUM"), _LISTS
 
 
 def _truth_file(folder: Path) -> Path | None:
