@@ -6,10 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.datasets.findings import quick_findings
 from toolkit.datasets.registration_check import depth_edges, measure_registration
 from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
+from toolkit.io import images
 
 CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
 
@@ -91,3 +93,18 @@ def test_real_recordings_registered_and_shifted_by_12_pixels(real_data, kind, na
     report = measure_registration(moved)
     assert "shifted" in report.verdict()
     np.testing.assert_allclose(report.shift_px[0], [-12, 0], atol=2.5)
+
+
+def test_findings_of_a_run_name_a_shift(tmp_path):
+    folder = tmp_path / "shifted"
+    for i in range(5):
+        frame = scene(i, (10, 0))
+        (folder / "rgb").mkdir(parents=True, exist_ok=True)
+        (folder / "depth").mkdir(exist_ok=True)
+        images.write_rgb(folder / f"rgb/{i}.png", frame.rgb)
+        images.write_depth_png(folder / f"depth/{i}.png", frame.depth_m, 1000.0)
+    values = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    lines = [f"{name}: {value}" for name, value in (values | {"depth_scale": 1000.0}).items()]
+    (folder / "intrinsics.yaml").write_text("\n".join(lines))
+    (finding,) = quick_findings(open_dataset("folder", folder))
+    assert finding.startswith("colour is shifted relative to depth by (-10, +0) px")

@@ -12,19 +12,23 @@ from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.decoder_warnings import decoder_warning
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.far_values import without_far_value
+from toolkit.datasets.findings import (
+    depth_scale_finding,
+    is_impossible_depth,
+    length,
+    readable_frames,
+    registration_fault,
+)
 from toolkit.datasets.pairing import listed
-from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
+from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.registry import describe
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import unit_fault
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 
-# Plausible range of the median depth of an indoor recording, metres.
-_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.1, 30.0
 # Minimum fraction of pixels with valid depth that tracking needs.
 _MIN_VALID_FRACTION = 0.01
-_REGISTRATION_FRAMES = 24
 # Offsets of colour from depth are noted from this size, in pixels and in standard errors.
 _NOTED_OFFSET_PX, _CERTAIN = 0.4, 3.0
 # Pauses between frames are noted from this time in seconds, and this multiple of the usual one.
@@ -115,11 +119,15 @@ def check_recording(
         *([recording.depth_fault] if recording.depth_fault else []),
         *_time_faults(dataset),
         *_frame_faults(findings),
-        *_depth_scale_faults(findings, dataset.recording.depth_scale),
         *_label_faults(findings, dataset.label_names),
-        *_registration_faults(dataset),
+        *_agreement_faults(dataset),
     ]
+    scale = depth_scale_finding(findings.medians_m, dataset.recording.depth_scale)
+    if scale and is_impossible_depth(findings.medians_m):
+        faults.append(scale)
+        scale = None
     notes = (
+        *([scale] if scale else []),
         *dataset.recording.notes,
         *_time_notes(dataset),
         *_repeat_notes(findings),
@@ -219,23 +227,6 @@ def _frame_faults(findings: _Findings) -> list[str]:
     return faults
 
 
-def _depth_scale_faults(findings: _Findings, depth_scale: float) -> list[str]:
-    if not findings.medians_m:
-        return []
-    median_m = float(np.median(findings.medians_m))
-    if _NEAREST_MEDIAN_M <= median_m <= _FARTHEST_MEDIAN_M:
-        return []
-    # Of the common scales, suggest the one whose median depth is closest to 2 m.
-    likely = min(
-        (1000.0, 5000.0, 6553.5), key=lambda s: abs(np.log(median_m * depth_scale / s / 2.0))
-    )
-    return [
-        f"the depth scale is wrong: the median depth is {_length(median_m)} with "
-        f"{depth_scale:g} values per metre; {likely:g} would give "
-        f"{_length(median_m * depth_scale / likely)}"
-    ]
-
-
 def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str]:
     unknown = sorted(findings.label_ids - {0} - set(names or {}))
     if names is None or not unknown:
@@ -245,10 +236,11 @@ def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str
     ]
 
 
-def _registration_faults(dataset: RecordedDataset) -> list[str]:
-    chosen = evenly_spaced_frames(len(dataset), _REGISTRATION_FRAMES)
-    fault = measure_registration(_readable(dataset, chosen)).verdict()
-    return [fault] if fault else []
+def _agreement_faults(dataset: RecordedDataset) -> list[str]:
+    """Lines about depth that is not registered to colour, and poses that contradict both."""
+    convention = judge_convention(dataset)
+    faults = [registration_fault(dataset), convention.verdict() if convention else None]
+    return [fault for fault in faults if fault]
 
 
 def _repeat_notes(findings: _Findings) -> list[str]:
@@ -268,7 +260,7 @@ def _repeat_notes(findings: _Findings) -> list[str]:
 
 
 def _offset_notes(dataset: RecordedDataset) -> list[str]:
-    found = estimate_depth_offset(_readable(dataset, frames_for_offset(len(dataset))))
+    found = estimate_depth_offset(readable_frames(dataset, frames_for_offset(len(dataset))))
     size_px = float(np.hypot(found.x_px, found.y_px))
     if found.fault is not None or size_px < max(_NOTED_OFFSET_PX, _CERTAIN * found.sigma_px):
         return []
@@ -279,14 +271,6 @@ def _shutter_lines(recording: Recording) -> list[str]:
     if recording.files[0].depth is None or recording.depth_fault:
         return []
     return [f"rolling shutter: {estimate_readout(recording)}"]
-
-
-def _readable(dataset: RecordedDataset, indices: list[int]) -> Iterable[Frame]:
-    for index in indices:
-        try:
-            yield dataset[index]
-        except ToolkitError:
-            continue  # already reported
 
 
 def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
@@ -300,7 +284,7 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
     ]
     if findings.medians_m:
         lines.append(
-            f"depth: median {_length(float(np.median(findings.medians_m)))}, "
+            f"depth: median {length(float(np.median(findings.medians_m)))}, "
             f"{np.mean(findings.valid_fractions):.0%} of the pixels"
         )
     elif dataset.files(0).depth is None:
@@ -310,9 +294,3 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
             f"labels: {len(findings.label_ids - {0})} of {len(dataset.label_names)} classes occur"
         )
     return tuple(lines)
-
-
-def _length(metres: float) -> str:
-    if metres < 0.1:
-        return f"{metres * 1000:.3g} mm"
-    return f"{metres:.3g} m" if metres < 1000 else f"{metres / 1000:.3g} km"

@@ -57,4 +57,8 @@ class DatasetOptions:
     (rolling shutter), for input with depth. 0 for a global shutter. auto uses readout_ms in
     intrinsics.yaml of a folder; otherwise, it is estimated from the images, and 0 if uncertain.
     Rendered images (synthetic, replica) have 0."""
+    pose_convention: Literal["check", "trust", "correct"] = "check"
+    """What happens if poses of the recording contradict its depth and colour, because they have
+    other camera axes, are inverted, left-handed or in another unit: check stops a run with given
+    poses, trust uses them as they are, and correct converts them."""
     topics: BagTopics = BagTopics()

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.findings import quick_findings
+from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.depth_priors.factory import build_provider
@@ -109,6 +111,7 @@ def _execute(
     progress: Progress,
     observers: Observers,
 ) -> None:
+    findings = _findings(dataset, settings)
     recorder = StageRecorder()
     sequence: Dataset = dataset
     motion, correction = None, None
@@ -133,6 +136,8 @@ def _execute(
         dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
     )
     with session.open():
+        for finding in findings:
+            _log.warning("%s: %s", dataset.name, finding)
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
@@ -164,8 +169,31 @@ def _execute(
         prior = None
         if provider is not None:
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
-        record = RunRecord(recorder, pace, motion, prior, costs.costs())
+        record = RunRecord(recorder, pace, motion, prior, costs.costs(), findings)
         write_results(result, dataset, folder, settings, record)
+
+
+def _findings(dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
+    """What a few frames show to be wrong with a recording, one line each.
+
+    Raises:
+        DatasetError: poses that the run needs contradict its images.
+    """
+    if settings.depth == "none":
+        return ()
+    findings = quick_findings(dataset)
+    convention = judge_convention(dataset)
+    verdict = convention.verdict() if convention else None
+    if verdict is None:
+        return findings
+    if settings.poses == "given" and settings.dataset.pose_convention == "check":
+        raise DatasetError(
+            f"{settings.dataset.path}: {verdict}; correct them, or convert them with "
+            f"--dataset.pose-convention correct (trust uses them as they are)"
+        )
+    if settings.poses == "slam":
+        verdict += "; the errors of the trajectory are wrong"
+    return (*findings, verdict)
 
 
 def check_settings(settings: RunSettings) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import os
 
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.registry import open_dataset
 from toolkit.runs.settings import RunSettings
+
+_log = logging.getLogger(__name__)
 
 
 def open_recording(
@@ -24,7 +28,7 @@ def open_recording(
         DatasetError: it does not exist or is inconsistent.
     """
     place = settings.dataset
-    return open_dataset(
+    dataset = open_dataset(
         place.kind,
         path,
         image_size or settings.image_size,
@@ -35,3 +39,20 @@ def open_recording(
         depth_offset=place.depth_offset,
         readout_ms=place.readout_ms,
     )
+    if place.pose_convention == "correct" and settings.depth == "sensor":
+        _correct_poses(dataset)
+    return dataset
+
+
+def _correct_poses(dataset: RecordedDataset) -> None:
+    """Convert poses that contradict depth and colour to the convention that agrees with them."""
+    judged = judge_convention(dataset)
+    if judged is None or judged.found is None or judged.found.is_ours:
+        return
+    assert dataset.ground_truth is not None
+    _log.info(
+        "%s: the given poses are converted, because depth and colour agree if %s",
+        dataset.name,
+        judged.found,
+    )
+    dataset.ground_truth = judged.found.applied(dataset.ground_truth)

@@ -88,6 +88,7 @@ class RunRecord:
         motion: motion of the camera that a run without depth starts from, None for other runs.
         prior: depth priors of the run, None without them.
         costs: time and memory by frame.
+        findings: a line for each defect of the recording that a few of its frames show.
     """
 
     recorder: StageRecorder
@@ -95,6 +96,7 @@ class RunRecord:
     motion: CameraMotion | None = None
     prior: DepthPriorUse | None = None
     costs: FrameCosts | None = None
+    findings: tuple[str, ...] = ()
 
 
 def write_results(
@@ -117,7 +119,7 @@ def write_results(
     folder.write_map(labelled_parts(scene, result.map, result, settings))
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
-    summary = summary_lines(states, parts)
+    summary = [*record.findings, *summary_lines(states, parts)]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
     if settings.dataset.path is not None:

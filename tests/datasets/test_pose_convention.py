@@ -1,0 +1,151 @@
+"""Given poses in another convention are found by depth and colour, and converted."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from moving_room import CAMERA, exposed, pose
+
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.pose_convention import judge_convention
+from toolkit.datasets.registry import describe
+from toolkit.errors import DatasetError
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import images
+from toolkit.io.trajectories import read_tum, write_tum
+from toolkit.options import validated
+from toolkit.runs.execution import run
+from toolkit.runs.recordings import open_recording
+from toolkit.runs.settings import RunSettings
+
+FRAMES, FPS = 14, 10.0
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+UNITY = np.diag([1.0, -1.0, 1.0, 1.0])
+ROBOT = np.eye(4)
+ROBOT[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def scaled(T, factor):
+    moved = np.array(T)
+    moved[:3, 3] *= factor
+    return moved
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    """A folder of a shaking camera in a box room, with its true poses."""
+    folder = tmp_path_factory.mktemp("poses") / "box"
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    times_s = np.arange(FRAMES) / FPS
+    for i, time_s in enumerate(times_s):
+        rgb, depth_m = exposed(np.full(CAMERA.height, time_s))
+        images.write_rgb(folder / f"rgb/{i:04d}.png", rgb)
+        images.write_depth_png(folder / f"depth/{i:04d}.png", depth_m, 5000.0)
+    names = ("fx", "fy", "cx", "cy", "width", "height")
+    intrinsics = {name: getattr(CAMERA, name) for name in names}
+    (folder / "intrinsics.yaml").write_text(
+        yaml.safe_dump(intrinsics | {"depth_scale": 5000.0, "fps": FPS})
+    )
+    write_tum(folder / "trajectory.txt", Trajectory(times_s, np.array([*map(pose, times_s)])))
+    return folder
+
+
+def judged(folder, changed):
+    """The judgement of the recording with every pose changed."""
+    recording = describe("folder", folder)
+    truth = recording.ground_truth
+    poses = np.array([changed(T) for T in truth.T_world_camera])
+    given = Trajectory(truth.timestamps_s, poses)
+    return judge_convention(RecordedDataset(replace(recording, ground_truth=given))), given
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda T: T @ OPENGL, "y up, z backward (OpenGL"),
+        (se3.inverse, "from world to camera"),
+        (lambda T: se3.inverse(T @ OPENGL), "inverted) and the axes of the cameras are x right"),
+        (lambda T: UNITY @ T @ UNITY, "left-handed, as in Unity"),
+        (lambda T: T @ ROBOT.T, "x forward, y left, z up"),
+        (lambda T: scaled(T, 1e3), "in millimetres"),
+        (lambda T: scaled(T @ OPENGL, 1e2), "(OpenGL, Blender, ARKit) and positions are in centim"),
+        (lambda T: scaled(T, 0.2), "in units of 5"),
+    ],
+    ids=["opengl", "inverse", "both", "unity", "robot", "mm", "opengl cm", "unscaled"],
+)
+def test_conventions_are_found_and_converted(recording, changed, words):
+    report, given = judged(recording, changed)
+    assert words in report.verdict()
+    converted = report.found.applied(given)
+    truth = describe("folder", recording).ground_truth
+    for number in (4, 9):
+        motions = [
+            se3.inverse(t.T_world_camera[0]) @ t.T_world_camera[number] for t in (converted, truth)
+        ]
+        np.testing.assert_allclose(*motions, atol=0.02)
+
+
+def test_right_poses_are_not_doubted(recording):
+    report, _ = judged(recording, lambda T: T)
+    assert report.found.is_ours
+    assert report.verdict() is None
+    world = se3.exp(np.array([3.0, -2.0, 5.0, 0.4, -1.0, 2.0]))
+    assert judged(recording, lambda T: world @ T)[0].verdict() is None
+
+
+def test_poses_of_other_images_are_not_explained(recording):
+    poses = iter(np.random.default_rng(0).permutation(FRAMES))
+    report, _ = judged(recording, lambda T: pose(5.0 + 0.4 * next(poses)))
+    assert report.found is None
+    assert "whatever their axes" in report.verdict()
+
+
+@pytest.fixture
+def opengl_recording(recording, tmp_path) -> Path:
+    """The recording with the camera axes of OpenGL."""
+    folder = tmp_path / "opengl"
+    folder.mkdir()
+    for name in ("rgb", "depth", "intrinsics.yaml"):
+        (folder / name).symlink_to(recording / name)
+    truth = read_tum(recording / "trajectory.txt")
+    given = Trajectory(truth.timestamps_s, truth.T_world_camera @ OPENGL)
+    write_tum(folder / "trajectory.txt", given)
+    return folder
+
+
+def settings_for(folder: Path, **dataset: str) -> RunSettings:
+    content = {"dataset": {"kind": "folder", "path": str(folder), **dataset}, "poses": "given"}
+    return validated(RunSettings, content)
+
+
+def test_check_data_and_run_report_it(opengl_recording, tmp_path):
+    (fault,) = check_dataset("folder", opengl_recording).faults
+    assert "OpenGL" in fault
+    out = tmp_path / "run"
+    with pytest.raises(DatasetError, match="OpenGL.*pose-convention correct"):
+        run(settings_for(opengl_recording), out)
+    assert not out.exists()
+
+
+def test_the_recording_is_opened_with_converted_poses(opengl_recording, recording):
+    settings = settings_for(opengl_recording, pose_convention="correct")
+    dataset = open_recording(settings, opengl_recording)
+    truth = read_tum(recording / "trajectory.txt")
+    np.testing.assert_allclose(
+        dataset.ground_truth.T_world_camera, truth.T_world_camera, atol=1e-5
+    )
+
+
+def test_a_run_reports_what_check_data_finds(opengl_recording, tmp_path, caplog):
+    out = tmp_path / "run"
+    with caplog.at_level(logging.WARNING, "toolkit"):
+        run(settings_for(opengl_recording, pose_convention="trust"), out)
+    assert "contradict depth and colour" in caplog.text
+    assert "contradict depth and colour" in (out / "report.html").read_text()
+    assert "contradict depth and colour" in (out / "log.txt").read_text()

@@ -1,0 +1,78 @@
+"""Defects of a recording that a few of its frames show; a run reports them, too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
+from toolkit.errors import ToolkitError
+from toolkit.frame import Frame
+
+# Range of the median depth of most recordings, and of any sensor, metres.
+_USUAL_M, _POSSIBLE_M = (0.1, 30.0), (0.01, 200.0)
+_COMMON_SCALES = (1000.0, 5000.0, 6553.5)
+_FRAMES = 24
+
+
+def quick_findings(dataset: RecordedDataset) -> tuple[str, ...]:
+    """One line for each defect or doubt that evenly spaced frames of a recording show."""
+    if dataset.files(0).depth is None:
+        return ()
+    frames = list(readable_frames(dataset, evenly_spaced_frames(len(dataset), _FRAMES)))
+    medians_m = [float(np.median(f.depth_m[f.depth_m > 0])) for f in frames if f.depth_m.any()]
+    scale = depth_scale_finding(medians_m, dataset.recording.depth_scale)
+    registration = measure_registration(frames).verdict()
+    return tuple(line for line in (scale, registration) if line)
+
+
+def registration_fault(dataset: RecordedDataset) -> str | None:
+    """A line about colour and depth that are not registered."""
+    chosen = evenly_spaced_frames(len(dataset), _FRAMES)
+    return measure_registration(readable_frames(dataset, chosen)).verdict()
+
+
+def depth_scale_finding(medians_m: Sequence[float], depth_scale: float) -> str | None:
+    """A line about depths that are unusual or impossible.
+
+    Args:
+        medians_m: median depths of frames in metres.
+        depth_scale: values of the depth images per metre.
+    """
+    if not medians_m:
+        return None
+    median_m = float(np.median(medians_m))
+    if _USUAL_M[0] <= median_m <= _USUAL_M[1]:
+        return None
+    # The scale whose median depth is closest to 2 m.
+    likely = min(_COMMON_SCALES, key=lambda s: abs(np.log(median_m * depth_scale / s / 2.0)))
+    return (
+        f"the median depth is {length(median_m)} with {depth_scale:g} values per metre; if the "
+        f"scene is not at this distance, correct the depth scale ({likely:g} would give "
+        f"{length(median_m * depth_scale / likely)})"
+    )
+
+
+def is_impossible_depth(medians_m: Sequence[float]) -> bool:
+    """Whether no depth sensor measures these median depths in metres."""
+    if not medians_m:
+        return False
+    return not _POSSIBLE_M[0] <= float(np.median(medians_m)) <= _POSSIBLE_M[1]
+
+
+def readable_frames(dataset: RecordedDataset, indices: Iterable[int]) -> Iterable[Frame]:
+    """The frames that can be read; others are reported elsewhere."""
+    for index in indices:
+        try:
+            yield dataset[index]
+        except ToolkitError:
+            continue
+
+
+def length(metres: float) -> str:
+    """A length with a suitable unit."""
+    if metres < 0.1:
+        return f"{metres * 1000:.3g} mm"
+    return f"{metres:.3g} m" if metres < 1000 else f"{metres / 1000:.3g} km"
