@@ -128,7 +128,7 @@ def test_check_data_and_run_report_it(opengl_recording, tmp_path):
     (fault,) = check_dataset("folder", opengl_recording).faults
     assert "OpenGL" in fault
     out = tmp_path / "run"
-    with pytest.raises(DatasetError, match="OpenGL.*pose-convention correct"):
+    with pytest.raises(DatasetError, match=r"OpenGL.*pose-convention correct"):
         run(settings_for(opengl_recording), out)
     assert not out.exists()
 
@@ -137,9 +137,7 @@ def test_the_recording_is_opened_with_converted_poses(opengl_recording, recordin
     settings = settings_for(opengl_recording, pose_convention="correct")
     dataset = open_recording(settings, opengl_recording)
     truth = read_tum(recording / "trajectory.txt")
-    np.testing.assert_allclose(
-        dataset.ground_truth.T_world_camera, truth.T_world_camera, atol=1e-5
-    )
+    np.testing.assert_allclose(dataset.ground_truth.T_world_camera, truth.T_world_camera, atol=1e-5)
 
 
 def test_a_run_reports_what_check_data_finds(opengl_recording, tmp_path, caplog):
