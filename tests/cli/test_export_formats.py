@@ -21,11 +21,14 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.colmap import read_images
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats, write_splat_ply
+from toolkit.io.trajectories import read_tum
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 
+UTM = np.array([388096.0, 3948996.0, 57.0])
 MESH = ["--every", "1", "--voxel-m", "0.04"]
 
 
@@ -57,6 +60,57 @@ def dots_run(tmp_path_factory) -> Path:
     content = {"frames": rows, "lost": [], "keyframes": [0], "camera": asdict(CAMERA)}
     folder.write_json(folder.frames, content)
     return folder.path
+
+
+@pytest.fixture(scope="module")
+def far_run(dots_run, tmp_path_factory) -> Path:
+    """The same run with an origin in UTM."""
+    run = tmp_path_factory.mktemp("far") / "run"
+    shutil.copytree(dots_run, run)
+    content = json.loads((run / "frames.json").read_text())
+    (run / "frames.json").write_text(json.dumps(content | {"origin_m": UTM.tolist()}))
+    return run
+
+
+def test_exports_contain_the_origin_of_far_poses(far_run, dots_run, tmp_path, caplog):
+    """Positions keep tenths of a millimetre, 4000 km from zero."""
+    trimesh = pytest.importorskip("trimesh")
+    near = read_splats(dots_run / "map.ply").means
+    for name, words in (("a.ply", ["labelled-points"]), ("b.ply", ["points"])):
+        file = export(far_run, tmp_path / name, "--format", *words)
+        np.testing.assert_allclose(trimesh.load(file).vertices - UTM, near, atol=1e-4)
+    poses_m = read_tum(export(far_run, tmp_path / "poses.txt")).positions_m
+    here_m = read_tum(dots_run / "trajectory.txt").positions_m
+    np.testing.assert_allclose(poses_m - UTM, here_m, atol=1e-6)
+    words = ["--format", "colmap-text", "--images", "render", "--every", "1"]
+    model = export(far_run, tmp_path / "model", *words) / "sparse/0"
+    images = read_images(model / "images.txt")
+    centres_m = [image.T_world_camera[:3, 3] for image in images]
+    np.testing.assert_allclose(np.array(centres_m) - UTM, here_m, atol=1e-6)
+    assert not caplog.records
+    splats = export(far_run, tmp_path / "splats.ply")
+    assert b"comment origin_m 388096.000 3948996.000 57.000\n" in splats.read_bytes()
+    np.testing.assert_array_equal(read_splats(splats).means, near)
+    assert "add the origin_m 388096.000" in caplog.text
+    export(far_run, tmp_path / "points.pcd")
+    assert "points.pcd has single precision" in caplog.text
+
+
+def test_gltf_and_las_contain_the_origin(labelled_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(labelled_run, run)
+    content = json.loads((run / "frames.json").read_text())
+    (run / "frames.json").write_text(json.dumps(content | {"origin_m": UTM.tolist()}))
+    trees = [
+        json.loads(export(r, tmp_path / f"{k}.gltf", *MESH).read_text())["nodes"][0]
+        for k, r in enumerate((run, labelled_run))
+    ]
+    far, near = (np.array(tree["matrix"]).reshape(4, 4).T for tree in trees)
+    np.testing.assert_allclose(far[:3, 3] - near[:3, 3], near[:3, :3] @ UTM, rtol=1e-12)
+    laspy = pytest.importorskip("laspy")
+    las = laspy.read(export(run, tmp_path / "room.las"))
+    means = read_splats(labelled_run / "map.ply").means
+    np.testing.assert_allclose(las.xyz - UTM, means, atol=1.1e-4)
 
 
 def centroids(rgb: np.ndarray) -> np.ndarray:

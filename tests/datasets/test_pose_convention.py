@@ -1,5 +1,6 @@
 """Given poses in another convention are found by depth and colour, and converted."""
 
+import json
 import logging
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from toolkit.io import images
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.options import validated
 from toolkit.runs.execution import run
+from toolkit.runs.finished import load_run
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings
 
@@ -147,3 +149,25 @@ def test_a_run_reports_what_check_data_finds(opengl_recording, tmp_path, caplog)
     assert "contradict depth and colour" in caplog.text
     assert "contradict depth and colour" in (out / "report.html").read_text()
     assert "contradict depth and colour" in (out / "log.txt").read_text()
+
+
+def test_far_poses_become_relative_to_an_origin(recording, tmp_path):
+    """With the coordinates of UTM, given poses give the same map as near zero."""
+    folder, utm = tmp_path / "utm", np.array([388096.0, 3948996.0, 57.0])
+    folder.mkdir()
+    for name in ("rgb", "depth", "intrinsics.yaml"):
+        (folder / name).symlink_to(recording / name)
+    near = read_tum(recording / "trajectory.txt")
+    write_tum(folder / "trajectory.txt", near.transformed(se3.exp(np.array([*utm, 0, 0, 0]))))
+    metrics = []
+    for place in (folder, recording):
+        out = tmp_path / f"run-{place.name}"
+        run(settings_for(place), out)
+        metrics.append(json.loads((out / "metrics.json").read_text())["psnr_db"])
+    assert metrics[0] == pytest.approx(metrics[1], abs=0.2)
+    finished = load_run(tmp_path / "run-utm")
+    np.testing.assert_array_equal(finished.origin_m, np.floor(utm + near.positions_m[0]))
+    assert (tmp_path / "run-utm/log.txt").read_text().count("relative to the origin 38809") == 1
+    dataset = finished.open_dataset()
+    np.testing.assert_array_equal(dataset.origin_m, finished.origin_m)
+    assert np.abs(finished.trajectory.positions_m).max() < 2.0

@@ -81,6 +81,7 @@ def _check_export(options: ExportOptions) -> None:
         "occupancy-grid": (".yaml",),
         "scene-graph": (".json",),
         "floor-plan": (".png",),
+        "trajectory": (".txt", ".tum"),
         "viewer": (".html",),
     }[options.kind]
     check_output("--to", options.to, suffixes, f"a file of {options.kind}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
+import numpy as np
+
 from toolkit.cli.map_programs import ExportOptions
 from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.plan import export_floor_plan
@@ -14,6 +16,7 @@ from toolkit.exports.surfaces import export_gltf, export_labelled_points
 from toolkit.exports.views import ViewOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
 from toolkit.io.splats import export_splats
+from toolkit.io.trajectories import write_tum
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
 from toolkit.viewer.html import link_from_report, write_page
 from toolkit.viewer.reading import run_scene
@@ -39,12 +42,30 @@ def main(options: ExportOptions) -> int:
 
 def _splats(options: ExportOptions, selection: Selection) -> str:
     columns = None if selection.labels is None else selection.labels.columns()
-    export_splats(options.to, selection.gaussians, columns)
+    export_splats(options.to, selection.gaussians, columns, _left_origin(options, selection))
     return f"{len(selection.gaussians)} Gaussians"
 
 
+def _left_origin(options: ExportOptions, selection: Selection) -> list[str]:
+    """The origin that a file in single precision cannot hold, as a comment; none if it is 0."""
+    if not selection.run.origin_m.any():
+        return []
+    origin = "origin_m {:.3f} {:.3f} {:.3f}".format(*selection.run.origin_m)
+    _log.warning("%s has single precision; add the %s to its positions", options.to, origin)
+    return [origin]
+
+
 def _points(options: ExportOptions, selection: Selection) -> str:
-    return f"{write_opaque_points(options.to, selection.gaussians)} points"
+    # Open3D writes .pcd in single precision.
+    is_single = options.to.suffix == ".pcd" and bool(_left_origin(options, selection))
+    origin_m = np.zeros(3) if is_single else selection.run.origin_m
+    return f"{write_opaque_points(options.to, selection.gaussians, origin_m)} points"
+
+
+def _trajectory(options: ExportOptions, selection: Selection) -> str:
+    trajectory = selection.run.trajectory.transformed(selection.run.T_given_map)
+    write_tum(options.to, trajectory)
+    return f"{len(trajectory)} poses"
 
 
 def _labelled_points(options: ExportOptions, selection: Selection) -> str:
@@ -55,7 +76,7 @@ def _labelled_points(options: ExportOptions, selection: Selection) -> str:
 def _mesh(options: ExportOptions, selection: Selection) -> str:
     fuse = part_mesh if selection.partial else surface_mesh
     mesh = fuse(selection.run, selection.gaussians, _mesh_options(options))
-    write_mesh(options.to, mesh)
+    write_mesh(options.to, mesh, selection.run.origin_m)
     return str(mesh)
 
 
@@ -115,5 +136,6 @@ _WRITERS: dict[str, Callable[[ExportOptions, Selection], str]] = {
     "occupancy-grid": _occupancy_grid,
     "scene-graph": _scene_graph,
     "floor-plan": _floor_plan,
+    "trajectory": _trajectory,
     "viewer": _viewer,
 }

@@ -29,7 +29,7 @@ class ExportOptions:
     format: ExportFormat | None = None
     """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
     .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz),
-    occupancy-grid (.yaml) or viewer (.html)."""
+    occupancy-grid (.yaml), trajectory (.txt, .tum) or viewer (.html)."""
     mesh: bool = False
     """Short for --format mesh."""
     points: bool = False
@@ -77,6 +77,8 @@ _FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
     ".las": "labelled-points",
     ".laz": "labelled-points",
     ".yaml": "occupancy-grid",
+    ".txt": "trajectory",
+    ".tum": "trajectory",
     ".html": "viewer",
 }
 

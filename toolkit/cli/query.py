@@ -44,12 +44,12 @@ def main(options: QueryProgram) -> int:
     gaussians = labelled.run.gaussians.select(torch.from_numpy(selected))
     # Logged to stderr: stdout may be JSON for another program.
     if options.cloud:
-        points = write_opaque_points(options.cloud, gaussians)
+        points = write_opaque_points(options.cloud, gaussians, labelled.run.origin_m)
         _log.info("Wrote %d points to %s.", points, options.cloud)
     if options.mesh:
         mesh_options = MeshOptions(options.voxel_m, options.max_depth_m, options.every)
         mesh = part_mesh(labelled.run, gaussians, mesh_options)
-        write_mesh(options.mesh, mesh)
+        write_mesh(options.mesh, mesh, labelled.run.origin_m)
         _log.info("Wrote %s to %s.", mesh, options.mesh)
     if options.summary:
         write_bytes(options.summary, (_json(reader.summary()) + "\n").encode())

@@ -20,6 +20,7 @@ from toolkit.datasets.resize import ImageGrid, enlarge_depth, resize_colour
 from toolkit.datasets.undistortion import Undistortion
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
+from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
@@ -146,10 +147,16 @@ class Recording:
     readout_s: float | None = None
 
 
+# Poses farther away than this lose millimetres in single precision; they become relative.
+_FAR_M = 1000.0
+
+
 class RecordedDataset:
     """Dataset of a recording; frames are loaded on access and resized.
 
     Attributes:
+        origin_m: [3] position in the recording's coordinates, of which those of `ground_truth` are
+            relative; whole metres, and 0 unless its poses are far away, as in UTM.
         readout_s: time in seconds from the exposure of the first row of a frame to that of the
             last; 0 for a global shutter, or if it is not known.
 
@@ -190,7 +197,21 @@ class RecordedDataset:
         rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height
         self.readout_s = (recording.readout_s or 0.0) * rows
         self._videos: dict[Path, VideoFile] = {}
-        self.ground_truth = _truth_until(recording.ground_truth, self._files[-1].timestamp_s)
+        self.origin_m = np.zeros(3)
+        self.ground_truth: Trajectory | None = None
+        self.use_poses(recording.ground_truth)
+
+    def use_poses(self, trajectory: Trajectory | None) -> None:
+        """Take poses as ground truth, relative to an origin if they are far away.
+
+        Args:
+            trajectory: in the recording's coordinates.
+        """
+        truth = _truth_until(trajectory, self._files[-1].timestamp_s)
+        if truth is not None and len(truth) and np.abs(truth.positions_m).max() > _FAR_M:
+            self.origin_m = np.floor(truth.positions_m[0])
+            truth = truth.transformed(se3.from_rotation_translation(np.eye(3), -self.origin_m))
+        self.ground_truth = truth
 
     def __len__(self) -> int:
         return len(self._files)

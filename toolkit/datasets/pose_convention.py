@@ -170,7 +170,8 @@ class _Pair:
 
 
 def _pairs(dataset: RecordedDataset) -> Iterator[_Pair | None]:
-    camera, truth = dataset.recording.camera, dataset.ground_truth
+    # An origin must not be subtracted from poses that may be inverted.
+    camera, truth = dataset.recording.camera, dataset.recording.ground_truth
     if truth is None or dataset.files(0).depth is None:
         return
     size = (_WIDTH, round(_WIDTH * camera.height / camera.width))

@@ -35,7 +35,7 @@ def export_occupancy_grid(
     opaque = selection.opaque()
     radii_m = opaque.gaussians.radii_m.numpy().astype(np.float64)
     grid = occupancy_grid(opaque.means_m, radii_m, ground, options)
-    write_occupancy_grid(path, grid)
+    write_occupancy_grid(path, grid, selection.run.origin_m)
     return grid
 
 

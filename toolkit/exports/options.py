@@ -19,6 +19,7 @@ ExportFormat = Literal[
     "occupancy-grid",
     "scene-graph",
     "floor-plan",
+    "trajectory",
     "viewer",
 ]
 FOLDER_FORMATS = ("colmap-text", "colmap-binary", "nerfstudio")

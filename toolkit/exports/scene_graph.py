@@ -69,6 +69,7 @@ def scene_graph(
         "multigraph": True,
         "graph": {
             "frame": "map of the run, metres",
+            "map_origin_m": selection.run.origin_m.tolist(),
             "up": ground.up.round(6).tolist(),
             "floor_height_m": round(ground.height_m, 4),
             "taxonomy": {"name": labelled.taxonomy.name, "digest": labelled.taxonomy.digest},

@@ -52,6 +52,11 @@ class Selection:
         return self.gaussians.means.numpy().astype(np.float64)
 
     @property
+    def given_m(self) -> NDArray[np.float64]:
+        """Centres [N, 3] in the coordinates of the given poses."""
+        return self.means_m + self.run.origin_m
+
+    @property
     def rgb(self) -> NDArray[np.uint8]:
         """Colours [N, 3]."""
         colours = self.gaussians.colours.numpy()

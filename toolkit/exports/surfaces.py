@@ -32,7 +32,7 @@ def export_labelled_points(path: Path, selection: Selection) -> int:
         ToolkitError: there are none, a package is missing, or the file cannot be written.
     """
     opaque = selection.opaque()
-    points = LabelledPoints(opaque.means_m, opaque.rgb, opaque.labels, opaque.classes)
+    points = LabelledPoints(opaque.given_m, opaque.rgb, opaque.labels, opaque.classes)
     write_labelled_points(path, points)
     return len(points)
 
@@ -50,7 +50,7 @@ def export_gltf(
     """
     fuse = part_mesh if selection.partial else surface_mesh
     mesh = fuse(selection.run, selection.gaussians, options)
-    T_gltf_map = gltf_from_map(ground_of(selection.run, floor))
+    T_gltf_map = gltf_from_map(ground_of(selection.run, floor)) @ selection.run.T_given_map
     write_gltf(path, _parts(mesh, selection), T_gltf_map, {"T_gltf_map": T_gltf_map.tolist()})
     return mesh
 

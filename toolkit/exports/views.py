@@ -66,7 +66,7 @@ def export_colmap(folder: Path, selection: Selection, options: ViewOptions, bina
     frames = _frames(selection.run, options.every)
     root = selection.run.dataset_path
     names = _write_images(folder, selection, frames, options.images, root or folder)
-    posed = _posed(names, frames)
+    posed = _posed(selection.run, names, frames)
     write = write_colmap_binary if binary else write_colmap_text
     model = _created(folder / _SPARSE)
     write(model, selection.run.camera, posed, _points(selection, options.max_points))
@@ -85,7 +85,8 @@ def export_nerfstudio(folder: Path, selection: Selection, options: ViewOptions) 
     frames = _frames(selection.run, options.every)
     names = _write_images(folder, selection, frames, options.images, None)
     local = options.images != "reference"
-    posed = _posed([f"{_IMAGES}/{name}" if local else name for name in names], frames)
+    paths = [f"{_IMAGES}/{name}" if local else name for name in names]
+    posed = _posed(selection.run, paths, frames)
     points = _points(selection, options.max_points)
     write_labelled_points(folder / _POINTS, LabelledPoints(points.points_m, points.rgb, None, {}))
     write_transforms(folder / "transforms.json", selection.run.camera, posed, _POINTS)
@@ -100,8 +101,13 @@ def _frames(run: FinishedRun, every: int) -> list[TrackedFrame]:
     return run.tracked[::every]
 
 
-def _posed(names: Sequence[str], frames: Sequence[TrackedFrame]) -> list[PosedImage]:
-    return [PosedImage(name, frame.T_map_camera) for name, frame in zip(names, frames, strict=True)]
+def _posed(
+    run: FinishedRun, names: Sequence[str], frames: Sequence[TrackedFrame]
+) -> list[PosedImage]:
+    return [
+        PosedImage(name, run.T_given_map @ frame.T_map_camera)
+        for name, frame in zip(names, frames, strict=True)
+    ]
 
 
 def _points(selection: Selection, max_points: int) -> ColouredPoints:
@@ -109,7 +115,7 @@ def _points(selection: Selection, max_points: int) -> ColouredPoints:
     opaque = selection.opaque()
     count = min(max_points, len(opaque.gaussians))
     index = np.linspace(0, len(opaque.gaussians) - 1, count).round().astype(int)
-    return ColouredPoints(opaque.means_m[index], opaque.rgb[index])
+    return ColouredPoints(opaque.given_m[index], opaque.rgb[index])
 
 
 def _write_images(

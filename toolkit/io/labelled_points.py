@@ -27,7 +27,9 @@ _LAS_STEP_M = 0.0001
 # Point format of LAS 1.4 with colours; its classification has 8 bits, of which 64 to 255 are free.
 _POINT_FORMAT, _FIRST_FREE_CODE, _LAST_CODE = 7, 64, 255
 _UNCLASSIFIED = 1
-_PLY_TYPES = {"f4": "float", "u1": "uchar", "i4": "int"}
+_PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
+# Coordinates beyond this lose more than 0.1 mm in single precision.
+_MAX_SINGLE_M = 1000.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ def write_labelled_points(path: Path, points: LabelledPoints) -> None:
 
 
 def _write_ply(path: Path, points: LabelledPoints) -> None:
-    fields: list[tuple[str, str]] = [(axis, "f4") for axis in "xyz"]
+    far = len(points) > 0 and float(np.abs(points.points_m).max()) > _MAX_SINGLE_M
+    fields: list[tuple[str, str]] = [(axis, "f8" if far else "f4") for axis in "xyz"]
     fields += [(colour, "u1") for colour in ("red", "green", "blue")]
     fields += [
         (name, "i4" if np.issubdtype(column.dtype, np.integer) else "f4")

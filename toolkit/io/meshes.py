@@ -101,8 +101,15 @@ def fuse_views(
     )
 
 
-def write_mesh(path: PathLike, mesh: TriangleMesh) -> None:
-    """Write a mesh as .ply atomically.
+def write_mesh(
+    path: PathLike, mesh: TriangleMesh, origin_m: NDArray[np.float64] | None = None
+) -> None:
+    """Write a mesh as .ply atomically, with vertices in double precision.
+
+    Args:
+        path: the file.
+        mesh: the mesh.
+        origin_m: [3] is added to the vertices; 0 if absent.
 
     Raises:
         FormatError: the suffix is not .ply.
@@ -110,8 +117,9 @@ def write_mesh(path: PathLike, mesh: TriangleMesh) -> None:
     """
     path = _with_suffix(path, MESH_SUFFIXES)
     o3d = open3d()
+    vertices_m = mesh.vertices_m + (np.zeros(3) if origin_m is None else origin_m)
     surface = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices_m.astype(np.float64)),
+        o3d.utility.Vector3dVector(vertices_m),
         o3d.utility.Vector3iVector(mesh.triangles),
     )
     surface.vertex_colors = o3d.utility.Vector3dVector(mesh.colours.astype(np.float64))

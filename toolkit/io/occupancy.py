@@ -44,8 +44,14 @@ class OccupancyGrid:
         return f"{columns} x {rows} cells, {free_m2:.1f} m2 free, {occupied_m2:.1f} m2 occupied"
 
 
-def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
+def write_occupancy_grid(
+    path: Path, grid: OccupancyGrid, map_origin_m: NDArray[np.float64] | None = None
+) -> None:
     """Write NAME.yaml and the image NAME.pgm beside it.
+
+    Args:
+        map_origin_m: [3] position of the map's origin in the coordinates of given poses; 0 if
+            absent.
 
     Raises:
         RunFolderError: a file cannot be written.
@@ -67,5 +73,6 @@ def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
         "free_thresh": _FREE_THRESHOLD,
         # Ignored by map_server; relates the grid to the poses of the run.
         "T_grid_map": grid.T_grid_map.tolist(),
+        "map_origin_m": np.zeros(3).tolist() if map_origin_m is None else map_origin_m.tolist(),
     }
     write_bytes(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None).encode())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.io.atomic import replacing
+from toolkit.io.atomic import replacing, write_bytes
 from toolkit.io.splat_shapes import relative_covariances
 
 PathLike = str | os.PathLike[str]
@@ -190,12 +190,15 @@ def write_splat_ply(
 
 
 def export_splats(
-    path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None = None
+    path: PathLike,
+    splats: SplatLike,
+    extra: Mapping[str, NDArray] | None = None,
+    comments: Sequence[str] = (),
 ) -> None:
     """Write splats for viewers as `.ply`, `.splat` or `.spz`, depending on the suffix.
 
     `.splat` and `.spz` quantise colour, opacity and scale to about 8 bits, clamp colours to [0, 1]
-    and do not support additional columns; only `.ply` stores `extra`.
+    and do not support additional columns; only `.ply` stores `extra` and comments, of a line each.
 
     Raises:
         ValueError: the suffix is not supported.
@@ -205,6 +208,11 @@ def export_splats(
         raise ValueError(f"{path} must end in one of {', '.join(SUFFIXES)}")
     if Path(path).suffix == ".ply":
         write_splat_ply(path, splats, extra)
+        if comments:
+            content = Path(path).read_bytes()
+            head, _, rest = content.partition(b"\nelement ")
+            lines = "".join(f"\ncomment {line}" for line in comments).encode()
+            write_bytes(Path(path), head + lines + b"\nelement " + rest)
     else:
         _write(path, _open3d_cloud(path, splats, clamped=True))
 

@@ -138,6 +138,12 @@ def _execute(
     with session.open():
         for finding in findings:
             _log.warning("%s: %s", dataset.name, finding)
+        if settings.poses == "given" and dataset.origin_m.any():
+            _log.info(
+                "The map is relative to the origin %s, because its coordinates are too large; "
+                "exports contain them again.",
+                " ".join(f"{value:.0f}" for value in dataset.origin_m),
+            )
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:

@@ -50,6 +50,8 @@ class FinishedRun:
         dataset_from_run: path of the dataset relative to the run folder, or None.
         states: states of all frames of the sequence, in order.
         parts: parts of the map, the main part first; the relative poses of parts are unknown.
+        origin_m: [3] position of the map's origin in the coordinates of the given poses; 0 unless
+            these are far away.
     """
 
     folder: RunFolder
@@ -65,6 +67,7 @@ class FinishedRun:
     dataset_from_run: str | None = None
     states: list[FrameState] = field(default_factory=list)
     parts: list[PartSummary] = field(default_factory=list)
+    origin_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     @property
     def camera(self) -> Camera:
@@ -96,6 +99,11 @@ class FinishedRun:
         times = np.array([frame.timestamp_s for frame in self.tracked])
         poses = np.array([frame.T_map_camera for frame in self.tracked]).reshape(-1, 4, 4)
         return Trajectory(times, poses)
+
+    @property
+    def T_given_map(self) -> NDArray[np.float64]:
+        """[4, 4] translation from the map to the coordinates of the given poses."""
+        return se3.from_rotation_translation(np.eye(3), self.origin_m)
 
     def separate_trajectories(self) -> dict[int, Trajectory]:
         """Poses of the frames of each separate part in the part's frame, by number.
@@ -188,6 +196,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             dataset_from_run=content.get("dataset_from_run"),
             states=read_states(content),
             parts=read_parts(content),
+            origin_m=np.array(content.get("origin_m", [0, 0, 0]), np.float64).reshape(3),
         )
     except (KeyError, TypeError, ValueError, SettingsError) as error:
         raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error

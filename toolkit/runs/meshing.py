@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 from tqdm import tqdm
 
@@ -54,8 +55,13 @@ class MeshOptions:
             raise SettingsError(f"voxel_m must be at least {MIN_VOXEL_M} m, got {self.voxel_m}")
 
 
-def write_opaque_points(path: Path, gaussians: GaussianCloud) -> int:
+def write_opaque_points(path: Path, gaussians: GaussianCloud, origin_m: NDArray[np.float64]) -> int:
     """Write the centres of the opaque Gaussians as a point cloud.
+
+    Args:
+        path: the file.
+        gaussians: the map of a run or a subset.
+        origin_m: [3] is added to the centres.
 
     Returns:
         The number of points.
@@ -68,7 +74,8 @@ def write_opaque_points(path: Path, gaussians: GaussianCloud) -> int:
         raise ToolkitError(
             f"cannot write {path}: no Gaussian has an opacity of at least {_MIN_OPACITY}"
         )
-    write_points(path, opaque.means.numpy(), opaque.colours.numpy())
+    points_m = opaque.means.numpy().astype(np.float64) + origin_m
+    write_points(path, points_m, opaque.colours.numpy())
     return len(opaque)
 
 

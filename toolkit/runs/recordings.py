@@ -49,10 +49,11 @@ def _correct_poses(dataset: RecordedDataset) -> None:
     judged = judge_convention(dataset)
     if judged is None or judged.found is None or judged.found.is_ours:
         return
-    assert dataset.ground_truth is not None
+    given = dataset.recording.ground_truth
+    assert given is not None
     _log.info(
         "%s: the given poses are converted, because depth and colour agree if %s",
         dataset.name,
         judged.found,
     )
-    dataset.ground_truth = judged.found.applied(dataset.ground_truth)
+    dataset.use_poses(judged.found.applied(given))

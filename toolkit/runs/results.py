@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit import __version__
-from toolkit.datasets.base import Dataset
+from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.evaluation.frame_costs import FrameCosts
 from toolkit.evaluation.frame_states import (
     frame_states,
@@ -122,6 +122,8 @@ def write_results(
     summary = [*record.findings, *summary_lines(states, parts)]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
+    if settings.poses == "given" and isinstance(dataset, RecordedDataset):
+        frames["origin_m"] = dataset.origin_m.tolist()
     if settings.dataset.path is not None:
         frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
     if pace is not None:
