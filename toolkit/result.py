@@ -222,6 +222,7 @@ class SlamResult:
         parts: numbers of the submaps of each part of the map, the main part first: that of the
             loaded map if a frame was located there, otherwise the part of the most frames.
         other_parts: the other parts, as far as frames were tracked in them.
+        units_per_metre: of the unit of length in which the system worked; see `LengthUnit`.
         keyframe_indices: frame indices of all keyframes of this sequence, in order. A keyframe on
             the boundary of two submaps counts once; those of a loaded map do not count.
         submaps: all submaps by number.
@@ -254,6 +255,7 @@ class SlamResult:
     frame_submaps: list[int] = field(default_factory=list)
     parts: list[tuple[int, ...]] = field(default_factory=list)
     other_parts: list[SeparatePart] = field(default_factory=list)
+    units_per_metre: float = 1.0
 
     @property
     def gaussians(self) -> GaussianCloud:

@@ -20,6 +20,7 @@ from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
+from toolkit.length_unit import LengthUnit
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.mapper import Mapper, MappingResult
@@ -43,6 +44,8 @@ from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
 
+METRE = LengthUnit()
+
 _Part = Recovery | Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
 
 
@@ -61,6 +64,7 @@ class Slam:
         placement: KeyframePlacement | None = None,
         correction: DepthCorrection | None = None,
         start_velocity: NDArray[np.float64] | None = None,
+        unit: LengthUnit = METRE,
     ) -> None:
         """Assemble the system.
 
@@ -77,6 +81,7 @@ class Slam:
                 with the map; None if depth is measured.
             start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling
                 shutter has bent; None if it is not known.
+            unit: in which the parts of the system work; frames and results are in metres.
         """
         self.tracker = tracker
         self.mapper = mapper
@@ -86,7 +91,7 @@ class Slam:
         self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
         self._filter = DepthFilter() if denoise else None
         self._placement, self._correction = placement, correction
-        self._start_velocity = start_velocity
+        self._start_velocity, self.unit = start_velocity, unit
         self._features = FeatureProposals()
         self._path = CameraPath()
         self._between = IntermediateFrames()
@@ -128,7 +133,7 @@ class Slam:
         """
         if self._closer.relocaliser is None or not isinstance(self.tracker, LocatingTracker):
             raise ValueError("loading a map requires loop closure and a tracker that can locate")
-        self.atlas.load_map(submaps)
+        self.atlas.load_map(map(self.unit.submap, submaps))
         self._closer.map_loaded(self.atlas)
 
     def prepare(self, frame: Frame) -> None:
@@ -136,7 +141,7 @@ class Slam:
 
         Another thread may call this while earlier frames are processed (`prefetched`).
         """
-        if self.mapper.device.type == "cpu" or frame.readout_s > 0.0:
+        if self.mapper.device.type == "cpu" or frame.readout_s > 0.0 or not self.unit.is_metre:
             return  # tracking and mapping need all cores; rectification, the frames before
         if self._filter is not None:
             frame = self._filter.prepare(frame)
@@ -153,6 +158,10 @@ class Slam:
         Returns:
             The pose of the frame; without one if its time is not after that of the frame before.
         """
+        return self.unit.frame_result_in_metres(self._processed(self.unit.frame(frame), may_map))
+
+    def _processed(self, frame: Frame, may_map: bool) -> FrameResult:
+        """Track and map a frame, in the unit of the system."""
         if disorder := self._path.disorder(frame):
             self._path.add_lost(frame, disorder, tried=False)
             return FrameResult(frame.index, None, not_tracked(disorder))
@@ -203,7 +212,7 @@ class Slam:
             return FrameResult(frame.index, None, None, dropped=True)
         number, T_map_camera = self._path.last_pose(self.atlas)
         T_world_camera = self.atlas.T_world_submap(number) @ T_map_camera
-        return FrameResult(
+        result = FrameResult(
             frame.index,
             T_map_camera,
             None,
@@ -211,6 +220,7 @@ class Slam:
             dropped=True,
             submap=number,
         )
+        return self.unit.frame_result_in_metres(result)
 
     def defer_work(self) -> DeferredSteps:
         """Defer work that poses do not depend on.
@@ -299,7 +309,7 @@ class Slam:
         doubtful = path.doubtful_frames
         by_part = [frames.of(part, T_part[part[0]], doubtful) for part in parts]
         main, fused = by_part[0], maps[0] if maps else None
-        return SlamResult(
+        result = SlamResult(
             trajectory=main.trajectory,
             frame_indices=main.indices,
             exposures=main.exposures,
@@ -319,6 +329,15 @@ class Slam:
             parts=parts,
             other_parts=separate_parts(parts, by_part, maps, path),
         )
+        return self.unit.result_in_metres(result)
+
+    def store_in_metres(self) -> None:
+        """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
+        if self.unit.is_metre:
+            return
+        for number in range(self.atlas.saved, len(self.atlas)):
+            if number not in self.atlas.unreadable:
+                self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
 
     def _rectified(self, frame: Frame) -> Frame:
         """The frame without the effect of its rolling shutter, from the camera's last motion."""

@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 from toolkit.evaluation.metrics import Metrics
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.geometry.frustum import in_view
+from toolkit.geometry.frustum import in_view, near_plane_m
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.bool_]
 FramePair = tuple[int, int]
 
-_NEAR_M = 0.1
 _CONVENTION = (
     "a true loop: {what} beyond the gap ({frames} frames, {metres:g} m of path), closer than "
     "{tau:g} m{overlap}; precision over accepted candidates, recall over searched keyframes "
@@ -100,12 +99,12 @@ class TrueViews:
         in_others = in_view(
             self.camera,
             _transformed(se3.inverse(T_frame_others), frame_points[None]),
-            _NEAR_M,
+            near_plane_m(self.far_m[others])[:, None],
             self.far_m[others][:, None],
         )
-        in_frame = in_view(
-            self.camera, _transformed(T_frame_others, other_points), _NEAR_M, self.far_m[frame]
-        )
+        far_m = float(self.far_m[frame])
+        near_m = near_plane_m(far_m)
+        in_frame = in_view(self.camera, _transformed(T_frame_others, other_points), near_m, far_m)
         return np.minimum(
             _visible_fraction(in_others, frame_points[None]),
             _visible_fraction(in_frame, other_points),

@@ -19,8 +19,15 @@ Array = NDArray[np.float64]
 
 # With this number of samples the error of an overlap is below 1 %.
 SAMPLES = 2000
+# Near plane: the smaller of these, in metres, and as a share of the far plane.
+NEAR_M, _NEAR = 0.1, 0.1
 # The farthest few percent of a depth image are noise or surfaces behind windows.
 _FAR_PERCENT = 95.0
+
+
+def near_plane_m(far_m: float | Array) -> Array:
+    """Near plane [...] of views with a far plane [...]."""
+    return np.minimum(NEAR_M, _NEAR * np.asarray(far_m))
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,8 @@ class Frustum:
     Attributes:
         camera: intrinsics; the image extends half a pixel beyond the centres of the outer pixels.
         T_world_camera: [4, 4] float64 pose.
-        near_m, far_m: z-depths of the near and far planes, 0 < near < far.
+        near_m, far_m: z-depths of the near and far planes, 0 < near < far. A near plane of
+            NEAR_M is nearer if the far plane is.
 
     Raises:
         ValueError: 0 < near < far does not hold, or the pose is not rigid.
@@ -38,10 +46,12 @@ class Frustum:
 
     camera: Camera
     T_world_camera: Array
-    near_m: float = 0.1
+    near_m: float = NEAR_M
     far_m: float = 4.0
 
     def __post_init__(self) -> None:
+        if self.near_m == NEAR_M:
+            object.__setattr__(self, "near_m", float(near_plane_m(self.far_m)))
         if not 0.0 < self.near_m < self.far_m < np.inf:
             raise ValueError(f"0 < near < far must hold, got {self.near_m} and {self.far_m}")
         if not se3.is_rigid(self.T_world_camera):
@@ -68,13 +78,13 @@ class Frustum:
 
 
 def in_view(
-    camera: Camera, points_m: NDArray, near_m: float, far_m: float | Array
+    camera: Camera, points_m: NDArray, near_m: float | Array, far_m: float | Array
 ) -> NDArray[np.bool_]:
     """Return a mask [...] of the points that project into the image.
 
     Args:
         points_m: [..., 3] in camera coordinates; non-finite points are outside.
-        near_m, far_m: minimum and maximum z-depth; `far_m` may be an array that broadcasts to
+        near_m, far_m: minimum and maximum z-depth; both may be arrays that broadcast to
             the leading axes of the points.
     """
     z = points_m[..., 2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,19 @@ class LoopLog:
         path: log file, created if missing.
         keep_bytes: truncate the file to this size first, its size at a checkpoint; None keeps
             all of it.
+        convert: applied to every record; by default none is changed.
 
     Raises:
         RunFolderError: the file cannot be written or is shorter than `keep_bytes`.
     """
 
-    def __init__(self, path: str | os.PathLike[str], keep_bytes: int | None = None) -> None:
-        self._path = Path(path)
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        keep_bytes: int | None = None,
+        convert: Callable[[Mapping[str, Any]], dict[str, Any]] = dict,
+    ) -> None:
+        self._path, self._convert = Path(path), convert
         try:
             with self._path.open("ab") as stream:
                 self._size = stream.tell()
@@ -49,7 +55,7 @@ class LoopLog:
             ValueError: a value is not valid JSON, for instance NaN or infinity.
             RunFolderError: the file cannot be written.
         """
-        line = (json.dumps(dict(record), allow_nan=False) + "\n").encode()
+        line = (json.dumps(self._convert(record), allow_nan=False) + "\n").encode()
         try:
             with self._path.open("ab") as stream:
                 stream.write(line)

@@ -68,6 +68,11 @@ class FusedMap:
         self._boxes: dict[int, tuple[Array, Array]] = {}
         self._sizes: dict[int, int] = {}
 
+    def converted(self, convert: Callable[[Submap], Submap]) -> FusedMap:
+        """The same map of converted submaps, whose Gaussians must be the same in order."""
+        load = self._submap
+        return FusedMap(lambda number: convert(load(number)), self._kept, self.exposures)
+
     @property
     def numbers(self) -> list[int]:
         """Ascending submap numbers."""

@@ -13,6 +13,7 @@ from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.errors import DatasetError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.length_unit import LengthUnit
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
@@ -54,6 +55,7 @@ def build_slam(
     """
     settings = settings or RunSettings()
     recorder = recorder or StageRecorder()
+    unit = LengthUnit.of(dataset) if settings.depth == "sensor" else LengthUnit()
     labeller = build_run_labeller(settings, dataset)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
     # Centred colours are only valid for the dense tracker: the papers' tracker compares rendered
@@ -79,7 +81,7 @@ def build_slam(
         if settings.loops.use:
             taxonomy = labeller.taxonomy if labeller else None
             context = ClosingContext(settings.seed, settings.backend, mapper.semantics, taxonomy)
-            log = LoopLog(folder.loops) if folder else None
+            log = LoopLog(folder.loops, convert=unit.record_in_metres) if folder else None
             closer = build_loop_closer(settings.loops, context, log, recorder)
         # The papers' tracker is a baseline, whose keyframe poses are not refined.
         use_placement = settings.tracking.kind == "dense" and settings.placement.use
@@ -93,7 +95,8 @@ def build_slam(
             closer,
             settings.denoise,
             placement,
-            start_velocity=None if dataset is None else _start_velocity(dataset),
+            start_velocity=None if dataset is None else _start_velocity(dataset, unit),
+            unit=unit,
         )
     if dataset is None or dataset.ground_truth is None:
         name = "this sequence" if dataset is None else dataset.name
@@ -102,7 +105,7 @@ def build_slam(
     if settings.poses == "slam":
         poses = GuidedTracker(dataset.ground_truth, settings.backend, recorder)
     else:
-        poses = GivenPoses(dataset.ground_truth)
+        poses = GivenPoses(unit.trajectory(dataset.ground_truth))
     return Slam(
         poses,
         mapper,
@@ -111,10 +114,11 @@ def build_slam(
         atlas,
         denoise=settings.denoise,
         correction=correction,
+        unit=unit,
     )
 
 
-def _start_velocity(dataset: Dataset) -> NDArray[np.float64] | None:
+def _start_velocity(dataset: Dataset, unit: LengthUnit) -> NDArray[np.float64] | None:
     """Velocity [6] of a camera with a rolling shutter at the start of a sequence, if known.
 
     It is estimated before any thread reads the dataset.
@@ -122,7 +126,7 @@ def _start_velocity(dataset: Dataset) -> NDArray[np.float64] | None:
     if not isinstance(dataset, RecordedDataset) or dataset.readout_s == 0.0:
         return None
     try:
-        return initial_velocity(dataset[0], dataset[1])
+        return initial_velocity(unit.frame(dataset[0]), unit.frame(dataset[1]))
     except (ToolkitError, IndexError):
         return None  # the file is named when the frame is processed
 

@@ -177,6 +177,7 @@ def _execute(
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
         record = RunRecord(recorder, pace, motion, prior, costs.costs(), findings)
         write_results(result, dataset, folder, settings, record)
+        slam.store_in_metres()
 
 
 def _findings(dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:

@@ -51,6 +51,7 @@ def frame_records(
             for submap in result.submaps
         ],
         "allocation": [verdict.values() for verdict in result.allocation],
+        "units_per_metre": result.units_per_metre,
     }
 
 

@@ -134,7 +134,7 @@ class SnapshotWriter:
     def _state(self, slam: Slam) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Copies of what is shown, named as in checkpoints."""
         mapper, atlas, path = slam.mapper, slam.atlas, slam.camera_path
-        gaussians = mapper.gaussians
+        gaussians, metres = slam.unit.cloud_in_metres(mapper.gaussians), slam.unit.pose_in_metres
         arrays: dict[str, NDArray] = {
             f"mapper/gaussians/{name}": getattr(gaussians, name).cpu().numpy().copy()
             for name in PARAMETERS
@@ -143,15 +143,17 @@ class SnapshotWriter:
         arrays |= {f"mapper/semantics/{name}": np.array(a) for name, a in decoder.items()}
         self._images = {k.index: self._image(k) for k in mapper.keyframes}
         for place, keyframe in enumerate(mapper.keyframes):
-            arrays[f"mapper/keyframes/{place}/T_map_camera"] = keyframe.T_map_camera.copy()
+            arrays[f"mapper/keyframes/{place}/T_map_camera"] = metres(keyframe.T_map_camera).copy()
             arrays[f"mapper/keyframes/{place}/rgb"] = self._images[keyframe.index]
-        arrays["atlas/anchors"] = np.array([atlas.T_world_submap(n) for n in range(len(atlas))])
+        anchors = [metres(atlas.T_world_submap(n)) for n in range(len(atlas))]
+        arrays["atlas/anchors"] = np.array(anchors)
         versions = atlas.stored_versions
         for number in map(int, versions):
             poses = atlas.keyframe_poses(number)
             arrays[f"atlas/indices/{number}"] = np.array(list(poses), np.int64)
-            arrays[f"atlas/poses/{number}"] = np.array(list(poses.values())).reshape(-1, 4, 4)
-        arrays["path/T_keyframe_camera"] = path.T_keyframe_camera
+            stored = np.array(list(poses.values())).reshape(-1, 4, 4)
+            arrays[f"atlas/poses/{number}"] = metres(stored)
+        arrays["path/T_keyframe_camera"] = metres(path.T_keyframe_camera)
         rows, doubts = zip(path.indices, path.keyframes, strict=True), path.doubtful_frames
         keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in mapper.keyframes]
         return arrays, {

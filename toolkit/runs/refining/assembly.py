@@ -87,7 +87,7 @@ def assemble(task: AssemblyTask) -> Assembled:
                     # As stored: the file contains rounded features.
                     decoding = semantics.decode_gaussians(part.features.half().float())
                     labels = splat_labels(decoding, confidence)
-                yield part, labels, number
+                yield source.unit.cloud_in_metres(part), labels, number
 
         folder.write_map(labelled())
         storage.upload(folder.map, storage.join(task.work.out, "map.ply"))

@@ -104,7 +104,8 @@ def _refine(work: Work, frames: dict[str, Any], tasks: Tasks) -> Refined:
     (assembled,) = tasks.map(assemble, [AssemblyTask(work, dict(anchors.T_world_submap))])
     _write(work, frames, anchors, assembled, results)
     verified = sum(not result.reason for result in results)
-    return Refined(len(numbers), len(pairs), verified, anchors.largest_m, assembled.gaussians)
+    largest_m = anchors.largest_m / source.unit.per_metre
+    return Refined(len(numbers), len(pairs), verified, largest_m, assembled.gaussians)
 
 
 def _pairs(work: Work, extents: dict[int, Extent], tasks: Tasks) -> list[Pair]:
@@ -129,9 +130,11 @@ def _write(
     """Write all files but the map."""
     source, out = work.source, work.out
     trajectory = storage.read_bytes(storage.join(source.place, "trajectory.txt"))
-    text, frames = moved_frames(
-        trajectory, frames, source.anchors, anchors.T_world_submap, assembled.exposures
+    T_old, T_new = (
+        {number: source.unit.pose_in_metres(T) for number, T in poses.items()}
+        for poses in (source.anchors, anchors.T_world_submap)
     )
+    text, frames = moved_frames(trajectory, frames, T_old, T_new, assembled.exposures)
     storage.write_bytes(storage.join(out, "trajectory.txt"), text)
     storage.write_bytes(storage.join(out, "frames.json"), _json(frames))
     for name in ("taxonomy.yaml", "loops.jsonl"):
@@ -159,7 +162,7 @@ def _report(work: Work, anchors: Anchors, results: list[PairResult]) -> dict[str
         "run": work.source.place,
         "threads": work.threads,
         "iterations": work.iterations,
-        "largest_correction_m": anchors.largest_m,
+        "largest_correction_m": anchors.largest_m / work.source.unit.per_metre,
         "pairs": [
             {
                 "first": r.first,

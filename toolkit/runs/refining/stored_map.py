@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,6 +17,7 @@ from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.geometry import se3
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
+from toolkit.length_unit import LengthUnit
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.settings import RunSettings, load_settings
@@ -38,9 +39,11 @@ class StoredMap:
         place: run folder, a path or a URL.
         settings: settings of the run.
         taxonomy: taxonomy of the labels, or None.
-        anchors: T_world_submap [4, 4] at the end of the run, by number; of the main part only.
+        anchors: T_world_submap [4, 4] at the end of the run, by number; of the main part only, and
+            in `unit`.
         versions: version of each submap's folder.
         decoder: place of the decoder's state, or None without semantics.
+        unit: of length, in which the tasks work; files are in metres.
     """
 
     place: str
@@ -49,9 +52,10 @@ class StoredMap:
     anchors: Mapping[int, Array]
     versions: Mapping[int, int]
     decoder: str | None = None
+    unit: LengthUnit = field(default_factory=LengthUnit)
 
     def submap(self, number: int) -> Submap:
-        """Read a submap; its anchor has the pose in `anchors`.
+        """Read a submap in `unit`; its anchor has the pose in `anchors`.
 
         Raises:
             ToolkitError: it is missing or damaged.
@@ -59,7 +63,7 @@ class StoredMap:
         name = f"{number:04d}_{self.versions[number]}"
         tree = storage.read_tree(storage.join(self.place, "submaps", name))
         try:
-            submap = Submap.from_state(tree.arrays, tree.metadata)
+            submap = self.unit.submap(Submap.from_state(tree.arrays, tree.metadata))
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(
                 f"submap {name} of {self.place} is damaged ({error!r}); run again"
@@ -103,13 +107,14 @@ def open_stored_map(place: str) -> tuple[StoredMap, dict[str, Any]]:
         if storage.names_in(storage.join(place, "semantics")):
             taxonomy = Taxonomy.load(_fetched(place, "taxonomy.yaml", folder))
     frames = read_json(storage.join(place, "frames.json"))
-    anchors = _anchors(place, frames)
+    unit = _unit(place, frames)
+    anchors = {number: unit.pose(T) for number, T in _anchors(place, frames).items()}
     versions = _versions(place)
     missing = [number for number in anchors if number not in versions]
     if missing or not anchors:
         raise RunFolderError(f"submaps are missing in {place}/submaps; run again")
     _check_refinable(place, settings, taxonomy)
-    return StoredMap(place, settings, taxonomy, anchors, versions), frames
+    return StoredMap(place, settings, taxonomy, anchors, versions, unit=unit), frames
 
 
 def read_json(place: str) -> dict[str, Any]:
@@ -143,6 +148,14 @@ def _fetched(place: str, name: str, folder: str) -> Path:
     path = Path(folder) / name
     path.write_bytes(storage.read_bytes(storage.join(place, name)))
     return path
+
+
+def _unit(place: str, frames: dict[str, Any]) -> LengthUnit:
+    """The unit in which the run worked; metres in runs of older versions."""
+    per_metre = frames.get("units_per_metre", 1.0)
+    if not isinstance(per_metre, float | int) or not 0.0 < per_metre < float("inf"):
+        raise FormatError(f"{place}/frames.json: units_per_metre must be positive; run again")
+    return LengthUnit(float(per_metre))
 
 
 def _anchors(place: str, frames: dict[str, Any]) -> dict[int, Array]:

@@ -190,7 +190,7 @@ def refine_submap(task: SubmapTask) -> int:
     content = mapper.content
     submap.gaussians, submap.keyframes = content.gaussians, content.keyframes
     submap.seeded_by, submap.steps = content.seeded_by, content.steps
-    arrays, values = submap.state()
+    arrays, values = work.source.unit.submap_in_metres(submap).state()
     storage.write_tree(refined_place(work.out, task.number), arrays, values)
     return len(submap.gaussians)
 
