@@ -10,17 +10,15 @@ from __future__ import annotations
 import json
 import sys
 import time
-from pathlib import Path
 
 import toolkit
 
 
 def main() -> None:
-    """Serve the requests of standard input for the settings and the dataset of the arguments."""
-    settings = toolkit.load_settings(Path(sys.argv[1]))
-    kind, path, image_size = json.loads(sys.argv[2])
+    """Serve the requests of standard input for a dataset, with default settings."""
+    kind, path, image_size = json.loads(sys.argv[1])
     dataset = toolkit.open_dataset(kind, path, image_size and tuple(image_size))
-    slam = toolkit.build_slam(dataset, settings)
+    slam = toolkit.build_slam(dataset, toolkit.RunSettings())
     _answer(len(dataset))
     for index, request in enumerate(sys.stdin):
         if request.strip() == "finish":
