@@ -15,6 +15,7 @@ from test_finished_run_programs import one_line_of_error
 from toolkit.cli.main import main
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
+from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 
@@ -156,3 +157,30 @@ def test_what_needs_depth_is_refused(recording, tmp_path, capsys, words):
     line = one_line_of_error(capsys)
     assert words[0] in line
     assert "needs depth images" in line
+
+
+def test_without_a_known_length_no_output_states_metres(run, tmp_path, capsys, caplog):
+    frames = json.loads((run / "frames.json").read_text())
+    assert frames["metric"] is False
+    report = (run / "report.html").read_text()
+    assert "first camera, units" in report and "first camera, m<" not in report
+    assert report.count("lengths are in arbitrary units") == 1
+    assert "lengths are in arbitrary units" in (run / "log.txt").read_text()
+    assert main(["export", str(run), "--to", str(tmp_path / "map.ply")]) == 0
+    assert "map.ply: lengths are in arbitrary units" in caplog.text
+    assert b"comment lengths are in arbitrary units" in (tmp_path / "map.ply").read_bytes()
+    assert main(["export", str(run), "--to", str(tmp_path / "map.gltf")]) == 0
+    tree = json.loads((tmp_path / "map.gltf").read_text())
+    assert tree["nodes"][0]["extras"]["metric"] is False
+    if (run / "taxonomy.yaml").exists():
+        capsys.readouterr()
+        assert main(["query", str(run), "object"]) == 0
+        text = capsys.readouterr().out
+        assert "size (units)" in text and "(m)" not in text and "(m2)" not in text
+
+
+def test_names_of_lengths():
+    metric, arbitrary = LengthNames(), LengthNames(metric=False)
+    assert (metric.length, metric.area, metric.notes) == ("m", "m2", ())
+    assert (arbitrary.length, arbitrary.area) == ("units", "square units")
+    assert len(arbitrary.notes) == 1

@@ -35,6 +35,8 @@ def main(options: ExportOptions) -> int:
             format needs, or the file cannot be written.
     """
     selection = select(options.run, options.keep, options.drop)
+    for note in selection.run.length_names.notes:
+        _log.warning("%s: %s", options.to, note)
     content = _WRITERS[options.kind](options, selection)
     print(f"wrote {content} to {options.to}")
     return 0
@@ -42,7 +44,8 @@ def main(options: ExportOptions) -> int:
 
 def _splats(options: ExportOptions, selection: Selection) -> str:
     columns = None if selection.labels is None else selection.labels.columns()
-    export_splats(options.to, selection.gaussians, columns, _left_origin(options, selection))
+    comments = [*_left_origin(options, selection), *selection.run.length_names.notes]
+    export_splats(options.to, selection.gaussians, columns, comments)
     return f"{len(selection.gaussians)} Gaussians"
 
 

@@ -12,6 +12,7 @@ import torch
 
 from toolkit.cli.programs import QueryProgram
 from toolkit.io.atomic import write_bytes
+from toolkit.io.length_names import LengthNames
 from toolkit.io.meshes import write_mesh
 from toolkit.runs.labelled import LabelledRun, load_labelled_run
 from toolkit.runs.meshing import MeshOptions, part_mesh, write_opaque_points
@@ -19,11 +20,6 @@ from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
 
 _log = logging.getLogger(__name__)
-
-_HEADINGS = (
-    *("", "class", "Gaussians", "confidence"),
-    *("size (m)", "position (m)", "distance (m)", "floor area (m2)"),
-)
 
 
 def main(options: QueryProgram) -> int:
@@ -39,7 +35,8 @@ def main(options: QueryProgram) -> int:
     labelled = load_labelled_run(options.run)
     selected = labelled.select(options.nodes, options.min_confidence)
     reader = _reader(options, labelled)
-    print("\n".join(_output_lines(options, reader)))
+    names = labelled.run.length_names
+    print("\n".join(_output_lines(options, reader, names)))
 
     gaussians = labelled.run.gaussians.select(torch.from_numpy(selected))
     # Logged to stderr: stdout may be JSON for another program.
@@ -52,7 +49,10 @@ def main(options: QueryProgram) -> int:
         write_mesh(options.mesh, mesh, labelled.run.origin_m)
         _log.info("Wrote %s to %s.", mesh, options.mesh)
     if options.summary:
-        write_bytes(options.summary, (_json(reader.summary()) + "\n").encode())
+        write_bytes(
+            options.summary,
+            (_json({"metric": labelled.run.metric, **reader.summary()}) + "\n").encode(),
+        )
         _log.info("Wrote the scene to %s.", options.summary)
     return 0
 
@@ -69,7 +69,7 @@ def _reader(options: QueryProgram, labelled: LabelledRun) -> SceneReader:
     )
 
 
-def _output_lines(options: QueryProgram, reader: SceneReader) -> Iterator[str]:
+def _output_lines(options: QueryProgram, reader: SceneReader, names: LengthNames) -> Iterator[str]:
     """Yield the lines to print."""
     if not options.nodes:
         tree = reader.tree()
@@ -80,7 +80,8 @@ def _output_lines(options: QueryProgram, reader: SceneReader) -> Iterator[str]:
         yield _json(answers)
         return
     for answer in answers:
-        yield from _answer_lines(answer)
+        yield from _answer_lines(answer, names)
+    yield from (f"Note: {note}." for note in names.notes)
     if reader.ground is None:
         yield "No floor was found: bounding boxes are not aligned with the vertical."
 
@@ -99,17 +100,23 @@ def _tree_rows(nodes: list[dict[str, Any]], indent: str) -> Iterator[tuple[str, 
         yield from _tree_rows(node["children"], indent + "  ")
 
 
-def _answer_lines(answer: dict[str, Any]) -> Iterator[str]:
+def _answer_lines(answer: dict[str, Any], names: LengthNames) -> Iterator[str]:
     objects = answer["objects"]
     area = answer["floor_area_m2"]
-    floor = "" if area is None else f", {area:.2f} m2 of floor area"
+    floor = "" if area is None else f", {area:.2f} {names.area} of floor area"
     yield (
         f"{' > '.join(answer['path'])}: {answer['gaussians']} Gaussians, "
         f"confidence {100.0 * answer['confidence']:.0f} %, {len(objects)} object(s){floor}"
     )
-    rows = [_HEADINGS, *(_row(number, item) for number, item in enumerate(objects, start=1))]
+    length = names.length
+    headings = (
+        *("", "class", "Gaussians", "confidence"),
+        *(f"size ({length})", f"position ({length})", f"distance ({length})"),
+        f"floor area ({names.area})",
+    )
+    rows = [headings, *(_row(number, item) for number, item in enumerate(objects, start=1))]
     if objects:
-        widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(headings))]
         for row in rows:
             cells = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
             cells[1] = f"{row[1]:<{widths[1]}}"

@@ -23,6 +23,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.pose_splines import pose_spline, thinned
 from toolkit.io.atomic import cannot_write
 from toolkit.io.images import write_png
+from toolkit.io.length_names import METRES, LengthNames
 from toolkit.io.splats import SUFFIXES
 from toolkit.io.trajectories import read_tum
 from toolkit.io.video_writing import write_video
@@ -111,6 +112,7 @@ def main(options: RenderProgram) -> int:
     inputs = _InputImages.open(options, map_.run, camera)
     views = _views(options, map_, camera)[:: options.every]
     out = _create_output_folder(options)
+    names = METRES if map_.run is None else map_.run.length_names
 
     step = max(1, len(views) // _SPAN_VIEWS)
     span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
@@ -118,7 +120,7 @@ def main(options: RenderProgram) -> int:
         rendered = _render(map_, camera, view)
         observed = inputs.rgb(view) if inputs else None
         images: dict[str, RgbImage] = {
-            kind: _image_of(kind, rendered, span, observed)
+            kind: _image_of(kind, rendered, span, observed, names)
             for kind in options.what
             if kind not in SEMANTIC_IMAGES
         }
@@ -141,12 +143,13 @@ def _write_video(
     step = max(1, count // _SPAN_VIEWS)
     span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
     kind = options.what[0]
+    names = METRES if map_.run is None else map_.run.length_names
 
     def images() -> Iterator[RgbImage]:
         for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
             rendered = _render(map_, camera, view)
             if palette is None or rendered.nodes is None:
-                yield _image_of(kind, rendered, span, None)
+                yield _image_of(kind, rendered, span, None, names)
             elif kind == "labels":
                 yield palette.class_image(rendered.nodes[-1])
             else:
@@ -307,12 +310,17 @@ def _label_images(
 
 
 def _image_of(
-    kind: str, rendered: _RenderedView, span: DepthSpan, observed: NDArray[np.float32] | None
+    kind: str,
+    rendered: _RenderedView,
+    span: DepthSpan,
+    observed: NDArray[np.float32] | None,
+    names: LengthNames,
 ) -> RgbImage:
     if kind == "colour":
         return colour_image(rendered.rgb)
     if kind == "depth":
-        return with_depth_scale(depth_image(rendered.depth_m, span), span)
+        return with_depth_scale(depth_image(rendered.depth_m, span), span, names)
     if kind == "silhouette":
         return silhouette_image(rendered.silhouette)
-    return view_strip(rendered.rgb, rendered.depth_m, rendered.silhouette, observed, span)
+    strip = (rendered.rgb, rendered.depth_m, rendered.silhouette)
+    return view_strip(*strip, observed, span, names)

@@ -31,6 +31,7 @@ from toolkit.evaluation.trajectory import (
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
+from toolkit.io.length_names import METRES, LengthNames
 from toolkit.io.visualisation import DepthSpan, LegendEntry, colour_image, depth_image
 from toolkit.semantics.floor_plan import ClassArea
 
@@ -136,6 +137,7 @@ class ReportContent:
         stage_times: times by stage, sorted by decreasing total time.
         settings: the settings as YAML.
         warnings: warnings of one line each.
+        names: of lengths.
         machine: description of the software and machine.
         delays: delays of a run in real time; None for other runs.
         floor_plan: the map from above; None without labels or without a floor.
@@ -156,6 +158,7 @@ class ReportContent:
     stage_times: Sequence[StageTime] = ()
     settings: str = ""
     warnings: Sequence[str] = field(default_factory=tuple)
+    names: LengthNames = METRES
     machine: str = ""
     delays: DelaySeries | None = None
     floor_plan: ReportFloorPlan | None = None
@@ -233,7 +236,12 @@ def _trajectory_chart(content: ReportContent, error: AbsoluteTrajectoryError | N
     series.append(Series(estimate_m, "estimate", "estimate"))
     series.append(Series(estimate_m[:1], "start", "start"))
     return line_chart(
-        series, Axes("right of the first camera, m", "in front of the first camera, m", equal=True)
+        series,
+        Axes(
+            f"right of the first camera, {content.names.length}",
+            f"in front of the first camera, {content.names.length}",
+            equal=True,
+        ),
     )
 
 

@@ -25,5 +25,5 @@ def export_floor_plan(path: Path, selection: Selection, floor: Sequence[str] = (
     cameras_m = selection.run.trajectory.positions_m
     radii_m = opaque.gaussians.radii_m.numpy().astype(float)
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    write_png(path, draw_floor_plan(plan, palette))
+    write_png(path, draw_floor_plan(plan, palette, names=selection.run.length_names))
     return plan

@@ -68,7 +68,8 @@ def scene_graph(
         "directed": True,
         "multigraph": True,
         "graph": {
-            "frame": "map of the run, metres",
+            "frame": f"map of the run, {'metres' if selection.run.metric else 'arbitrary units'}",
+            "metric": selection.run.metric,
             "map_origin_m": selection.run.origin_m.tolist(),
             "up": ground.up.round(6).tolist(),
             "floor_height_m": round(ground.height_m, 4),

@@ -51,7 +51,8 @@ def export_gltf(
     fuse = part_mesh if selection.partial else surface_mesh
     mesh = fuse(selection.run, selection.gaussians, options)
     T_gltf_map = gltf_from_map(ground_of(selection.run, floor)) @ selection.run.T_given_map
-    write_gltf(path, _parts(mesh, selection), T_gltf_map, {"T_gltf_map": T_gltf_map.tolist()})
+    extras = {"T_gltf_map": T_gltf_map.tolist(), "metric": selection.run.metric}
+    write_gltf(path, _parts(mesh, selection), T_gltf_map, extras)
     return mesh
 
 

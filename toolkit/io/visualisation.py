@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.io.length_names import METRES, LengthNames
+
 RgbImage = NDArray[np.uint8]
 
 # Differs from every colour of the depth scale, so that holes are not mistaken for surfaces.
@@ -94,8 +96,8 @@ def silhouette_image(silhouette: NDArray[np.floating]) -> RgbImage:
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 
-def with_depth_scale(image: RgbImage, span: DepthSpan) -> RgbImage:
-    """Append a scale bar in metres to the right of a depth image."""
+def with_depth_scale(image: RgbImage, span: DepthSpan, names: LengthNames = METRES) -> RgbImage:
+    """Append a scale bar to the right of a depth image."""
     height = image.shape[0]
     scale = _font_scale(height)
     text_height = round(_FONT_HEIGHT * scale)
@@ -104,7 +106,7 @@ def with_depth_scale(image: RgbImage, span: DepthSpan) -> RgbImage:
     step = ticks[1] - ticks[0] if len(ticks) > 1 else span.far_m - span.near_m
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     labels = [f"{tick:.{decimals}f}" for tick in ticks]
-    labels[-1] += " m"
+    labels[-1] += f" {names.length}"
     text_width = max(_text_size(label, scale)[0] for label in labels)
     side = np.full((height, 2 * gap + bar + gap + text_width, 3), _PAPER, np.uint8)
 
@@ -200,6 +202,7 @@ def view_strip(
     silhouette: NDArray[np.floating],
     observed: NDArray[np.floating] | None = None,
     span: DepthSpan | None = None,
+    names: LengthNames = METRES,
 ) -> RgbImage:
     """Show a rendered view as a strip: input (if given), render, depth, silhouette.
 
@@ -209,10 +212,11 @@ def view_strip(
         silhouette: [H, W] in [0, 1].
         observed: input colour image [H, W, 3].
         span: depth range of the colour map; by default the range of this view.
+        names: of lengths.
     """
     span = span or DepthSpan.of([depth_m])
     panels = [] if observed is None else [Panel("input", colour_image(observed))]
-    depth = with_depth_scale(depth_image(depth_m, span), span)
+    depth = with_depth_scale(depth_image(depth_m, span), span, names)
     panels += [
         Panel("render", colour_image(rgb)),
         Panel("depth", depth),

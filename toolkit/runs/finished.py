@@ -20,6 +20,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.length_names import LengthNames
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
@@ -50,6 +51,7 @@ class FinishedRun:
         dataset_from_run: path of the dataset relative to the run folder, or None.
         states: states of all frames of the sequence, in order.
         parts: parts of the map, the main part first; the relative poses of parts are unknown.
+        metric: whether lengths are in metres; otherwise their unit is arbitrary.
         origin_m: [3] position of the map's origin in the coordinates of the given poses; 0 unless
             these are far away.
     """
@@ -67,6 +69,7 @@ class FinishedRun:
     dataset_from_run: str | None = None
     states: list[FrameState] = field(default_factory=list)
     parts: list[PartSummary] = field(default_factory=list)
+    metric: bool = True
     origin_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     @property
@@ -99,6 +102,11 @@ class FinishedRun:
         times = np.array([frame.timestamp_s for frame in self.tracked])
         poses = np.array([frame.T_map_camera for frame in self.tracked]).reshape(-1, 4, 4)
         return Trajectory(times, poses)
+
+    @property
+    def length_names(self) -> LengthNames:
+        """How lengths of the map are written."""
+        return LengthNames(self.metric)
 
     @property
     def T_given_map(self) -> NDArray[np.float64]:
@@ -196,6 +204,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             dataset_from_run=content.get("dataset_from_run"),
             states=read_states(content),
             parts=read_parts(content),
+            metric=bool(content.get("metric", True)),
             origin_m=np.array(content.get("origin_m", [0, 0, 0]), np.float64).reshape(3),
         )
     except (KeyError, TypeError, ValueError, SettingsError) as error:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.evaluation.report import ReportFloorPlan
+from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import read_splats
 from toolkit.semantics.floor_plan import draw_floor_plan, floor_plan
 from toolkit.semantics.palette import Palette
@@ -19,7 +20,7 @@ _MIN_OPACITY = 0.5
 
 
 def report_floor_plan(
-    file: Path, taxonomy: Taxonomy, cameras_m: NDArray[np.float64]
+    file: Path, taxonomy: Taxonomy, cameras_m: NDArray[np.float64], names: LengthNames
 ) -> ReportFloorPlan | None:
     """Draw the floor plan of a labelled map.
 
@@ -27,6 +28,7 @@ def report_floor_plan(
         file: the splats of the map with labels.
         taxonomy: taxonomy of the labels.
         cameras_m: [P, 3] positions of the camera in the frame of the map.
+        names: of lengths.
 
     Returns:
         The floor plan, None if the map has no labels or no floor was found.
@@ -43,4 +45,4 @@ def report_floor_plan(
     palette = Palette(taxonomy)
     radii_m = np.exp(splats.log_radii[opaque]).astype(np.float64)
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    return ReportFloorPlan(draw_floor_plan(plan, palette, legend=False), plan.areas)
+    return ReportFloorPlan(draw_floor_plan(plan, palette, legend=False, names=names), plan.areas)

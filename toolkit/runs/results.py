@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,6 +38,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import write_bytes
 from toolkit.io.images import write_rgb
+from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import view_strip
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
@@ -122,10 +124,9 @@ def write_results(
     summary = [*record.findings, *summary_lines(states, parts)]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
-    if settings.poses == "given" and isinstance(dataset, RecordedDataset):
-        frames["origin_m"] = dataset.origin_m.tolist()
-    if settings.dataset.path is not None:
-        frames["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
+    names = LengthNames(motion is None or motion.metric_scale is not None)
+    summary.extend(names.notes)
+    frames |= {"metric": names.metric, **_origins(dataset, folder, settings)}
     if pace is not None:
         frames["dropped"] = result.dropped_frames
         write_bytes(folder.delays, pace.csv().encode())
@@ -148,13 +149,13 @@ def write_results(
     metrics |= {} if record.prior is None else record.prior.metrics()
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
-    views = _render_views(final, tracked, dataset, folder)
+    views = _render_views(final, tracked, dataset, folder, names)
     report = _report(result, dataset, settings, metrics, views, recorder)
     if pace is not None:
         report = replace(report, delays=_delay_series(pace))
     if result.taxonomy is not None and len(scene):
         cameras_m = result.trajectory.positions_m
-        plan = report_floor_plan(folder.map, result.taxonomy, cameras_m)
+        plan = report_floor_plan(folder.map, result.taxonomy, cameras_m, names)
         report = replace(report, floor_plan=plan)
     report = replace(
         report,
@@ -163,11 +164,22 @@ def write_results(
         costs=record.costs,
         states=states,
         warnings=[*summary, *report.warnings],
+        names=names,
     )
     write_report(folder.report, report)
     for line in summary:
         _log.warning("%s", line)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
+
+
+def _origins(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> dict[str, Any]:
+    """Where the frames are from, and what their given poses are relative to."""
+    origins: dict[str, Any] = {}
+    if settings.poses == "given" and isinstance(dataset, RecordedDataset):
+        origins["origin_m"] = dataset.origin_m.tolist()
+    if settings.dataset.path is not None:
+        origins["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
+    return origins
 
 
 def write_motion_alone(motion: CameraMotion, folder: RunFolder) -> None:
@@ -230,7 +242,11 @@ class _FinalMap:
 
 
 def _render_views(
-    final: _FinalMap, tracked: list[TrackedFrame], dataset: Dataset, folder: RunFolder
+    final: _FinalMap,
+    tracked: list[TrackedFrame],
+    dataset: Dataset,
+    folder: RunFolder,
+    names: LengthNames,
 ) -> list[ReportView]:
     """Render evenly spaced views: images in `renders/`, and the views of the report."""
     views = []
@@ -246,7 +262,7 @@ def _render_views(
         depth_m, silhouette = rendered.depth_m.numpy(), rendered.output.silhouette.numpy()
         name = f"frame{view.index:06d}"
         write_rgb(folder.renders / f"{name}.png", colour)
-        picture = view_strip(colour, depth_m, silhouette, frame.rgb)
+        picture = view_strip(colour, depth_m, silhouette, frame.rgb, names=names)
         write_rgb(folder.renders / f"{name}_strip.png", picture.astype(np.float32) / 255.0)
         levels: list[LevelImage] = []
         if palette is not None:

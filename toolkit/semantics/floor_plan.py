@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.io.length_names import METRES, LengthNames
 from toolkit.io.visualisation import LegendEntry, RgbImage, with_legend
 from toolkit.semantics.boxes import Ground, floor_area_m2, oriented_box
 from toolkit.semantics.palette import Palette
@@ -133,11 +134,14 @@ def _areas(
     return sorted(areas, key=lambda area: -area.area_m2)
 
 
-def draw_floor_plan(plan: FloorPlan, palette: Palette, legend: bool = True) -> RgbImage:
+def draw_floor_plan(
+    plan: FloorPlan, palette: Palette, legend: bool = True, names: LengthNames = METRES
+) -> RgbImage:
     """Return the picture of a floor plan: classes, camera path and scale.
 
     Args:
         legend: append the classes with their areas.
+        names: of lengths.
     """
     colours = np.concatenate([palette.classes, np.array([_BACKGROUND], np.uint8)])
     colours[VOID] = (150, 156, 164)
@@ -148,17 +152,16 @@ def draw_floor_plan(plan: FloorPlan, palette: Palette, legend: bool = True) -> R
         points = np.rint(factor * plan.path).astype(np.int32)
         cv2.polylines(image, [points], False, (255, 255, 255), 3, cv2.LINE_AA)
         cv2.polylines(image, [points], False, _INK, 1, cv2.LINE_AA)
-    _draw_scale(image, factor / plan.pixel_m)
+    _draw_scale(image, factor / plan.pixel_m, names)
     if not legend:
         return image
-    entries = [LegendEntry(f"{a.name} {a.area_m2:.2f} m2", a.colour) for a in plan.areas]
+    entries = [LegendEntry(f"{a.name} {a.area_m2:.2f} {names.area}", a.colour) for a in plan.areas]
     return with_legend(image, entries)
 
 
-def _draw_scale(image: RgbImage, pixels_per_m: float) -> None:
-    """Draw a bar of one metre in the lower left corner."""
+def _draw_scale(image: RgbImage, pixels_per_m: float, names: LengthNames) -> None:
+    """Draw a bar of one metre or unit in the lower left corner."""
     length, bottom = round(pixels_per_m), image.shape[0] - 8
     cv2.line(image, (8, bottom), (8 + length, bottom), _INK, 2)
-    cv2.putText(
-        image, "1 m", (12, bottom - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA
-    )
+    text = f"1 {names.length.removesuffix('s')}"
+    cv2.putText(image, text, (12, bottom - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)

@@ -87,6 +87,7 @@ def _header(scene: ViewerScene) -> dict[str, Any]:
             for loop in scene.loops
         ],
         "notes": list(scene.notes),
+        "length": scene.length,
         "palette": {
             "unknown": UNKNOWN_RGB,
             "measured": MEASURED_RGB,

@@ -76,7 +76,8 @@ def run_scene(selection: Selection, content: ShownContent) -> ViewerScene:
         loops=loops_between(
             run.folder.loops, {f.index: f.T_map_camera[:3, 3] for f in run.tracked}
         ),
-        notes=tuple(summary_lines(run.states, run.parts)),
+        notes=(*summary_lines(run.states, run.parts), *run.length_names.notes),
+        length=run.length_names.length,
     )
 
 

@@ -196,7 +196,8 @@ class ViewerScene:
         keyframes: keyframes.
         camera: intrinsics of the keyframes, for their frusta; None for a splat file.
         loops: verified loops.
-        notes: lines about lost and doubtful frames and separate parts of the map.
+        notes: lines about lost and doubtful frames, separate parts of the map and its unit.
+        length: name of the unit of length.
     """
 
     title: str
@@ -210,6 +211,7 @@ class ViewerScene:
     camera: Camera | None = None
     loops: tuple[ShownLoop, ...] = ()
     notes: tuple[str, ...] = ()
+    length: str = "m"
 
     def __str__(self) -> str:
         return f"{len(self.splats)} of {self.total} Gaussians, {len(self.keyframes)} keyframes"

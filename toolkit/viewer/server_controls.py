@@ -168,7 +168,9 @@ def describe(scene: ViewerScene, splat: int) -> str:
         rows.append(("depth", "inferred" if splats.inferred[splat] else "measured"))
     if splats.submap is not None:
         rows.append(("submap", str(splats.submap[splat])))
-    rows.append(("position", " ".join(f"{v:.2f}" for v in splats.means_m[splat]) + " m"))
+    rows.append(
+        ("position", " ".join(f"{v:.2f}" for v in splats.means_m[splat]) + f" {scene.length}")
+    )
     return "  \n".join(f"**{name}** {value}" for name, value in rows)
 
 

@@ -180,7 +180,7 @@ class Panel {
     section.hidden = !found;
     if (!found) return;
     byId("help").hidden = true;
-    const rows = [["position", `${found.position.map((v) => v.toFixed(2)).join("  ")} m`]];
+    const rows = [["position", `${found.position.map((v) => v.toFixed(2)).join("  ")} ${this.scene.length}`]];
     if (found.submap !== null) rows.unshift(["submap", String(found.submap)]);
     if (found.inferred !== null) rows.unshift(["depth", found.inferred ? "inferred" : "measured"]);
     if (found.confidence !== null) rows.unshift(["confidence", `${Math.round(100 * found.confidence)} %`]);

@@ -1,0 +1,39 @@
+"""Names of lengths in what people read: metres, or units if the scale of a map is not known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class LengthNames:
+    """How lengths are written.
+
+    Attributes:
+        metric: whether lengths are metres; those of a camera without a known length are not.
+    """
+
+    metric: bool = True
+
+    @property
+    def length(self) -> str:
+        """Name of the unit of length."""
+        return "m" if self.metric else "units"
+
+    @property
+    def area(self) -> str:
+        """Name of the unit of area."""
+        return "m2" if self.metric else "square units"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One line that explains arbitrary units; none for metres."""
+        if self.metric:
+            return ()
+        return (
+            "lengths are in arbitrary units, because no length in the sequence is known; state one "
+            "with --scale",
+        )
+
+
+METRES = LengthNames()
