@@ -7,6 +7,7 @@ import torch
 from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io import splats
+from toolkit.runs.folder import read_cloud
 
 
 @pytest.fixture
@@ -115,3 +116,48 @@ def test_empty_map_and_columns_of_wrong_length_raise(tmp_path, cloud):
     with pytest.raises(ValueError, match=r"label must have shape \[50\]"):
         splats.write_splat_ply(tmp_path / "map.ply", cloud, {"label": np.zeros(3, int)})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_spz_has_either_axes(tmp_path, cloud):
+    splats.export_splats(tmp_path / "map.spz", cloud)
+    specified = splats.read_splats(tmp_path / "map.spz").means
+    np.testing.assert_allclose(specified, cloud.means.numpy(), atol=1e-3)
+    turned = splats.read_splats(tmp_path / "map.spz", "as-ply").means
+    np.testing.assert_allclose(turned, specified * [1, -1, -1], atol=1e-6)
+
+
+def test_foreign_formats_are_named(tmp_path):
+    for name in ("map.ksplat", "map.sog", "notes.txt"):
+        (tmp_path / name).write_bytes(b"x")
+        with pytest.raises(FormatError, match=r"is not supported; convert it to \.ply"):
+            splats.is_splat_file(tmp_path / name)
+    (tmp_path / "run.ply").mkdir()
+    assert not splats.is_splat_file(tmp_path / "run.ply")
+    assert not splats.is_splat_file(tmp_path / "run")
+    assert splats.is_splat_file(tmp_path / "MAP.PLY")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"NGSP\2\0\0\0" + bytes(24), "version 2 must be compressed"),
+        (b"PK\3\4" + bytes(28), "is not a .spz file"),
+    ],
+)
+def test_spz_that_cannot_be_read_is_explained(tmp_path, content, words):
+    (tmp_path / "map.spz").write_bytes(content)
+    with pytest.raises(FormatError, match=words):
+        splats.read_splats(tmp_path / "map.spz")
+
+
+def test_anisotropic_splats_are_not_rendered_as_spheres(tmp_path, cloud):
+    """Three axes of different length; `read_cloud` is what renders and Open3D scripts use."""
+    splats.write_splat_ply(tmp_path / "map.ply", cloud)
+    header, end, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
+    names = [line.split()[2].decode() for line in header.splitlines() if b"property" in line]
+    rows = np.frombuffer(body, np.float32).reshape(len(cloud), len(names)).copy()
+    rows[:, names.index("scale_0")] += 1.0
+    (tmp_path / "map.ply").write_bytes(header + end + rows.tobytes())
+    assert splats.read_splats(tmp_path / "map.ply").shapes is not None
+    with pytest.raises(FormatError, match="show it with semsplat view"):
+        read_cloud(tmp_path / "map.ply")

@@ -24,7 +24,7 @@ from toolkit.geometry.pose_splines import pose_spline, thinned
 from toolkit.io.atomic import cannot_write
 from toolkit.io.images import write_png
 from toolkit.io.length_names import METRES, LengthNames
-from toolkit.io.splats import SUFFIXES
+from toolkit.io.splats import SUFFIXES, is_splat_file
 from toolkit.io.trajectories import read_tum
 from toolkit.io.video_writing import write_video
 from toolkit.io.visualisation import (
@@ -178,8 +178,8 @@ def _knots(options: RenderProgram, map_: _Map, camera: Camera) -> NDArray[np.flo
 
 def _load(options: RenderProgram) -> _Map:
     path, labels = options.map, bool(SEMANTIC_IMAGES & set(options.what))
-    if path.suffix in SUFFIXES and not path.is_dir():
-        return _Map(read_cloud(path), None, "auto")
+    if is_splat_file(path):
+        return _Map(read_cloud(path, options.spz_axes), None, "auto")
     if not path.exists():
         raise DatasetError(
             f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"

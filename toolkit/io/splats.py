@@ -7,12 +7,11 @@ stores linear scales in memory and writes their logarithm.
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,12 @@ from toolkit.io.splat_shapes import relative_covariances
 PathLike = str | os.PathLike[str]
 
 SUFFIXES = (".ply", ".splat", ".spz")
+# Other formats of splats, which are not read.
+FOREIGN_SUFFIXES = (".ksplat", ".sog", ".lcc", ".rad", ".splatv", ".glb", ".gltf", ".usdz")
+# A .spz file has the axes of its specification (x right, y up, z backward), or those of the .ply
+# file that some programs have written it from without converting it.
+SpzAxes = Literal["specified", "as-ply"]
+_SPZ_MAGIC, _FIRST_UNPACKED_SPZ = b"NGSP", 4
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
 # Splats with a larger ratio of the longest to the shortest axis are not isotropic.
@@ -43,8 +48,6 @@ _PLY_BYTES = {
     }.items()
     for name in names.split()
 }
-
-_log = logging.getLogger(__name__)
 
 
 class SplatLike(Protocol):
@@ -217,11 +220,34 @@ def export_splats(
         _write(path, _open3d_cloud(path, splats, clamped=True))
 
 
-def read_splats(path: PathLike) -> Splats:
+def is_splat_file(path: PathLike) -> bool:
+    """Whether a path names a splat file that can be read; False for a folder of that name.
+
+    Raises:
+        FormatError: it is a file of another format.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return False
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    if path.is_file() or path.suffix.lower() in FOREIGN_SUFFIXES:
+        raise FormatError(
+            f"{path}: the format {path.suffix or 'of this file'} is not supported; convert it to "
+            f"{', '.join(SUFFIXES)}, or give a run folder"
+        )
+    return False
+
+
+def read_splats(path: PathLike, spz_axes: SpzAxes = "specified") -> Splats:
     """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
 
     The radius of an anisotropic splat is the geometric mean of its axes. Spherical harmonics of
     degree > 0 are dropped.
+
+    Args:
+        path: the file.
+        spz_axes: of a `.spz` file; those of its specification are converted to the axes of `.ply`.
 
     Raises:
         DatasetError: the file is missing.
@@ -233,6 +259,8 @@ def read_splats(path: PathLike) -> Splats:
         raise FormatError(f"{path} must end in one of {', '.join(SUFFIXES)}")
     if Path(path).suffix == ".ply":
         _check_ply_length(Path(path))
+    if Path(path).suffix == ".spz":
+        _check_spz(Path(path))
     try:
         point = open3d().t.io.read_point_cloud(str(path)).point
         columns = {name: point[name].numpy() for name in point}
@@ -245,15 +273,15 @@ def read_splats(path: PathLike) -> Splats:
             raise FormatError(
                 f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
             )
+    if Path(path).suffix == ".spz" and spz_axes == "as-ply":
+        # Open3D has turned them by half a turn about x.
+        columns["positions"] = columns["positions"] * np.array([1, -1, -1], np.float32)
+        if "rot" in columns:
+            columns["rot"] = columns["rot"] * np.array([1, 1, -1, -1], np.float32)
     log_scales = np.log(columns["scale"])
     shapes = None
     if "rot" in columns and (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
         shapes = relative_covariances(columns["scale"], columns["rot"])
-        _log.warning(
-            "%s: anisotropic splats are converted to spheres of the same volume, except in the "
-            "viewer",
-            path,
-        )
     # Every array is copied: if one of Open3D's own still exists at the end of the process, Open3D
     # prints statistics of its memory and changes the exit status to 1.
     return Splats(
@@ -268,6 +296,25 @@ def read_splats(path: PathLike) -> Splats:
         },
         shapes=shapes,
     )
+
+
+def _check_spz(path: Path) -> None:
+    """Check the version of a `.spz` file, which Open3D reports on the terminal only.
+
+    Raises:
+        FormatError: it is not a `.spz` file, or its version is not supported.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(16)
+    is_packed = head[:2] == b"\x1f\x8b"
+    if not is_packed and head[:4] != _SPZ_MAGIC:
+        raise FormatError(f"{path} is not a .spz file; write it again")
+    version = int.from_bytes(head[4:8], "little")
+    if not is_packed and version < _FIRST_UNPACKED_SPZ:
+        raise FormatError(
+            f"{path}: a .spz file of version {version} must be compressed with gzip; write it "
+            "again, or convert it to .ply"
+        )
 
 
 def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> Any:

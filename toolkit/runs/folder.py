@@ -33,7 +33,7 @@ from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.covariances import write_covariances
 from toolkit.io.splat_parts import write_splat_parts
-from toolkit.io.splats import SplatLabels, read_splats
+from toolkit.io.splats import SplatLabels, SpzAxes, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -114,6 +114,8 @@ class RunFolder:
             RunFolderError: the folder contains no run.
         """
         folder = cls(path)
+        if path.is_file():
+            raise RunFolderError(f"{path} is a file; give the folder of a run")
         if not folder.config.is_file():
             raise RunFolderError(f"{path} contains no run: config.yaml is missing")
         return folder
@@ -341,9 +343,23 @@ def _with_columns(
     return gaussians, columns
 
 
-def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
-    """Read the Gaussians of a splat file (.ply, .splat, .spz)."""
-    splats = read_splats(path)
+def read_cloud(path: str | os.PathLike[str], spz_axes: SpzAxes = "specified") -> GaussianCloud:
+    """Read the Gaussians of a splat file (.ply, .splat, .spz).
+
+    Args:
+        path: the file.
+        spz_axes: as for `read_splats`.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is not a splat file, or its splats are anisotropic.
+    """
+    splats = read_splats(path, spz_axes)
+    if splats.shapes is not None:
+        raise FormatError(
+            f"{path} has anisotropic splats, of which this renderer would show spheres; show it "
+            "with semsplat view"
+        )
     arrays = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
     means, log_radii, opacity_logits, colours = (
         torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays

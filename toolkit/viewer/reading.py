@@ -12,7 +12,7 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import Selection, ground_of, select
-from toolkit.io.splats import SplatLabels, Splats, read_splats
+from toolkit.io.splats import SplatLabels, Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
 from toolkit.semantics.query import check_labels
@@ -35,7 +35,7 @@ def read_scene(
     Raises:
         ToolkitError: there is no finished run, the file is not a splat file, or a name is unknown.
     """
-    if path.is_dir():
+    if not is_splat_file(path) and path.exists():
         return run_scene(select(path, keep, drop), content)
     if not path.exists():
         raise RunFolderError(f"{path} does not exist; give a run folder or a splat file")
@@ -83,7 +83,7 @@ def run_scene(selection: Selection, content: ShownContent) -> ViewerScene:
 
 def file_scene(path: Path, content: ShownContent) -> ViewerScene:
     """Describe a splat file, with classes if a taxonomy lies beside it."""
-    splats = read_splats(path)
+    splats = read_splats(path, content.spz_axes)
     shown = _file_splats(splats)
     tree = _tree_beside(path, splats.labels)
     if tree is None:
