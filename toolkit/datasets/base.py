@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.resize import ImageGrid, enlarge_depth, resize_colour
+from toolkit.datasets.sparse_depth import filled
 from toolkit.datasets.undistortion import Undistortion
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
@@ -107,6 +108,8 @@ class Recording:
         ground_truth: poses at the timestamps of the frames, or None.
         label_names: class names by id, or None.
         missing_from_m: depth (m) from which on it means that nothing was measured.
+        gap_px: standard deviation in pixels of the window in which gaps of sparse depth are filled;
+            0 for dense depth.
         distortion: OpenCV's (k1, k2, p1, p2, k3[, k4, k5, k6]) of both images, or None.
         fisheye: whether `distortion` is (k1, k2, k3, k4) of the model of Kannala and Brandt.
         colour_may_be_larger: whether colour images are resized to the size of the depth images.
@@ -132,6 +135,7 @@ class Recording:
     ground_truth: Trajectory | None = None
     label_names: dict[int, str] | None = None
     missing_from_m: float = float("inf")
+    gap_px: float = 0.0
     distortion: tuple[float, ...] | None = None
     fisheye: bool = False
     colour_may_be_larger: bool = False
@@ -282,6 +286,8 @@ class RecordedDataset:
             height, width = depth_m.shape
             check_size(confidence, (width, height), files.confidence)
             depth_m[confidence == 0] = 0.0
+        if recording.gap_px:
+            depth_m = filled(depth_m, recording.gap_px)
         if recording.camera == recording.colour_camera:
             depth_m = enlarge_depth(depth_m, recording.camera.size)
         check_size(depth_m, recording.camera.size, files.depth)

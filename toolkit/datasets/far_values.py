@@ -12,12 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.errors import DatasetError
+from toolkit.datasets.base import Recording
+from toolkit.datasets.depth_samples import depth_samples
 from toolkit.io import images
 
-# Number of frames that are read.
-_FRAMES = 8
 # A surface has a neighbour in depth; the value of no measurement is at least so many times as far
 # as everything else, in at least two frames, and takes at least this share of the pixels.
 _MIN_RATIO, _MIN_FRAMES, _MIN_SHARE = 2.0, 2, 0.001
@@ -61,14 +59,9 @@ def without_far_value(recording: Recording, max_frames: int | None = None) -> Re
     Args:
         max_frames: maximum number of frames from the start that may be read, or None for all.
     """
-    files = [frame for frame in recording.files[:max_frames] if frame.depth is not None]
-    if not files:
+    depths = depth_samples(recording, max_frames)
+    if not depths:
         return recording
-    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, _FRAMES).astype(int))]
-    try:
-        depths = [_values(recording, frame) for frame in chosen]
-    except DatasetError:
-        return recording  # reading the frames reports it, with the name of the file
     notes = []
     if recording.container is None:
         saturated = float(np.mean([np.mean(d == images.SATURATED_DEPTH) for d in depths]))
@@ -88,11 +81,3 @@ def without_far_value(recording: Recording, max_frames: int | None = None) -> Re
     )
     far_m = metres * (1.0 - _SAME)
     return replace(recording, missing_from_m=far_m, notes=(*recording.notes, *notes))
-
-
-def _values(recording: Recording, frame: FrameFiles) -> NDArray:
-    """Depth values [H, W] of a frame in the unit of its image."""
-    if recording.container is not None and frame.number is not None:
-        return np.nan_to_num(recording.container.depth_m(frame.number), posinf=0.0, neginf=0.0)
-    assert frame.depth is not None
-    return images.read_depth_values(frame.depth)
