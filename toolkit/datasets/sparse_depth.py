@@ -16,8 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Depth is sparse if more than this share of the pixels with depth lacks a direct neighbour with
-# depth. Connected depth with holes has 0.02 to 0.2, half of the pixels at random 0.94.
-_MAX_LONELY = 0.15
+# depth, in general and where gaps are single pixels. Connected depth has 0.02 to 0.05, and 0.3 with
+# holes of many pixels (HoloLens); 90 % of the pixels at random have 0.34, half of them 0.94.
+_MAX_LONELY, _MAX_SPECKLED = 0.5, 0.15
+# Windows that span gaps of single pixels.
+_SPECKLE_PX = 2.0
 # Pixels farther than this from depth show something that was not measured at all.
 _MAX_GAP_PX = 24.0
 # Largest residual of one surface, relative to its inverse depth, and largest offset of the centre
@@ -44,7 +47,8 @@ class Sparsity:
     @property
     def is_sparse(self) -> bool:
         """Whether gaps are to be filled."""
-        return self.lonely > _MAX_LONELY
+        limit = _MAX_SPECKLED if self.window_px <= _SPECKLE_PX else _MAX_LONELY
+        return self.lonely > limit
 
 
 def sparsity(depths: Sequence[NDArray]) -> Sparsity:
