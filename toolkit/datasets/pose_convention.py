@@ -77,6 +77,17 @@ class PoseConvention:
             poses[:, :3] = self.axes.T @ poses[:, :3]
         return Trajectory(trajectory.timestamps_s, poses)
 
+    def motion(self, T_world_first: Array, T_world_second: Array) -> Array:
+        """T_second_first [4, 4] of two given poses by this convention."""
+        if self.inverted:
+            given = T_world_second @ se3.inverse(T_world_first)
+        else:
+            given = se3.inverse(T_world_second) @ T_world_first
+        result = np.eye(4)
+        result[:3, :3] = self.axes.T @ given[:3, :3] @ self.axes
+        result[:3, 3] = self.scale * (self.axes.T @ given[:3, 3])
+        return result
+
 
 OURS = PoseConvention(np.eye(3))
 
@@ -129,9 +140,7 @@ def judge_convention(dataset: RecordedDataset) -> ConventionReport | None:
     pairs = [pair for pair in _pairs(dataset) if pair is not None]
     if not pairs:
         return None
-    conventions = [
-        PoseConvention(axes, inverted) for inverted in (False, True) for axes in _all_axes()
-    ]
+    conventions = list(all_conventions())
     scaled = [replace(OURS, scale=float(s)) for s in _SCALES]
     likely = _agreement(pairs, [OURS, *conventions, *scaled])
     given, still = float(likely[0]), _still_agreement(pairs)
@@ -224,7 +233,7 @@ def _agreement(pairs: Iterable[_Pair], conventions: list[PoseConvention]) -> Arr
     """Agreement [H] of conventions with the images, mean over pairs."""
     scores = []
     for pair in pairs:
-        motions = [_motion(pair, convention) for convention in conventions]
+        motions = [c.motion(pair.T_world_first, pair.T_world_second) for c in conventions]
         R = np.array([motion[:3, :3] for motion in motions])
         t = np.array([motion[:3, 3] for motion in motions])
         scores.append(_pair_agreement(pair, R, t))
@@ -234,18 +243,6 @@ def _agreement(pairs: Iterable[_Pair], conventions: list[PoseConvention]) -> Arr
 def _still_agreement(pairs: Iterable[_Pair]) -> float:
     R, t = np.eye(3)[None], np.zeros((1, 3))
     return float(np.mean([_pair_agreement(pair, R, t)[0] for pair in pairs]))
-
-
-def _motion(pair: _Pair, convention: PoseConvention) -> Array:
-    """T_second_first by a convention."""
-    if convention.inverted:
-        motion = pair.T_world_second @ se3.inverse(pair.T_world_first)
-    else:
-        motion = se3.inverse(pair.T_world_second) @ pair.T_world_first
-    result = np.eye(4)
-    result[:3, :3] = convention.axes.T @ motion[:3, :3] @ convention.axes
-    result[:3, 3] = convention.scale * (convention.axes.T @ motion[:3, 3])
-    return result
 
 
 def _pair_agreement(pair: _Pair, R: Array, t: Array) -> Array:
@@ -291,6 +288,13 @@ def _is_usual(convention: PoseConvention) -> bool:
     """Whether a convention may occur with any scale: ours, that of OpenGL, or of robots."""
     usual = (np.eye(3), np.diag([1.0, -1.0, -1.0]), _ROBOT)
     return any(np.array_equal(convention.axes, axes) for axes in usual)
+
+
+def all_conventions() -> Iterator[PoseConvention]:
+    """Every convention in metres; ours is among the first."""
+    for inverted in (False, True):
+        for axes in _all_axes():
+            yield PoseConvention(axes, inverted)
 
 
 def _all_axes() -> Iterator[Array]:

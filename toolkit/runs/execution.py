@@ -18,6 +18,7 @@ from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
+from toolkit.monocular.given import motion_of_given_poses
 from toolkit.monocular.motion import CameraMotion, estimate_motion
 from toolkit.monocular.options import ScaleOptions
 from toolkit.monocular.scale import check_scale, with_metric_scale
@@ -219,7 +220,6 @@ def check_settings(settings: RunSettings) -> None:
     for name, used in {
         "--pace": settings.pace,
         "--map": settings.map,
-        "--poses given": settings.poses == "given",
     }.items():
         if used:
             raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
@@ -227,6 +227,8 @@ def check_settings(settings: RunSettings) -> None:
 
 def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress) -> CameraMotion:
     """Estimate the motion of the camera from the images alone, and log what is not certain."""
+    if settings.poses == "given":
+        return _given_motion(dataset, settings, progress)
     _log.info("Estimating the motion of the camera from the images.")
     total = len(dataset)
 
@@ -257,6 +259,31 @@ def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress)
         )
     for doubt in motion.doubts:
         _log.warning("The result is not reliable: %s.", doubt)
+    if motion.doubts and dataset.ground_truth is not None and calibrated:
+        _log.warning("The dataset has poses; --poses given uses them instead.")
+    return motion
+
+
+def _given_motion(
+    dataset: RecordedDataset, settings: RunSettings, progress: Progress
+) -> CameraMotion:
+    """The motion by the poses of the dataset, with keyframes whose depth can be estimated."""
+    if dataset.ground_truth is None:
+        raise DatasetError(f"{settings.dataset.path} has no poses; remove --poses given")
+    if not dataset.recording.calibrated:
+        raise DatasetError(
+            f"{settings.dataset.path} has no intrinsics, which given poses need; add them "
+            "(docs/guides/datasets.md), or specify --dataset.fov-deg"
+        )
+    _log.info("Matching images at the given poses.")
+    # The models of COLMAP, and what was made from them, have an arbitrary unit.
+    metric = settings.dataset.kind not in ("colmap", "nerfstudio")
+    frames = progress(iter(dataset), len(dataset), 0)
+    try:
+        motion = motion_of_given_poses(frames, dataset.camera, dataset.ground_truth, metric)
+    except DatasetError as error:
+        raise DatasetError(f"{settings.dataset.path}: {error}") from error
+    _log.info("The depth of %d keyframes can be estimated.", len(motion.views))
     return motion
 
 
