@@ -204,3 +204,31 @@ def test_a_missing_package_is_named_with_the_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "lzfse", None)
     with pytest.raises(DependencyError, match=r"pip install 'semsplat\[record3d\]'"):
         open_dataset("record3d", write(tmp_path))
+
+
+def test_the_export_of_exr_and_jpg_files_is_read(tmp_path):
+    exr = pytest.importorskip("OpenEXR")
+    folder, files = tmp_path / "EXR_RGBD", content(perFrameIntrinsicCoeffs=None)
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    (folder / "metadata.json").write_bytes(files["metadata"])
+    for i in range(FRAMES):
+        (folder / f"rgb/{i}.jpg").write_bytes(files[f"rgbd/{i}.jpg"])
+        depth = depth_of(i)
+        depth[1, 2] = np.nan
+        header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+        exr.File(header, {"R": np.ascontiguousarray(depth)}).write(str(folder / f"depth/{i}.exr"))
+    exported = open_dataset("record3d", folder)
+    packed = open_dataset("record3d", write(tmp_path, content(perFrameIntrinsicCoeffs=None)))
+    assert len(exported) == len(packed) == FRAMES
+    assert exported.camera == packed.camera
+    np.testing.assert_array_equal(
+        exported.ground_truth.T_world_camera, packed.ground_truth.T_world_camera
+    )
+    expected = depth_of(5)
+    expected[1, 2] = 0.0
+    np.testing.assert_array_equal(exported[5].depth_m, expected)
+    np.testing.assert_array_equal(exported[5].rgb, packed[5].rgb)
+    (folder / "depth/3.exr").write_bytes(b"broken")
+    with pytest.raises(DatasetError, match=r"depth/3\.exr is damaged"):
+        exported[3]

@@ -21,7 +21,7 @@ from toolkit.datasets.common_camera import CommonCamera, camera_of_depth, common
 from toolkit.datasets.pairing import OPENGL_AXES, Truth, attach_poses, unpaired
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
-from toolkit.io.record3d import Record3DFile
+from toolkit.io.record3d import EXPORTED_METADATA, Record3DFile
 from toolkit.io.trajectories import pose_of_quaternion
 from toolkit.io.user_files import visible
 
@@ -30,6 +30,8 @@ _FPS = 60.0
 
 def describe(path: Path) -> Recording:
     """Describe a .r3d file, the folder with its content, or a folder that contains one .r3d file.
+
+    The app's export of EXR and JPG files is such a folder, too.
 
     Frames without depth are left out, unless there is no depth at all. Colour is resized to smaller
     depth images, and depth with the confidence 0 counts as missing. The poses of ARKit become the
@@ -55,7 +57,9 @@ def describe(path: Path) -> Recording:
     camera = common.camera
     if with_depth:
         height, width = file.depth_m(numbers[0]).shape
-        camera = camera_of_depth(camera, (width, height), file.path / f"rgbd/{numbers[0]}.depth")
+        camera = camera_of_depth(
+            camera, (width, height), file.path / f"depth of frame {numbers[0]}"
+        )
     alone = [str(n) for n in file.colour_frames if with_depth and n not in with_depth]
     return Recording(
         name=file.path.resolve().stem,
@@ -72,13 +76,14 @@ def describe(path: Path) -> Recording:
 
 def _file_at(path: Path) -> Path:
     """The file at a path, or the only one in a folder."""
-    if not path.is_dir() or (path / "metadata").exists():
+    names = ("metadata", EXPORTED_METADATA)
+    if not path.is_dir() or any((path / name).exists() for name in names):
         return path
     inside = [file for file in visible(path) if file.suffix.lower() == ".r3d"]
     if len(inside) != 1:
         raise DatasetError(
-            f"{path} contains {len(inside) or 'no'} .r3d file{'s' * bool(inside)}; specify the "
-            f"path of one"
+            f"{path} contains {len(inside) or 'no'} .r3d file{'s' * bool(inside)} and no "
+            f"{EXPORTED_METADATA}; specify the path of a .r3d file, or export EXR and JPG files"
         )
     return inside[0]
 

@@ -4,6 +4,9 @@ A .r3d file is a zip archive with the JSON `metadata` and, for each frame N from
 `rgbd/N.depth` and `rgbd/N.conf`. The latter two are compressed with LZFSE: float32 metres, row by
 row, and uint8 confidence from 0 (low) to 2. Source: the app's author in the issues 4, 7, 83 and 93
 of github.com/marek-simonik/record3d.
+
+The app's export of EXR and JPG files is a folder with `metadata.json`, `rgb/N.jpg` and
+`depth/N.exr` (metres).
 """
 
 from __future__ import annotations
@@ -21,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError, DependencyError
+from toolkit.io.exr import read_exr
 from toolkit.io.user_files import visible
 
-_METADATA = "metadata"
-_FRAME = re.compile(r"rgbd/(\d+)\.(jpg|depth|conf)")
+_METADATA, EXPORTED_METADATA = "metadata", "metadata.json"
+_FRAME = re.compile(r"(?:rgbd|rgb|depth)/(\d+)\.(jpg|depth|conf|exr)")
 
 
 class Record3DFile:
@@ -52,16 +56,19 @@ class Record3DFile:
                     f"{path} is truncated or not a .r3d file ({error}); export it again"
                 ) from error
         names = self._archive.namelist() if self._archive else _files_below(path)
-        frames: dict[str, list[int]] = {"jpg": [], "depth": [], "conf": []}
+        self._metadata_name = EXPORTED_METADATA if EXPORTED_METADATA in names else _METADATA
+        self._colour = "rgbd/{}.jpg" if self._metadata_name == _METADATA else "rgb/{}.jpg"
+        frames: dict[str, list[int]] = {"jpg": [], "depth": [], "conf": [], "exr": []}
         for match in filter(None, map(_FRAME.fullmatch, names)):
             frames[match.group(2)].append(int(match.group(1)))
-        if _METADATA not in names or not frames["jpg"]:
+        if self._metadata_name not in names or not frames["jpg"]:
             raise DatasetError(
                 f"{path} has no {_METADATA} or no rgbd/0.jpg, as recordings of Record3D have; "
                 f"export it as .r3d"
             )
         self.colour_frames = sorted(frames["jpg"])
-        self.depth_frames = sorted(frames["depth"])
+        self.depth_frames = sorted(frames["depth"] or frames["exr"])
+        self._is_exported = bool(frames["exr"])
         self._confident = set(frames["conf"])
         self.metadata = self._read_metadata()
         self._size = self.rgb(self.colour_frames[0]).shape[1::-1]
@@ -78,10 +85,11 @@ class Record3DFile:
         Raises:
             DatasetError: it is missing or damaged.
         """
-        data = np.frombuffer(self._read(f"rgbd/{number}.jpg"), np.uint8)
+        name = self._colour.format(number)
+        data = np.frombuffer(self._read(name), np.uint8)
         bgr = cv2.imdecode(data, cv2.IMREAD_COLOR_BGR) if data.size else None
         if bgr is None:
-            raise DatasetError(f"rgbd/{number}.jpg in {self.path} is damaged; export it again")
+            raise DatasetError(f"{name} in {self.path} is damaged; export it again")
         return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.float32) / np.float32(255.0)
 
     def depth_m(self, number: int) -> NDArray[np.float32]:
@@ -89,8 +97,10 @@ class Record3DFile:
 
         Raises:
             DatasetError: it is missing or damaged.
-            DependencyError: lzfse is not installed.
+            DependencyError: the package that decodes it is not installed.
         """
+        if self._is_exported:
+            return self._exported_depth_m(number)
         name = f"rgbd/{number}.depth"
         values = np.frombuffer(self._decompressed(name), np.float32)
         shape = self._depth_shape(values.size, name)
@@ -101,6 +111,16 @@ class Record3DFile:
             if confidence.size == values.size:
                 depth_m[confidence == 0] = 0.0
         return depth_m.reshape(shape).astype(np.float32)
+
+    def _exported_depth_m(self, number: int) -> NDArray[np.float32]:
+        file = self.path / f"depth/{number}.exr"
+        try:
+            depth_m = read_exr(file, "record3d").astype(np.float32)
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{file} is damaged ({error}); export it again") from error
+        if depth_m.ndim != 2:
+            raise DatasetError(f"{file} has no single channel; export it again")
+        return np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0.0))
 
     def _depth_shape(self, count: int, name: str) -> tuple[int, int]:
         """Height and width by the metadata, which early versions lack, or by the aspect ratio."""
@@ -118,7 +138,7 @@ class Record3DFile:
 
     def _read_metadata(self) -> dict[str, Any]:
         try:
-            content = json.loads(self._read(_METADATA))
+            content = json.loads(self._read(self._metadata_name))
         except (ValueError, RecursionError) as error:
             raise DatasetError(
                 f"{_METADATA} in {self.path} is not JSON ({error}); export it again"
@@ -154,7 +174,9 @@ class Record3DFile:
 
 
 def _files_below(folder: Path) -> list[str]:
-    """Names of `metadata` and of the files in `rgbd`, as in the archive."""
-    images = folder / "rgbd"
-    files = [folder / _METADATA, *(visible(images) if images.is_dir() else ())]
+    """Names of the metadata and of the images, as in the archive."""
+    files = [folder / _METADATA, folder / EXPORTED_METADATA]
+    for name in ("rgbd", "rgb", "depth"):
+        images = folder / name
+        files += visible(images) if images.is_dir() else ()
     return [file.relative_to(folder).as_posix() for file in files if file.is_file()]

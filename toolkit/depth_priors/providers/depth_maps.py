@@ -19,9 +19,10 @@ from toolkit.depth_priors.provider import (
     PriorSet,
     ScaleScope,
 )
-from toolkit.errors import DatasetError, DependencyError
+from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
+from toolkit.io.exr import read_exr
 from toolkit.io.images import read_labels
 from toolkit.io.user_files import visible
 
@@ -114,7 +115,7 @@ def read_map(file: Path, png_scale: float) -> Image:
         elif suffix == ".png":
             return read_labels(file).astype(np.float32) / np.float32(png_scale)
         elif suffix == ".exr":
-            values = _read_exr(file)
+            values = read_exr(file, "depth-priors")
         else:
             values = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     except (OSError, ValueError, EOFError) as error:
@@ -128,22 +129,3 @@ def read_map(file: Path, png_scale: float) -> Image:
             "channel of numbers"
         )
     return np.ascontiguousarray(values, np.float32)
-
-
-def _read_exr(file: Path) -> np.ndarray:
-    """Read the only channel of an EXR file, or Z or Y of several ones."""
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise DependencyError(
-            f"{file} needs a package that reads EXR: pip install 'semsplat[depth-priors]'"
-        ) from error
-    try:
-        with OpenEXR.File(str(file), separate_channels=True) as content:
-            channels = {name: np.array(c.pixels) for name, c in content.channels().items()}
-    except RuntimeError as error:
-        raise ValueError(str(error)) from error
-    for name in ("Z", "Y", "R"):
-        if name in channels:
-            return channels[name]
-    return next(iter(channels.values()))
