@@ -112,6 +112,29 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     assert not DepthView.of(keyframes[1]).measures_through(added).any()
 
 
+def test_points_measured_through_at_every_factor_are_behind_everything(room: MappedRoom):
+    """As the sky beside a near roof: the view stays filled, however far away the rest is."""
+    near = np.full_like(room.frames[0].depth_m, 0.5)
+    near[HOLE] = 0.0
+    far = np.full_like(near, 40.0)
+    pose = room.T_map_camera[0]
+    frames = [replace(room.frames[0], depth_m=near), replace(room.frames[0], depth_m=far)]
+    keyframes = [Keyframe.from_frame(frame, pose) for frame in frames]
+    mapper = Mapper(OPTIONS)
+    mapper.add_keyframe(keyframes[0])
+    before = len(mapper.gaussians)
+    views = [DepthView.of(keyframes[1])]
+    count = fill_holes(
+        mapper.map, keyframes[0], mapper.view(keyframes[0]), mapper._densification, views
+    )
+    added = mapper.gaussians.means[before:]
+    assert count == len(added) > 0
+    depth_m = (added - torch.tensor(pose[:3, 3])) @ torch.tensor(pose[:3, 2])
+    assert float(depth_m.min()) > 40.0
+    silhouette = mapper.view(keyframes[0]).output.silhouette[HOLE]
+    assert float(silhouette.mean()) > 0.9
+
+
 def test_every_keyframe_counts_however_many_there_are(room: MappedRoom):
     # One of 40 keyframes measured what is behind the hole; the others face away.
     truth, pose = room.frames[0].depth_m[HOLE], room.T_map_camera[0]

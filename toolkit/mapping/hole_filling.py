@@ -27,8 +27,10 @@ from toolkit.rendering import SurfaceView
 # Smaller holes are covered by the Gaussians around them, as a fraction of the image.
 _MIN_HOLE = 0.002
 # Factors of the inferred depth at which a point is tried, from near to far. A point that other
-# keyframes measured through at all of them is dropped.
+# keyframes measured through at all of them, as of the sky beside a roof, is behind everything: at
+# this multiple of the farthest measured depth.
 _DEPTH_FACTORS = (1.1, 1.25, 1.5, 2.0, 3.0)
+_BEHIND_ALL = 1.5
 # There is a depth edge beside a hole if the mean inverse depth around it exceeds the mean that is
 # weighted by this power of the depth, and so dominated by the far surface, by this factor.
 _DISTANCE_POWER = 6
@@ -150,19 +152,25 @@ def _outside_free_space(
 ) -> GaussianCloud:
     """Move Gaussians away from their keyframe until no other keyframe measured through them."""
     empty = _measured_through(seeds.means, others)
+    if not empty.any():
+        return seeds
     moved, centre = seeds.select(empty), seeds.means.new_tensor(keyframe.T_map_camera[:3, 3])
     factors = seeds.means.new_tensor(_DEPTH_FACTORS)
     points = centre + factors[:, None, None] * (moved.means - centre)
     still_empty = _measured_through(points.reshape(-1, 3), others).reshape(points.shape[:2])
     # The first factor that no keyframe contradicts: argmax returns the first maximum.
-    chosen = (~still_empty).int().argmax(dim=0)
+    chosen = factors[(~still_empty).int().argmax(dim=0)]
+    forward = moved.means.new_tensor(keyframe.T_map_camera[:3, 2])
+    depth_m = (moved.means - centre) @ forward
+    far_m = _BEHIND_ALL * max(float(view.depth_m.max()) for view in others)
+    chosen = torch.where(still_empty.all(dim=0), (far_m / depth_m).clamp(min=1.0), chosen)
     moved = replace(
         moved,
-        means=points[chosen, torch.arange(len(moved))],
-        log_radii=moved.log_radii + factors[chosen].log(),
+        means=centre + chosen[:, None] * (moved.means - centre),
+        log_radii=moved.log_radii + chosen.log(),
     )
-    kept = moved.select(~still_empty.all(dim=0))
-    return GaussianCloud.concatenate([seeds.select(~empty), kept])
+    moved = moved.select(~_measured_through(moved.means, others))
+    return GaussianCloud.concatenate([seeds.select(~empty), moved])
 
 
 def _measured_through(points: Tensor, views: Sequence[DepthView]) -> Tensor:
