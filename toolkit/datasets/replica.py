@@ -84,7 +84,8 @@ def read_camera(path: Path) -> tuple[Camera, float]:
         depth_scale = float(values.get("scale", DEFAULT_DEPTH_SCALE))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
         raise DatasetError(
-            f'{path} must contain {{"camera": {{w, h, fx, fy, cx, cy, scale}}}}: {error!r}'
+            f'{path} must contain {{"camera": {{w, h, fx, fy, cx, cy, scale}}}} '
+            f"({type(error).__name__}: {error}); correct it"
         ) from error
     if not 0 < depth_scale < float("inf"):
         raise DatasetError(f"{path}: scale must be positive (depth values per metre)")
