@@ -48,8 +48,14 @@ class LengthUnit:
     per_metre: float = 1.0
 
     @classmethod
-    def of(cls, dataset: Dataset | None) -> LengthUnit:
-        """The unit for a recording, from the depth of a few frames; metres for other sources."""
+    def of(cls, dataset: Dataset | None) -> LengthUnit | None:
+        """The unit for a recording, from the depth of a few frames; metres for other datasets.
+
+        Returns:
+            None without a dataset: it follows from the first frame (`of_frame`).
+        """
+        if dataset is None:
+            return None
         if not isinstance(dataset, RecordedDataset) or dataset.files(0).depth is None:
             return cls()
         medians_m = []
@@ -60,9 +66,19 @@ class LengthUnit:
                 continue  # the file is named when the frame is processed
             if depth_m.any():
                 medians_m.append(float(np.median(depth_m[depth_m > 0])))
-        if not medians_m or _ROOMS_M[0] <= np.median(medians_m) <= _ROOMS_M[1]:
+        return cls._of_median(float(np.median(medians_m))) if medians_m else cls()
+
+    @classmethod
+    def of_frame(cls, frame: Frame) -> LengthUnit | None:
+        """The unit that suits a frame, None without depth."""
+        depth_m = frame.depth_m[frame.depth_m > 0]
+        return cls._of_median(float(np.median(depth_m))) if depth_m.size else None
+
+    @classmethod
+    def _of_median(cls, median_m: float) -> LengthUnit:
+        if _ROOMS_M[0] <= median_m <= _ROOMS_M[1]:
             return cls()
-        return cls(2.0 ** round(math.log2(_TYPICAL_M / float(np.median(medians_m)))))
+        return cls(2.0 ** round(math.log2(_TYPICAL_M / median_m)))
 
     @property
     def is_metre(self) -> bool:

@@ -64,7 +64,7 @@ class Slam:
         placement: KeyframePlacement | None = None,
         correction: DepthCorrection | None = None,
         start_velocity: NDArray[np.float64] | None = None,
-        unit: LengthUnit = METRE,
+        unit: LengthUnit | None = METRE,
     ) -> None:
         """Assemble the system.
 
@@ -81,7 +81,8 @@ class Slam:
                 with the map; None if depth is measured.
             start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling
                 shutter has bent; None if it is not known.
-            unit: in which the parts of the system work; frames and results are in metres.
+            unit: in which the parts of the system work; frames and results are in metres. None
+                for the one that suits the first frame with depth.
         """
         self.tracker = tracker
         self.mapper = mapper
@@ -91,7 +92,7 @@ class Slam:
         self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
         self._filter = DepthFilter() if denoise else None
         self._placement, self._correction = placement, correction
-        self._start_velocity, self.unit = start_velocity, unit
+        self._start_velocity, self._unit = start_velocity, unit
         self._features = FeatureProposals()
         self._path = CameraPath()
         self._between = IntermediateFrames()
@@ -99,6 +100,11 @@ class Slam:
             tracker, self.atlas, self._path, self._closer, self._labelled, self._recorder
         )
         self._fused: list[FusedMap | None] = []
+
+    @property
+    def unit(self) -> LengthUnit:
+        """The unit of length in which the parts of the system work."""
+        return METRE if self._unit is None else self._unit
 
     @property
     def loops(self) -> Sequence[PoseEdge]:
@@ -133,6 +139,7 @@ class Slam:
         """
         if self._closer.relocaliser is None or not isinstance(self.tracker, LocatingTracker):
             raise ValueError("loading a map requires loop closure and a tracker that can locate")
+        self._unit = self.unit  # later frames must not choose another one
         self.atlas.load_map(map(self.unit.submap, submaps))
         self._closer.map_loaded(self.atlas)
 
@@ -158,6 +165,8 @@ class Slam:
         Returns:
             The pose of the frame; without one if its time is not after that of the frame before.
         """
+        if self._unit is None:
+            self._unit = LengthUnit.of_frame(frame)
         return self.unit.frame_result_in_metres(self._processed(self.unit.frame(frame), may_map))
 
     def _processed(self, frame: Frame, may_map: bool) -> FrameResult:
@@ -497,7 +506,7 @@ class Slam:
         arrays = {f"tracker/{k}": a for k, a in self.tracker.state().items()}
         if self._labeller is not None:
             arrays |= {f"segmenter/{k}": a for k, a in self._labeller.segmenter.state().items()}
-        values: dict[str, Any] = {}
+        values: dict[str, Any] = {"units_per_metre": self._unit and self._unit.per_metre}
         for name, part in self._parts().items():
             part_arrays, values[name] = part.state()
             arrays |= {f"{name}/{k}": a for k, a in part_arrays.items()}
@@ -505,6 +514,8 @@ class Slam:
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
+        if self._unit is None and values.get("units_per_metre"):
+            self._unit = LengthUnit(float(values["units_per_metre"]))
         for name, part in self._parts().items():
             # Checkpoints of earlier versions have no "recovery".
             part.restore(arrays_below(arrays, f"{name}/"), values.get(name, {}))

@@ -151,7 +151,7 @@ def test_a_recording_without_depth_needs_the_option(recording, tmp_path, capsys)
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("words", [("--pace", "30"), ("--map", "somewhere"), ("--poses", "given")])
+@pytest.mark.parametrize("words", [("--pace", "30"), ("--map", "somewhere")])
 def test_what_needs_depth_is_refused(recording, tmp_path, capsys, words):
     assert main(arguments(recording, tmp_path / "run", "--depth", "none", *words)) == 2
     line = one_line_of_error(capsys)

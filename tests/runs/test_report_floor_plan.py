@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from labelled_room import TAXONOMY, gaussians_at, labelled, room_parts
 
+from toolkit.io.length_names import METRES
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.floor_plans import report_floor_plan
 
@@ -31,16 +32,16 @@ def test_maps_without_labels_or_without_a_floor_have_none(tmp_path):
     gaussians = gaussians_at(points_m, labels.label)
     cameras_m = np.zeros((2, 3))
     write_splat_ply(tmp_path / "map.ply", gaussians, labels.columns())
-    plan = report_floor_plan(tmp_path / "map.ply", TAXONOMY, cameras_m)
+    plan = report_floor_plan(tmp_path / "map.ply", TAXONOMY, cameras_m, METRES)
     assert plan.areas[0].name == "floor"
     write_splat_ply(tmp_path / "bare.ply", gaussians)
-    assert report_floor_plan(tmp_path / "bare.ply", TAXONOMY, cameras_m) is None
+    assert report_floor_plan(tmp_path / "bare.ply", TAXONOMY, cameras_m, METRES) is None
     points_m, part_labels = labelled({"table": room_parts()["table"]})
     part = gaussians_at(points_m, part_labels.label)
     write_splat_ply(tmp_path / "table.ply", part, part_labels.columns())
-    assert report_floor_plan(tmp_path / "table.ply", TAXONOMY, cameras_m) is None
+    assert report_floor_plan(tmp_path / "table.ply", TAXONOMY, cameras_m, METRES) is None
     faint = gaussians.opacity_logits - torch.tensor(9.0)
     write_splat_ply(
         tmp_path / "faint.ply", replace(gaussians, opacity_logits=faint), labels.columns()
     )
-    assert report_floor_plan(tmp_path / "faint.ply", TAXONOMY, cameras_m) is None
+    assert report_floor_plan(tmp_path / "faint.ply", TAXONOMY, cameras_m, METRES) is None

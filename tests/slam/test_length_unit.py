@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from toolkit.io import images
 from toolkit.io.trajectories import write_tum
 from toolkit.length_unit import LengthUnit
 from toolkit.options import validated
+from toolkit.runs.building import build_slam
 from toolkit.runs.execution import run
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
@@ -130,11 +132,32 @@ def test_an_interrupted_run_of_a_large_scene_is_resumed(runs, tmp_path):
     np.testing.assert_array_equal(resumed.gaussians.means, reference.gaussians.means)
 
 
+@pytest.mark.parametrize("factor", [1 / 50, 30.0])
+def test_without_a_dataset_the_unit_follows_from_the_first_frame(factor):
+    """As with a live camera, or frames of one's own."""
+    frames, truth = tiny_room(FRAMES, *SIZE)
+    slam = build_slam()
+    blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
+    slam.process_frame(replace(blank, index=0, timestamp_s=-1.0))
+    assert slam.unit.is_metre
+    for frame in frames:
+        depth_m = frame.depth_m * np.float32(factor)
+        result = slam.process_frame(replace(frame, index=frame.index + 1, depth_m=depth_m))
+        assert not result.lost
+    assert not slam.unit.is_metre
+    restored = build_slam()
+    restored.restore(*slam.state())
+    assert restored.unit == slam.unit
+    positions = slam.finish().trajectory.positions_m / factor
+    path = np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()
+    assert path == pytest.approx(truth.path_length_m, rel=0.1)
+
+
 def test_units_are_powers_of_two_and_rooms_keep_the_metre(room, tmp_path):
     dataset = open_dataset("folder", room)
     median_m = np.median([np.median(frame.depth_m) for frame in dataset])
     assert LengthUnit.of(dataset).is_metre
-    assert LengthUnit.of(None).is_metre
+    assert LengthUnit.of(None) is None
     small = open_dataset("folder", scaled(room, tmp_path / "small", 0.1 / median_m))
     assert LengthUnit.of(small).per_metre in (16.0, 32.0)
     large = open_dataset("folder", scaled(room, tmp_path / "large", 50.0 / median_m))

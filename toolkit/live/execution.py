@@ -211,6 +211,7 @@ def _execute(
         write_results(
             result, frames, folder, settings, RunRecord(recorder, summary, costs=costs.costs())
         )
+        slam.store_in_metres()
     if source.writer is not None and not options.save_frames:
         source.writer.remove()
         _log.info("Removed the frames of the camera; --save-frames keeps them.")

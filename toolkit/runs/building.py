@@ -55,7 +55,9 @@ def build_slam(
     """
     settings = settings or RunSettings()
     recorder = recorder or StageRecorder()
-    unit = LengthUnit.of(dataset) if settings.depth == "sensor" else LengthUnit()
+    # A map that is extended may have been loaded before the first frame.
+    fixed = settings.depth == "none" or (dataset is None and settings.map is not None)
+    unit = LengthUnit() if fixed else LengthUnit.of(dataset)
     labeller = build_run_labeller(settings, dataset)
     code = build_code(settings.semantics.code, labeller.taxonomy) if labeller else None
     # Centred colours are only valid for the dense tracker: the papers' tracker compares rendered
@@ -81,12 +83,15 @@ def build_slam(
         if settings.loops.use:
             taxonomy = labeller.taxonomy if labeller else None
             context = ClosingContext(settings.seed, settings.backend, mapper.semantics, taxonomy)
-            log = LoopLog(folder.loops, convert=unit.record_in_metres) if folder else None
+            log = None
+            if folder is not None:
+                # The unit may follow from the first frame, long before the first record.
+                log = LoopLog(folder.loops, convert=lambda r: slam.unit.record_in_metres(r))
             closer = build_loop_closer(settings.loops, context, log, recorder)
         # The papers' tracker is a baseline, whose keyframe poses are not refined.
         use_placement = settings.tracking.kind == "dense" and settings.placement.use
         placement = KeyframePlacement(settings.placement) if use_placement else None
-        return Slam(
+        slam = Slam(
             tracker,
             mapper,
             recorder,
@@ -95,9 +100,10 @@ def build_slam(
             closer,
             settings.denoise,
             placement,
-            start_velocity=None if dataset is None else _start_velocity(dataset, unit),
+            start_velocity=_start_velocity(dataset, unit),
             unit=unit,
         )
+        return slam
     if dataset is None or dataset.ground_truth is None:
         name = "this sequence" if dataset is None else dataset.name
         raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
@@ -105,7 +111,7 @@ def build_slam(
     if settings.poses == "slam":
         poses = GuidedTracker(dataset.ground_truth, settings.backend, recorder)
     else:
-        poses = GivenPoses(unit.trajectory(dataset.ground_truth))
+        poses = GivenPoses((unit or LengthUnit()).trajectory(dataset.ground_truth))
     return Slam(
         poses,
         mapper,
@@ -118,11 +124,13 @@ def build_slam(
     )
 
 
-def _start_velocity(dataset: Dataset, unit: LengthUnit) -> NDArray[np.float64] | None:
+def _start_velocity(dataset: Dataset | None, unit: LengthUnit | None) -> NDArray[np.float64] | None:
     """Velocity [6] of a camera with a rolling shutter at the start of a sequence, if known.
 
     It is estimated before any thread reads the dataset.
     """
+    if unit is None:
+        return None
     if not isinstance(dataset, RecordedDataset) or dataset.readout_s == 0.0:
         return None
     try:
