@@ -10,7 +10,7 @@ import pytest
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.geometry.camera import Camera
 from toolkit.mapping.options import MapperOptions
-from toolkit.runs.expected_time import ExpectedTime
+from toolkit.runs.expected_time import ExpectedTime, with_expected_motion_time
 from toolkit.runs.settings import RunSettings
 
 VGA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
@@ -107,3 +107,24 @@ def test_durations_have_a_readable_unit(messages, frame_s, text):
 def test_a_run_that_is_nearly_over_needs_no_estimate(messages):
     Run(frames=range(21)).process(21)
     assert not messages()
+
+
+@pytest.mark.parametrize(("passes", "words"), [(1, "frames; mapping"), (5, "up to 5 passes")])
+def test_the_time_of_the_motion_is_stated_before_it_is_over(caplog, passes, words):
+    now_s, stated_at = [0.0], None
+    frames = iter(range(600))
+    with caplog.at_level(logging.INFO, "toolkit"):
+        for number in with_expected_motion_time(frames, 600, passes, lambda: now_s[0]):
+            now_s[0] += 5.0 if number < 10 else 0.5
+            if caplog.records and stated_at is None:
+                stated_at = number
+    (record,) = caplog.records
+    assert "About 5 minutes expected for the motion of 600 frames" in record.getMessage()
+    assert words in record.getMessage()
+    assert stated_at == 40
+
+
+def test_short_sequences_need_no_statement(caplog):
+    with caplog.at_level(logging.INFO, "toolkit"):
+        assert list(with_expected_motion_time(iter(range(60)), 60)) == list(range(60))
+    assert not caplog.records

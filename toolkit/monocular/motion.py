@@ -44,7 +44,7 @@ _MAX_REJECTED, _FEW_REJECTED = 0.25, 5
 
 # The focal length is estimated again until its relative change is smaller.
 _SAME_FOCAL = 0.005
-_FOCAL_ROUNDS = 5
+FOCAL_ROUNDS = 5
 
 # Why frames of a segment that shows no place of the others have no pose.
 UNCONNECTED = "no image after the camera was lost shows a place from before"
@@ -160,7 +160,7 @@ def estimate_motion(
         progress: iterates over the frames, for instance with a progress bar.
     """
     stated, sigma = camera, None
-    for _ in range(1 if calibrated else _FOCAL_ROUNDS):
+    for _ in range(1 if calibrated else FOCAL_ROUNDS):
         odometry = _followed(progress(frames), camera, options)
         adjusted = odometry.sparse_map.adjust_all(focal=not calibrated)
         before, estimated = camera, odometry.sparse_map.camera

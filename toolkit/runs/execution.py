@@ -19,7 +19,7 @@ from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.monocular.given import motion_of_given_poses
-from toolkit.monocular.motion import CameraMotion, estimate_motion
+from toolkit.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
 from toolkit.monocular.options import ScaleOptions
 from toolkit.monocular.scale import check_scale, with_metric_scale
 from toolkit.monocular.sequence import MonocularSequence
@@ -29,7 +29,7 @@ from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
-from toolkit.runs.expected_time import ExpectedTime
+from toolkit.runs.expected_time import ExpectedTime, with_expected_motion_time
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
@@ -231,14 +231,24 @@ def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress)
         return _given_motion(dataset, settings, progress)
     _log.info("Estimating the motion of the camera from the images.")
     total = len(dataset)
-
     calibrated = dataset.recording.calibrated
+    passes = 1 if calibrated else FOCAL_ROUNDS
+    begun = False
+
+    def watched(frames: Iterable[Frame]) -> Iterable[Frame]:
+        """Frames with a progress bar; the first pass states how long it takes."""
+        nonlocal begun
+        if not begun:
+            frames = with_expected_motion_time(frames, total, passes)
+        begun = True
+        return progress(frames, total, 0)
+
     motion = estimate_motion(
         dataset,
         dataset.camera,
         calibrated,
         focal_sigma=dataset.recording.focal_sigma,
-        progress=lambda frames: progress(frames, total, 0),
+        progress=watched,
     )
     if not calibrated:
         _log.info("The focal length is %.0f pixels.", motion.camera.fx)

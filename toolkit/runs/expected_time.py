@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.runs.settings import RunSettings
 
@@ -16,6 +17,9 @@ _log = logging.getLogger(__name__)
 # settings, 20 more frames contain at least four keyframes.
 _MIN_FRAMES = 20
 _MIN_KEYFRAMES = 2
+
+# The motion of the camera: frames that are not representative, and those that are timed.
+_FIRST_MOTION_FRAMES, _MOTION_FRAMES = 10, 30
 
 # Longer runs of larger images are followed by a proposal.
 _LONG_S = 300.0
@@ -102,6 +106,36 @@ class ExpectedTime:
         taken = len(self._recorder.durations_ms.get(_STEP_STAGES[0], ()))
         total_ms = self._recorder.total_ms(*_STEP_STAGES)
         return 0.0 if total_ms is None or not taken else steps * total_ms / (1e3 * taken)
+
+
+def with_expected_motion_time(
+    frames: Iterable[Frame],
+    total: int,
+    passes: int = 1,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Iterator[Frame]:
+    """Iterate over frames, and log how long their motion will take after some of them.
+
+    Args:
+        frames: whose motion is estimated while they are iterated over.
+        total: their number.
+        passes: maximum number of times that they are iterated over.
+        clock: returns a time in seconds.
+    """
+    begin_s = 0.0
+    for number, frame in enumerate(frames):
+        if number == _FIRST_MOTION_FRAMES:
+            begin_s = clock()
+        if number == _FIRST_MOTION_FRAMES + _MOTION_FRAMES and total > 2 * number:
+            frame_s = (clock() - begin_s) / _MOTION_FRAMES
+            text = f" for each of up to {passes} passes, which find the focal length"
+            _log.info(
+                "About %s expected for the motion of %s frames%s; mapping follows.",
+                _duration(frame_s * total),
+                f"{total:,}",
+                text if passes > 1 else "",
+            )
+        yield frame
 
 
 def _duration(seconds: float) -> str:
