@@ -406,7 +406,9 @@ class Slam:
             if not may_map:
                 return Located(None, not_tracked("it is held out, and the map has not started"))
             first = self.tracker.first_pose(frame)
-            unusable = not_tracked("the map cannot start with it: black, or too little depth")
+            unusable = not_tracked(
+                "the map cannot start with it: no pose, black, or too little depth"
+            )
             return Located(first, None if first is not None else unusable)
         with self._recorder.timed("tracking"):
             gaussians = self.mapper.gaussians

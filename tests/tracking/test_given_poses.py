@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,6 +12,7 @@ from toolkit.datasets.synthetic import tiny_room
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.guided import GuidedTracker
 
 
 @settings(max_examples=5, deadline=None)
@@ -27,3 +30,12 @@ def test_poses_stay_rigid_over_a_hundred_submaps(seed: int) -> None:
         T = tracker.track(frame, empty).T_map_camera
         assert se3.is_rigid(T, 1e-12)
         np.testing.assert_allclose(T_world_map @ T, T_world_camera, atol=1e-10)
+
+
+def test_frames_without_a_pose_state_what_is_missing() -> None:
+    frames, truth = tiny_room(4, 20, 16)
+    later = replace(frames[3], timestamp_s=99.0)
+    for kind, words in ((GivenPoses, "dataset has no pose"), (GuidedTracker, "not be estimated")):
+        result = kind(truth).track(later, GaussianCloud.empty())
+        assert result.lost
+        assert words in result.reason

@@ -27,6 +27,8 @@ class GivenPoses:
         self._T_map_world = np.eye(4)
 
     wants_labels = False
+    # Why a frame without a pose is lost.
+    without_pose = "the dataset has no pose for it"
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the first frame; None if it has no pose or cannot be mapped."""
@@ -58,7 +60,7 @@ class GivenPoses:
             visible_fraction=1.0,
             information=np.zeros((6, 6)),
             health=Health.GOOD if known else Health.LOST,
-            reason="" if known else "the given trajectory has no pose for it",
+            reason="" if known else self.without_pose,
         )
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:

@@ -56,6 +56,8 @@ class GuidedTracker(GivenPoses):
         trajectory: poses of the frames, wrong by a few pixels.
     """
 
+    without_pose = "the motion of the camera could not be estimated there, or not be connected"
+
     def __init__(
         self, trajectory: Trajectory, backend_name: str = "auto", recorder: Recorder | None = None
     ) -> None:
