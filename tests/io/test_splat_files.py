@@ -1,5 +1,7 @@
 """Splat files: round trips, the layout of viewers, damaged files."""
 
+import gzip
+
 import numpy as np
 import pytest
 import torch
@@ -124,6 +126,33 @@ def test_spz_has_either_axes(tmp_path, cloud):
     np.testing.assert_allclose(specified, cloud.means.numpy(), atol=1e-3)
     turned = splats.read_splats(tmp_path / "map.spz", "as-ply").means
     np.testing.assert_allclose(turned, specified * [1, -1, -1], atol=1e-6)
+
+
+def test_spz_of_version_2_is_read_by_others(tmp_path, cloud):
+    """Open3D, which has the reader of the format's authors, finds the same splats."""
+    raw = splats.open3d().t.io.read_point_cloud
+    splats.export_splats(tmp_path / "map.spz", cloud, spz_version=2)
+    content = gzip.decompress((tmp_path / "map.spz").read_bytes())
+    assert content[:8] == b"NGSP\x02\0\0\0"
+    assert len(content) == 16 + len(cloud) * (9 + 1 + 3 + 3 + 3)
+    read = splats.read_splats(tmp_path / "map.spz")
+    np.testing.assert_allclose(read.means, cloud.means.numpy(), atol=2e-4)
+    np.testing.assert_allclose(read.log_radii, cloud.log_radii.numpy(), atol=0.04)
+    np.testing.assert_allclose(read.colours, cloud.colours.numpy(), atol=0.01)
+    opacities = 1.0 / (1.0 + np.exp(-read.opacity_logits))
+    np.testing.assert_allclose(opacities, cloud.opacities.numpy(), atol=0.01)
+    assert read.shapes is None
+    # Version 4 has the same axes: y up, z backward.
+    splats.export_splats(tmp_path / "new.spz", cloud)
+    for name in ("map.spz", "new.spz"):
+        positions = raw(str(tmp_path / name)).point["positions"].numpy().copy()
+        np.testing.assert_allclose(positions, cloud.means.numpy() * [1, -1, -1], atol=2e-4)
+    again = tmp_path / "again.spz"
+    splats.export_splats(again, cloud, spz_version=2)
+    assert again.read_bytes() == (tmp_path / "map.spz").read_bytes()
+    far = cloud.transformed(np.array([[1, 0, 0, 3e3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+    with pytest.raises(RunFolderError, match="within 2 km"):
+        splats.export_splats(again, far, spz_version=2)
 
 
 def test_foreign_formats_are_named(tmp_path):

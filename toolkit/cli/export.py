@@ -45,7 +45,7 @@ def main(options: ExportOptions) -> int:
 def _splats(options: ExportOptions, selection: Selection) -> str:
     columns = None if selection.labels is None else selection.labels.columns()
     comments = [*_left_origin(options, selection), *selection.run.length_names.notes]
-    export_splats(options.to, selection.gaussians, columns, comments)
+    export_splats(options.to, selection.gaussians, columns, comments, options.spz_version)
     return f"{len(selection.gaussians)} Gaussians"
 
 

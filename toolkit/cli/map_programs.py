@@ -30,6 +30,8 @@ class ExportOptions:
     """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
     .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz),
     occupancy-grid (.yaml), trajectory (.txt, .tum) or viewer (.html)."""
+    spz_version: Literal[2, 4] = 4
+    """Version of .spz files; more viewers read version 2."""
     mesh: bool = False
     """Short for --format mesh."""
     points: bool = False

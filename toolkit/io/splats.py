@@ -20,6 +20,7 @@ from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing, write_bytes
 from toolkit.io.splat_shapes import relative_covariances
+from toolkit.io.spz import spz_version_2
 
 PathLike = str | os.PathLike[str]
 
@@ -29,6 +30,8 @@ FOREIGN_SUFFIXES = (".ksplat", ".sog", ".lcc", ".rad", ".splatv", ".glb", ".gltf
 # A .spz file has the axes of its specification (x right, y up, z backward), or those of the .ply
 # file that some programs have written it from without converting it.
 SpzAxes = Literal["specified", "as-ply"]
+# Open3D converts neither when it reads nor when it writes.
+_SPZ_AXES = np.array([1, -1, -1], np.float32)
 _SPZ_MAGIC, _FIRST_UNPACKED_SPZ = b"NGSP", 4
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
@@ -197,11 +200,13 @@ def export_splats(
     splats: SplatLike,
     extra: Mapping[str, NDArray] | None = None,
     comments: Sequence[str] = (),
+    spz_version: Literal[2, 4] = 4,
 ) -> None:
     """Write splats for viewers as `.ply`, `.splat` or `.spz`, depending on the suffix.
 
     `.splat` and `.spz` quantise colour, opacity and scale to about 8 bits, clamp colours to [0, 1]
     and do not support additional columns; only `.ply` stores `extra` and comments, of a line each.
+    Version 2 of `.spz` is read by more viewers than version 4.
 
     Raises:
         ValueError: the suffix is not supported.
@@ -216,8 +221,28 @@ def export_splats(
             head, _, rest = content.partition(b"\nelement ")
             lines = "".join(f"\ncomment {line}" for line in comments).encode()
             write_bytes(Path(path), head + lines + b"\nelement " + rest)
+    elif Path(path).suffix == ".spz" and spz_version == 2:
+        _write_spz_version_2(Path(path), splats)
     else:
-        _write(path, _open3d_cloud(path, splats, clamped=True))
+        cloud = _open3d_cloud(path, splats, clamped=True)
+        if Path(path).suffix == ".spz":
+            positions = cloud.point["positions"].numpy() * _SPZ_AXES
+            cloud.point["positions"] = open3d().core.Tensor(positions)
+        _write(path, cloud)
+
+
+def _write_spz_version_2(path: Path, splats: SplatLike) -> None:
+    colours = np.clip(_array(splats.colours), 0.0, 1.0)
+    try:
+        content = spz_version_2(
+            _array(splats.means),
+            _array(splats.log_radii),
+            1.0 / (1.0 + np.exp(-_array(splats.opacity_logits).astype(np.float64))),
+            (colours - 0.5) / CONSTANT_HARMONIC,
+        )
+    except ValueError as error:
+        raise RunFolderError(f"cannot write {path}: {error}; write a .ply") from error
+    write_bytes(path, content)
 
 
 def is_splat_file(path: PathLike) -> bool:
@@ -273,9 +298,8 @@ def read_splats(path: PathLike, spz_axes: SpzAxes = "specified") -> Splats:
             raise FormatError(
                 f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
             )
-    if Path(path).suffix == ".spz" and spz_axes == "as-ply":
-        # Open3D has turned them by half a turn about x.
-        columns["positions"] = columns["positions"] * np.array([1, -1, -1], np.float32)
+    if Path(path).suffix == ".spz" and spz_axes == "specified":
+        columns["positions"] = columns["positions"] * _SPZ_AXES
         if "rot" in columns:
             columns["rot"] = columns["rot"] * np.array([1, 1, -1, -1], np.float32)
     log_scales = np.log(columns["scale"])
