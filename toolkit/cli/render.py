@@ -69,6 +69,11 @@ class _Map:
     backend_name: str
     labels: bool = False
 
+    @property
+    def names(self) -> LengthNames:
+        """How lengths are written."""
+        return METRES if self.run is None else self.run.length_names
+
 
 @dataclass(frozen=True)
 class _View:
@@ -112,7 +117,6 @@ def main(options: RenderProgram) -> int:
     inputs = _InputImages.open(options, map_.run, camera)
     views = _views(options, map_, camera)[:: options.every]
     out = _create_output_folder(options)
-    names = METRES if map_.run is None else map_.run.length_names
 
     step = max(1, len(views) // _SPAN_VIEWS)
     span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
@@ -120,7 +124,7 @@ def main(options: RenderProgram) -> int:
         rendered = _render(map_, camera, view)
         observed = inputs.rgb(view) if inputs else None
         images: dict[str, RgbImage] = {
-            kind: _image_of(kind, rendered, span, observed, names)
+            kind: _image_of(kind, rendered, span, observed, map_.names)
             for kind in options.what
             if kind not in SEMANTIC_IMAGES
         }
@@ -143,13 +147,12 @@ def _write_video(
     step = max(1, count // _SPAN_VIEWS)
     span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
     kind = options.what[0]
-    names = METRES if map_.run is None else map_.run.length_names
 
     def images() -> Iterator[RgbImage]:
         for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
             rendered = _render(map_, camera, view)
             if palette is None or rendered.nodes is None:
-                yield _image_of(kind, rendered, span, None, names)
+                yield _image_of(kind, rendered, span, None, map_.names)
             elif kind == "labels":
                 yield palette.class_image(rendered.nodes[-1])
             else:

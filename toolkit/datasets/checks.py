@@ -11,8 +11,7 @@ import numpy as np
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.decoder_warnings import decoder_warning
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
-from toolkit.datasets.depth_samples import with_gaps_filled
-from toolkit.datasets.far_values import without_far_value
+from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import (
     depth_scale_finding,
     is_impossible_depth,
@@ -110,7 +109,7 @@ def check_recording(
     Raises:
         DatasetError: the recording has no frames.
     """
-    recording = with_gaps_filled(without_far_value(recording))
+    recording = with_usable_depth(recording)
     dataset = RecordedDataset(recording, image_size)
     findings = _Findings()
     for index in watch(range(len(dataset))):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
+from toolkit.datasets.far_values import without_far_value
 from toolkit.datasets.sparse_depth import sparsity
 from toolkit.errors import DatasetError
 from toolkit.io import images
@@ -43,15 +45,21 @@ def _values(recording: Recording, frame: FrameFiles) -> NDArray:
     return images.read_depth_values(frame.depth)
 
 
-def with_gaps_filled(recording: Recording, max_frames: int | None = None) -> Recording:
-    """A recording whose gaps are filled if its depth is sparse, with a note.
+def with_usable_depth(recording: Recording, max_frames: int | None = None) -> Recording:
+    """A recording whose far value counts as missing, and whose sparse depth is filled.
 
     Args:
+        recording: its files.
         max_frames: maximum number of frames from the start that may be read, or None for all.
     """
+    depths = depth_samples(recording, max_frames)
+    return _with_gaps_filled(without_far_value(recording, depths), depths)
+
+
+def _with_gaps_filled(recording: Recording, depths: Sequence[NDArray]) -> Recording:
+    """A recording whose gaps are filled if its depth is sparse, with a note."""
     per_metre = recording.depth_scale if recording.container is None else 1.0
     missing_from = min(recording.missing_from_m * per_metre, float(images.SATURATED_DEPTH))
-    depths = depth_samples(recording, max_frames)
     found = sparsity([np.where(depth < missing_from, depth, 0) for depth in depths])
     if not found.is_sparse:
         return recording

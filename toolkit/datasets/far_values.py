@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import Recording
-from toolkit.datasets.depth_samples import depth_samples
 from toolkit.io import images
 
 # A surface has a neighbour in depth; the value of no measurement is at least so many times as far
@@ -53,13 +52,13 @@ def far_value(depths: Sequence[NDArray]) -> FarValue | None:
     return FarValue(float(value), share)
 
 
-def without_far_value(recording: Recording, max_frames: int | None = None) -> Recording:
+def without_far_value(recording: Recording, depths: Sequence[NDArray]) -> Recording:
     """The recording with the far value of its depth, and a note about what counts as missing.
 
     Args:
-        max_frames: maximum number of frames from the start that may be read, or None for all.
+        recording: with depth.
+        depths: depth values of some of its frames, as of `depth_samples`.
     """
-    depths = depth_samples(recording, max_frames)
     if not depths:
         return recording
     notes = []

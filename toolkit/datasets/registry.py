@@ -26,8 +26,7 @@ from toolkit.datasets import (
 )
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
-from toolkit.datasets.depth_samples import with_gaps_filled
-from toolkit.datasets.far_values import without_far_value
+from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.options import BagTopics
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import is_impossible, unit_fault
@@ -101,8 +100,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     if image_size is None and not needs_depth:
         image_size = _reduced(recording)
     if needs_depth:
-        recording = without_far_value(recording, max_frames)
-        recording = with_gaps_filled(recording, max_frames)
+        recording = with_usable_depth(recording, max_frames)
     if depth_offset is not None and needs_depth:
         recording = _with_offset(recording, depth_offset, max_frames)
     if not needs_depth:  # motion is estimated from features of the images as they are

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.pose_convention import OURS, PoseConvention, all_conventions
-from toolkit.depth_priors.multi_view import SweptKeyframe
 from toolkit.errors import DatasetError
 from toolkit.features.keypoints import Keypoints, detect_keypoints, match_keypoints
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.motion import CameraMotion, MetricScale
+from toolkit.monocular.motion import CameraMotion, MetricScale, grey_image, swept_keyframe
 from toolkit.visual_odometry.two_view import rays, triangulate
 
 Array = NDArray[np.float64]
@@ -35,7 +33,6 @@ _MAX_TURN_RAD = 0.8
 _MAX_ERROR_PX = 3.0
 # Smallest angle between the rays of a point whose depth counts, radians.
 _MIN_PARALLAX_RAD = 0.01
-_MIN_POINTS, _NEAR_PERCENT, _FAR_PERCENT = 10, 2.0, 98.0
 # Share of the matches that agree with right poses; wrong ones reach 0.05 to 0.3, since each point
 # on an epipolar line agrees.
 _MIN_AGREEMENT, _CLEARLY_BETTER = 0.4, 1.5
@@ -72,7 +69,7 @@ def motion_of_given_poses(
         if T_world_camera is None:
             continue
         if len(indices) in kept:
-            greys[len(indices)] = _grey(frame)
+            greys[len(indices)] = grey_image(frame)
         indices.append(frame.index)
         times_s.append(frame.timestamp_s)
         poses.append(T_world_camera)
@@ -85,9 +82,9 @@ def motion_of_given_poses(
         depths = [p.depths(camera) for p in pairs if p.first == number]
         depths += [p.swapped().depths(camera) for p in pairs if p.second == number]
         known = np.concatenate([np.zeros(0), *depths])
-        if len(known) >= _MIN_POINTS:
-            near, far = np.percentile(known, [_NEAR_PERCENT, _FAR_PERCENT])
-            views.append(SweptKeyframe(indices[number], poses[number], float(near), float(far)))
+        view = swept_keyframe(indices[number], poses[number], known)
+        if view is not None:
+            views.append(view)
     if len(views) < 3:
         raise DatasetError(
             f"depth cannot be estimated with the given poses: only {len(views)} frames have "
@@ -111,10 +108,6 @@ def _kept_frames(given: Trajectory) -> set[int]:
     """Numbers of the poses whose frames become keyframes."""
     count = min(len(given), _MAX_KEYFRAMES)
     return set(np.linspace(0, len(given) - 1, count).round().astype(int).tolist())
-
-
-def _grey(frame: Frame) -> NDArray[np.uint8]:
-    return np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)

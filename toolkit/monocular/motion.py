@@ -218,14 +218,15 @@ def _followed(
     times_s: list[float] = []
     reasons: Counter[str] = Counter()
     for frame in frames:
-        result = odometry.process(_grey(frame))
+        result = odometry.process(grey_image(frame))
         times_s.append(frame.timestamp_s)
         if result.state is not State.TRACKING and result.reason != FIRST_IMAGES:
             reasons[result.reason] += 1
     return _Followed(odometry.maps, times_s, reasons)
 
 
-def _grey(frame: Frame) -> NDArray[np.uint8]:
+def grey_image(frame: Frame) -> NDArray[np.uint8]:
+    """The image of a frame as features are found in it, [H, W]."""
     return np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
 
 
@@ -233,7 +234,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
     """The motion after correction by revisits, and what speaks against it."""
     times_s = odometry.times_s
     detected: dict[int, Keypoints] = {}
-    sparse_map = connected(odometry.maps, lambda n: _grey(frames[n]), detected)
+    sparse_map = connected(odometry.maps, lambda n: grey_image(frames[n]), detected)
     known = [n for n in range(len(times_s)) if sparse_map.T_world_camera(n) is not None]
     # Frames before the initialisation have a pose afterwards.
     reasons = Counter(odometry.reasons)
@@ -246,7 +247,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
         return CameraMotion(
             nothing, sparse_map.camera, [], len(times_s), without_pose=without, doubts=doubts
         )
-    sparse_map, loops = close_loops(sparse_map, lambda n: _grey(frames[n]), detected)
+    sparse_map, loops = close_loops(sparse_map, lambda n: grey_image(frames[n]), detected)
     adjusted = sparse_map.adjust_all(focal=not calibrated)
     assert adjusted is not None, "there are three views"
     poses = [sparse_map.T_world_camera(n) for n in known]
@@ -280,12 +281,21 @@ def _depth_views(sparse_map: SparseMap) -> tuple[list[SweptKeyframe], list[float
     views, depths = [], []
     for number, view in enumerate(sparse_map.views):
         depth = sparse_map.landmark_depths(number)
-        if len(depth) < _MIN_LANDMARKS:
-            continue
-        near, far = np.percentile(depth, [_NEAR_PERCENT, _FAR_PERCENT])
-        views.append(SweptKeyframe(view.frame, view.T_world_camera, float(near), float(far)))
-        depths.append(float(np.median(depth)))
+        swept = swept_keyframe(view.frame, view.T_world_camera, depth)
+        if swept is not None:
+            views.append(swept)
+            depths.append(float(np.median(depth)))
     return views, depths
+
+
+def swept_keyframe(
+    frame: int, T_world_camera: NDArray[np.float64], depths: NDArray[np.float64]
+) -> SweptKeyframe | None:
+    """A view with the range of the depths [N] of its known points; None with too few."""
+    if len(depths) < _MIN_LANDMARKS:
+        return None
+    near, far = np.percentile(depths, [_NEAR_PERCENT, _FAR_PERCENT])
+    return SweptKeyframe(frame, T_world_camera, float(near), float(far))
 
 
 def _doubts(motion: CameraMotion) -> list[str]:
