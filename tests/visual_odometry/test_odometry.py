@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import pytest
 from moving_camera import error_m, film, turn, walk
@@ -108,6 +109,21 @@ def test_tracks_follow_the_image(walked):
     _, at, now = np.intersect1d(first.ids, found.ids, return_indices=True)
     moved = found.px[now] - first.px[at]
     np.testing.assert_allclose(np.median(moved, axis=0), [5.0, 2.0], atol=0.05)
+
+
+def test_tracks_survive_a_motion_too_large_for_optical_flow():
+    rng = np.random.default_rng(2)
+    scene = cv2.GaussianBlur(rng.uniform(0.0, 255.0, (260, 460)).astype(np.float32), None, 3.0)
+    scene = cv2.normalize(scene, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)
+    tracks = FeatureTracks(200)
+    tracks.follow(np.ascontiguousarray(scene[:240, :320]))
+    first = tracks.replenish()
+    found = tracks.follow(np.ascontiguousarray(scene[20:, 130:450]))
+    _, at, now = np.intersect1d(first.ids, found.ids, return_indices=True)
+    visible = (first.px > [135.0, 25.0]).all(1)
+    assert len(at) > 0.7 * visible.sum()
+    moved = found.px[now] - first.px[at]
+    np.testing.assert_allclose(np.median(moved, axis=0), [-130.0, -20.0], atol=0.05)
 
 
 def test_new_features_keep_their_distance(walked):

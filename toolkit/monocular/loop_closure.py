@@ -24,6 +24,7 @@ from toolkit.monocular.revisits import (
     find_revisits,
     keypoint_points,
     reprojection_px,
+    triangulated,
 )
 from toolkit.pose_graph.similarity import SimilarityEdge, solve_similarities
 from toolkit.visual_odometry.scale_drift import scale_sigma
@@ -155,7 +156,7 @@ def _corrected(
     sequence: Sequence[SimilarityEdge],
     revisits: Sequence[Revisit],
 ) -> tuple[SparseMap, ViewKeypoints]:
-    """A corrected copy, and the keypoints with depths in its unit."""
+    """A corrected copy, and the keypoints triangulated in it."""
     corrected = sparse_map.copy()
     edges = [*sequence, *(_edge(sparse_map, revisit) for revisit in revisits)]
     poses = [view.T_world_camera for view in sparse_map.views]
@@ -172,7 +173,9 @@ def _corrected(
     corrected.add(_tracks(corrected, scaled, revisits))
     for _ in range(_ADJUSTMENTS):
         corrected.adjust_all(clean=True)
-    return corrected, scaled
+    # Bundle adjustment changes the scale, too, as a whole and along the sequence.
+    views = keypoints.views, keypoints.neighbours
+    return corrected, triangulated(corrected.camera, corrected.views, *views)
 
 
 def _fits(corrected: SparseMap, keypoints: ViewKeypoints, revisit: Revisit) -> bool:

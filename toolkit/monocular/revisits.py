@@ -98,13 +98,23 @@ def find_keypoints(
         for first in range(len(views))
         for second in range(first + 1, min(first + NEAR + 1, len(views)))
     }
-    lines = [_Lines(len(keypoints)) for keypoints in found]
+    return triangulated(camera, views, found, neighbours)
+
+
+def triangulated(
+    camera: Camera,
+    views: Sequence[View],
+    keypoints: list[Keypoints],
+    neighbours: dict[tuple[int, int], Matches],
+) -> ViewKeypoints:
+    """Triangulate the keypoints of all views from the present poses, with the views around."""
+    lines = [_Lines(len(view)) for view in keypoints]
     for (first, second), matches in neighbours.items():
         for a, b, pairs in ((first, second, matches), (second, first, matches[:, ::-1])):
             T = se3.inverse(views[b].T_world_camera) @ views[a].T_world_camera
             rows, others = pairs.T
-            lines[a].add(camera, T, rows, found[a].px[rows], found[b].px[others])
-    return ViewKeypoints(found, [line.inverse_depth() for line in lines], neighbours)
+            lines[a].add(camera, T, rows, keypoints[a].px[rows], keypoints[b].px[others])
+    return ViewKeypoints(keypoints, [line.inverse_depth() for line in lines], neighbours)
 
 
 class _Lines:

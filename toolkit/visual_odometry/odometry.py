@@ -16,6 +16,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.visual_odometry.initialisation import MEDIAN_DEPTH, Refusal, initialise
 from toolkit.visual_odometry.landmarks import View, bundle, held
+from toolkit.visual_odometry.reversal import without_reversal
 from toolkit.visual_odometry.sparse_map import MAX_ERROR_PX, SparseMap
 from toolkit.visual_odometry.tracks import Features, FeatureTracks
 from toolkit.visual_odometry.two_view import parallax_rad, triangulate
@@ -241,6 +242,12 @@ class VisualOdometry:
         free = range(max(count - self.options.window, 2), count)
         window = range(max(count - self.options.window - self.options.overlap, 0), count)
         self.map.adjust(window, free, BundleOptions(iterations=10), clean=True)
+        upright = without_reversal(self.map, window, free)
+        if upright is not self.map:
+            self.map = upright
+            self.map.adjust(window, free, BundleOptions(iterations=10), clean=True)
+            # The velocity was reversed, too.
+            self._last = [self.map.views[-1].T_world_camera] * 2
 
     def _replenish(self) -> None:
         """Find new features in the newest view."""

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from toolkit.features.keypoints import detect_keypoints, match_keypoints
 
 # Quality of a corner relative to the best one in the image, and half the block that it is
 # computed from.
@@ -19,6 +22,10 @@ _LEVELS = 2
 # Features whose track back to the previous image misses their origin by more are lost.
 _MAX_RETURN_PX = 0.5
 _BORDER_PX = 4.0
+# Where optical flow keeps fewer features, matched keypoints predict where they are.
+_MIN_FOLLOWED = 0.3
+_KEYPOINTS, _RATIO, _MIN_MATCHES, _MATCH_ERROR_PX = 600, 0.8, 8, 1.5
+_NEIGHBOURS = 3
 # Relative changes of brightness or contrast between two images that Lucas-Kanade need not mind.
 _MAX_EXPOSURE_CHANGE = 0.15
 
@@ -49,7 +56,8 @@ NO_FEATURES = Features(np.zeros(0, np.int64), np.zeros((0, 2)))
 class FeatureTracks:
     """Follows features from image to image, and finds new ones.
 
-    Dense optical flow predicts where a feature is; Lucas-Kanade finds the place precisely.
+    Dense optical flow predicts where a feature is, or keypoints after large motions; Lucas-Kanade
+    finds the place precisely.
 
     Args:
         count: features per image.
@@ -67,17 +75,16 @@ class FeatureTracks:
         last, self._image = self._image, image
         if last is None or not len(self.features):
             return self.features
-        flow = self._flow.calc(last, image, None)
         before = self.features.px.astype(np.float32)
+        flow = self._flow.calc(last, image, None)
         column, row = np.round(before).astype(int).T
-        guess = before + flow[row, column]
-        last = _with_exposure_of(image, guess, last, before)
-        after, found = _lucas_kanade(last, image, before, guess)
-        back, returned = _lucas_kanade(image, last, after, before)
-        height, width = image.shape
-        inside = (after >= _BORDER_PX) & (after <= np.array([width, height]) - 1 - _BORDER_PX)
-        good = found & returned & inside.all(1)
-        good &= np.linalg.norm(back - before, axis=1) < _MAX_RETURN_PX
+        after, good = _followed(last, image, before, before + flow[row, column])
+        if good.mean() < _MIN_FOLLOWED:
+            guess = _guess_by_keypoints(last, image, before)
+            if guess is not None:
+                other, found = _followed(last, image, before, guess)
+                if found.sum() > good.sum():
+                    after, good = other, found
         self.features = Features(self.features.ids[good], after[good].astype(np.float64))
         return self.features
 
@@ -114,6 +121,44 @@ class FeatureTracks:
             np.concatenate([self.features.px, corners.reshape(-1, 2).astype(np.float64)]),
         )
         return self.features
+
+
+def _followed(
+    last: NDArray[np.uint8],
+    image: NDArray[np.uint8],
+    before: NDArray[np.float32],
+    guess: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Places [N, 2] of features in the next image, and which of them have been found."""
+    last = _with_exposure_of(image, guess, last, before)
+    after, found = _lucas_kanade(last, image, before, guess)
+    back, returned = _lucas_kanade(image, last, after, before)
+    height, width = image.shape
+    inside = (after >= _BORDER_PX) & (after <= np.array([width, height]) - 1 - _BORDER_PX)
+    good = found & returned & inside.all(1)
+    good &= np.linalg.norm(back - before, axis=1) < _MAX_RETURN_PX
+    return after, good
+
+
+def _guess_by_keypoints(
+    last: NDArray[np.uint8], image: NDArray[np.uint8], before: NDArray[np.float32]
+) -> NDArray[np.float32] | None:
+    """Approximate places [N, 2] of features in the next image from matched keypoints around.
+
+    Keypoints are found again after motions that are too large for optical flow.
+    """
+    first, second = (detect_keypoints(one, _KEYPOINTS) for one in (last, image))
+    matches = match_keypoints(first, second, _RATIO)
+    if len(matches) < _MIN_MATCHES:
+        return None
+    px, other_px = first.px[matches[:, 0]], second.px[matches[:, 1]]
+    _, inlier = cv2.findFundamentalMat(px, other_px, cv2.FM_RANSAC, _MATCH_ERROR_PX, 0.999)
+    if inlier is None or inlier.sum() < _MIN_MATCHES:
+        return None
+    good = inlier.ravel() > 0
+    motion = (other_px - px)[good]
+    _, near = cKDTree(px[good]).query(before, _NEIGHBOURS)
+    return before + np.median(motion[near], axis=1).astype(np.float32)
 
 
 def _with_exposure_of(
