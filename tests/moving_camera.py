@@ -52,6 +52,25 @@ def film(T_world_camera: NDArray[np.float64]) -> list[Frame]:
     return frames
 
 
+class Film:
+    """Frames in memory as a dataset."""
+
+    def __init__(self, frames: list[Frame]) -> None:
+        self.name, self.camera = "film", frames[0].camera
+        self.ground_truth: Trajectory | None = None
+        self.label_names: dict[int, str] | None = None
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self._frames[index]
+
+    def __iter__(self):
+        return iter(self._frames)
+
+
 def error_m(found: Trajectory, truth: NDArray[np.float64]) -> tuple[float, float]:
     """RMS distance of the positions after alignment with scale, and the scale."""
     positions = found.T_world_camera[:, :3, 3]

@@ -15,6 +15,7 @@ from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing
 from toolkit.exposure import IDENTITY
 from toolkit.frame import Frame, FrameStamp, Recorder
+from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation
@@ -22,7 +23,7 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import Health, TrackingResult
-from toolkit.tracking.tracker import LocatingTracker, Tracker
+from toolkit.tracking.tracker import LocatingTracker, PartTracker, Tracker
 
 _log = logging.getLogger(__name__)
 
@@ -97,6 +98,8 @@ class Recovery:
             may_map: False for a frame that must not start a submap.
         """
         tracker, relocaliser = self._tracker, self._closer.relocaliser
+        if isinstance(tracker, PartTracker):
+            return self._entered_part(tracker, frame, lost, may_map)
         if relocaliser is None or not isinstance(tracker, LocatingTracker):
             return Located(None, lost)
         if not has_depth(frame):
@@ -115,11 +118,39 @@ class Recovery:
         if found is None and not (out_of_patience and self._may_start(frame, tracker.limits)):
             self._unreliable = frame
             return Located(None, lost)
-        self._start_submap(frame, found)
+        self._start_submap(frame, found, self._path.last_pose(self._atlas))
+        _log.warning(
+            "Started submap %d at frame %d: %s.",
+            self._atlas.active,
+            frame.index,
+            f"relocalised in submap {found.submap}"
+            if found is not None
+            else "relocalisation failed, position unknown until a loop is found",
+        )
         tracker.continue_from(frame.timestamp_s, np.eye(4))
         if found is None:
             return Located(np.eye(4), replace(lost, health=Health.LOST))
         return Located(np.eye(4), replace(found.result, T_map_camera=np.eye(4)))
+
+    def _entered_part(
+        self, tracker: PartTracker, frame: Frame, lost: TrackingResult, may_map: bool
+    ) -> Located:
+        """Start a submap where the poses go on in another part of the trajectory."""
+        T_world_camera = tracker.elsewhere(frame)
+        if T_world_camera is None:
+            return Located(None, lost)
+        if not may_map or not has_depth(frame):
+            return Located(None, replace(lost, reason="its part of the map has not started"))
+        active = self._atlas.active
+        T_active_world = se3.inverse(self._atlas.T_world_submap(active))
+        self._start_submap(frame, None, (active, T_active_world @ T_world_camera))
+        _log.warning(
+            "Started submap %d at frame %d, in another part of the motion.",
+            self._atlas.active,
+            frame.index,
+        )
+        tracker.enter(frame)
+        return Located(np.eye(4), replace(lost, health=Health.LOST))
 
     def _may_start(self, frame: Frame, limits: HealthLimits) -> bool:
         """Whether a submap of unknown position may start at a frame."""
@@ -148,23 +179,22 @@ class Recovery:
             camera = Camera(**values["camera"])
             self._unreliable = Frame(values["index"], values["timestamp_s"], rgb, depth_m, camera)
 
-    def _start_submap(self, frame: Frame, found: Relocalisation | None) -> None:
-        """Start a submap at a frame, at its relocalised pose or else at the last known pose."""
+    def _start_submap(
+        self, frame: Frame, found: Relocalisation | None, otherwise: tuple[int, NDArray[np.float64]]
+    ) -> None:
+        """Start a submap at a frame.
+
+        Args:
+            found: where the frame was relocalised.
+            otherwise: submap and T_submap_camera [4, 4] where it starts if it was not.
+        """
         atlas = self._atlas
         exposure = IDENTITY if found is None else found.result.exposure
         anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
         self._closer.submap_ending(atlas)
         with self._recorder.timed("mapping"):
             if found is None:
-                atlas.start_at(anchor, *self._path.last_pose(atlas), inherit=False)
+                atlas.start_at(anchor, *otherwise, inherit=False)
             else:
                 atlas.start_at(anchor, found.submap, found.T_submap_camera)
         self._closer.submap_recovered(atlas, found)
-        _log.warning(
-            "Started submap %d at frame %d: %s.",
-            atlas.active,
-            frame.index,
-            f"relocalised in submap {found.submap}"
-            if found is not None
-            else "relocalisation failed, position unknown until a loop is found",
-        )

@@ -6,31 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from moving_camera import error_m, film, turn, walk, wind
+from moving_camera import Film, error_m, film, turn, walk, wind
 
 from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.motion import CameraMotion, combined_focal, estimate_motion
 from toolkit.monocular.sequence import MonocularSequence
-
-
-class Film:
-    """Frames in memory as a dataset."""
-
-    def __init__(self, frames: list[Frame]) -> None:
-        self.name, self.camera = "film", frames[0].camera
-        self.ground_truth: Trajectory | None = None
-        self.label_names: dict[int, str] | None = None
-        self._frames = frames
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self._frames[index]
-
-    def __iter__(self):
-        return iter(self._frames)
 
 
 def motion_of(frames: list[Frame], **options) -> CameraMotion:

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from moving_camera import error_m, film, walk
+from moving_camera import Film, error_m, film, walk
 
 from toolkit.frame import Frame
 from toolkit.monocular.motion import CameraMotion, estimate_motion
+from toolkit.monocular.sequence import MonocularSequence
+from toolkit.runs.building import build_slam
+from toolkit.runs.settings import RunSettings
 
 PATH = walk(28)
 
@@ -55,14 +58,45 @@ def test_parts_before_and_after_a_covered_lens_are_connected(connected):
     assert "have no pose" in connected.doubts[0]
 
 
-def test_a_part_that_shows_another_place_is_left_out(walked):
-    elsewhere = [replace(frame, rgb=np.roll(1.0 - frame.rgb[::-1], 60, 1)) for frame in walked[:12]]
-    motion = motion_of([*walked[:18], *covered(12, walked[0]), *elsewhere])
-    known = np.round(motion.trajectory.timestamps_s * 30).astype(int)
-    assert set(known) <= set(range(18))
-    assert len(known) >= 16
+def elsewhere(walked: list[Frame]) -> list[Frame]:
+    """A walk, a covered lens, and a walk at another place, with less frames."""
+    other = [replace(frame, rgb=np.roll(1.0 - frame.rgb[::-1], 60, 1)) for frame in walked[:14]]
+    return numbered([*walked[:18], *covered(12, walked[0]), *other])
+
+
+def numbers(motion: CameraMotion) -> set[int]:
+    return set(np.round(motion.trajectory.timestamps_s * 30).astype(int))
+
+
+def test_a_part_that_shows_another_place_is_apart(walked):
+    motion = motion_of(elsewhere(walked))
+    assert numbers(motion) <= set(range(18))
+    assert len(motion.trajectory) >= 16
+    (other,) = motion.others
+    assert numbers(other) <= set(range(30, 44))
+    assert len(other.trajectory) >= 10
+    assert motion.frames_in_others == len(other.trajectory)
     assert not motion.reliable
-    assert "have no pose" in motion.doubts[0]
+    assert "position and scale are unknown" in motion.doubts[0]
+
+
+def test_each_part_gets_a_map_of_its_own(walked, tmp_path):
+    frames = elsewhere(walked)
+    sequence = MonocularSequence(Film(frames), motion_of(frames))
+    slam = build_slam(sequence, RunSettings(depth="none"))
+    for frame in sequence:
+        slam.process_frame(frame)
+    result = slam.finish()
+    _, other = result.parts
+    assert set(result.frame_indices) <= set(range(18))
+    (part,) = result.other_parts
+    assert part.submaps == other
+    assert len(part.frames.indices) >= 8
+    assert min(part.frames.indices) >= 30
+    assert part.map is not None
+    # Its frame is that of its first keyframe, and no Gaussian of the main part is in it.
+    np.testing.assert_allclose(result.submaps[other[0]].T_world_submap, np.eye(4), atol=1e-9)
+    assert set(result.submaps[other[0]].keyframe_indices) <= set(range(30, 44))
 
 
 def test_a_short_loss_does_not_start_again(walked):

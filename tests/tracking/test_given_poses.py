@@ -35,7 +35,8 @@ def test_poses_stay_rigid_over_a_hundred_submaps(seed: int) -> None:
 def test_frames_without_a_pose_state_what_is_missing() -> None:
     frames, truth = tiny_room(4, 20, 16)
     later = replace(frames[3], timestamp_s=99.0)
-    for kind, words in ((GivenPoses, "dataset has no pose"), (GuidedTracker, "not be estimated")):
-        result = kind(truth).track(later, GaussianCloud.empty())
+    given, guided = GivenPoses(truth), GuidedTracker([truth])
+    for tracker, words in ((given, "dataset has no pose"), (guided, "not be estimated")):
+        result = tracker.track(later, GaussianCloud.empty())
         assert result.lost
         assert words in result.reason

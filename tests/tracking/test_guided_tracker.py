@@ -22,7 +22,7 @@ def without_depth(frame: Frame) -> Frame:
 def guided(room: Room, error: np.ndarray) -> GuidedTracker:
     """A tracker whose trajectory is wrong by a motion of the camera."""
     times = np.array([frame.timestamp_s for frame in room.frames[:2]])
-    return GuidedTracker(Trajectory(times, np.array([np.eye(4), room.T_map_camera[1] @ error])))
+    return GuidedTracker([Trajectory(times, np.array([np.eye(4), room.T_map_camera[1] @ error]))])
 
 
 def test_the_pose_is_corrected_without_depth(room, gaussians):

@@ -26,6 +26,8 @@ from toolkit.visual_odometry.sparse_map import SparseMap
 _NEAR_PERCENT, _FAR_PERCENT = 2.0, 98.0
 # A keyframe with fewer landmarks has no range of depths.
 _MIN_LANDMARKS = 10
+# A map with fewer of such keyframes is left out.
+_MIN_VIEWS = 3
 
 # Limits of a reliable reconstruction. RMS distance of the camera from its mean position, relative
 # to the median depth: replica_office0 0.2, fr1_rpy, which only turns, 0.03.
@@ -46,8 +48,9 @@ _MAX_REJECTED, _FEW_REJECTED = 0.25, 5
 _SAME_FOCAL = 0.005
 FOCAL_ROUNDS = 5
 
-# Why frames of a segment that shows no place of the others have no pose.
+# Why a part of a sequence is apart, and why frames of one are left out.
 UNCONNECTED = "no image after the camera was lost shows a place from before"
+TOO_SHORT = "the camera was lost again too soon"
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,9 @@ class CameraMotion:
         metric_scale: how the motion was scaled to metres; None if its unit is arbitrary.
         without_pose: why frames have no pose: number of frames by reason.
         doubts: why the result is not reliable; empty if it is.
+        others: motions of the same camera whose position and scale relative to this one, the
+            longest, are unknown: the camera was lost in between, and no image shows a place of
+            both.
     """
 
     trajectory: Trajectory
@@ -99,6 +105,12 @@ class CameraMotion:
     metric_scale: MetricScale | None = None
     without_pose: dict[str, int] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
+    others: tuple[CameraMotion, ...] = ()
+
+    @property
+    def frames_in_others(self) -> int:
+        """Number of frames with a pose in another motion."""
+        return sum(len(other.trajectory) for other in self.others)
 
     @property
     def reliable(self) -> bool:
@@ -119,6 +131,7 @@ class CameraMotion:
             "monocular_metric_scale_sigma_percent": None
             if metric is None
             else 100.0 * metric.sigma,
+            "monocular_frames_in_other_parts": self.frames_in_others,
             "monocular_revisits": self.loops.revisits,
             "monocular_revisits_rejected": self.loops.rejected,
             "monocular_reprojection_px": self.error_px if known else None,
@@ -234,20 +247,41 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
     """The motion after correction by revisits, and what speaks against it."""
     times_s = odometry.times_s
     detected: dict[int, Keypoints] = {}
-    sparse_map = connected(odometry.maps, lambda n: grey_image(frames[n]), detected)
-    known = [n for n in range(len(times_s)) if sparse_map.T_world_camera(n) is not None]
+
+    def image(index: int) -> NDArray[np.uint8]:
+        return grey_image(frames[index])
+
+    groups = connected(odometry.maps, image, detected)
+    maps = [group for group in groups if len(_depth_views(group)[0]) >= _MIN_VIEWS]
     # Frames before the initialisation have a pose afterwards.
     reasons = Counter(odometry.reasons)
-    reasons[UNCONNECTED] = sum(len(m) for m in odometry.maps) - len(sparse_map)
-    without = dict((+reasons).most_common()) if len(known) < len(times_s) else {}
-    if len(_depth_views(sparse_map)[0]) < 3:
+    reasons[TOO_SHORT] = sum(map(len, groups[1:])) - sum(map(len, maps[1:]))
+    known = sum(map(len, maps or groups[:1]))
+    without = dict((+reasons).most_common()) if known < len(times_s) else {}
+    if not maps:
         reason = next(iter(without), "there are too few frames")
         doubts = [f"the motion of the camera could not be determined: {reason}"]
         nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
         return CameraMotion(
-            nothing, sparse_map.camera, [], len(times_s), without_pose=without, doubts=doubts
+            nothing, groups[0].camera, [], len(times_s), without_pose=without, doubts=doubts
         )
-    sparse_map, loops = close_loops(sparse_map, lambda n: grey_image(frames[n]), detected)
+    main = _corrected(maps[0], image, detected, times_s, calibrated)
+    # The longest part determines the focal length.
+    others = [_corrected(m, image, detected, times_s, True) for m in maps[1:]]
+    motion = replace(main, without_pose=without, others=tuple(others))
+    return replace(motion, doubts=_doubts(motion))
+
+
+def _corrected(
+    sparse_map: SparseMap,
+    image: Callable[[int], NDArray[np.uint8]],
+    detected: dict[int, Keypoints],
+    times_s: list[float],
+    calibrated: bool,
+) -> CameraMotion:
+    """The motion of a map after correction by revisits, without the doubts about it."""
+    known = [n for n in range(len(times_s)) if sparse_map.T_world_camera(n) is not None]
+    sparse_map, loops = close_loops(sparse_map, image, detected)
     adjusted = sparse_map.adjust_all(focal=not calibrated)
     assert adjusted is not None, "there are three views"
     poses = [sparse_map.T_world_camera(n) for n in known]
@@ -260,7 +294,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
     sigma = np.where(scale_matters(sparse_map), scale_sigma(sparse_map), 0.0)
     order = np.argsort(-sigma, kind="stable")
     uncertain = order[sigma[order] > _MAX_SCALE_SIGMA]
-    motion = CameraMotion(
+    return CameraMotion(
         trajectory,
         sparse_map.camera,
         views,
@@ -271,9 +305,7 @@ def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraM
         scale_frames=tuple(sparse_map.views[gap].frame for gap in uncertain),
         loops=loops,
         focal_sigma=None if calibrated else adjusted.focal_sigma,
-        without_pose=without,
     )
-    return replace(motion, doubts=_doubts(motion))
 
 
 def _depth_views(sparse_map: SparseMap) -> tuple[list[SweptKeyframe], list[float]]:
@@ -306,7 +338,13 @@ def _doubts(motion: CameraMotion) -> list[str]:
             f"the camera hardly moved from its place ({100 * motion.extent:.1f} % of the distance "
             "to the scene), so that distances are not determined"
         )
-    missing = motion.frames - len(motion.trajectory)
+    apart = motion.frames_in_others
+    missing = motion.frames - len(motion.trajectory) - apart
+    if apart > _MAX_MISSING * motion.frames:
+        doubts.append(
+            f"{apart} of {motion.frames} frames are in {len(motion.others)} other part(s), whose "
+            f"position and scale are unknown ({UNCONNECTED})"
+        )
     if missing > _MAX_MISSING * motion.frames:
         reason = next(iter(motion.without_pose), "tracking failed")
         doubts.append(f"{missing} of {motion.frames} frames have no pose ({reason})")

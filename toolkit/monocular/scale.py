@@ -67,7 +67,7 @@ def check_scale(options: ScaleOptions, frames: int | None = None) -> None:
 def with_metric_scale(
     motion: CameraMotion, dataset: Dataset, timestamps_s: Array, options: ScaleOptions
 ) -> CameraMotion:
-    """Scale a motion to metres by the length that is given, if one is.
+    """Scale a motion to metres by the length that is given, if one is; so each of its parts.
 
     Args:
         dataset: source of the images.
@@ -76,8 +76,21 @@ def with_metric_scale(
 
     Returns:
         The motion in metres with its `metric_scale`; unchanged without a known length, and with a
-        doubt if the length could not be found in the images.
+        doubt if the length could not be found in the images, or not in those of another part.
     """
+    if not motion.others:
+        return _in_metres(motion, dataset, timestamps_s, options)
+    others = [with_metric_scale(one, dataset, timestamps_s, options) for one in motion.others]
+    scaled_motion = _in_metres(replace(motion, others=()), dataset, timestamps_s, options)
+    doubts = list(scaled_motion.doubts)
+    doubts += [f"in another part, {doubt}" for one in others for doubt in one.doubts]
+    return replace(scaled_motion, others=tuple(others), doubts=doubts)
+
+
+def _in_metres(
+    motion: CameraMotion, dataset: Dataset, timestamps_s: Array, options: ScaleOptions
+) -> CameraMotion:
+    """One part of a motion in metres."""
     known_m: float | None
     found: Callable[[], _Length | str]
     if options.marker_m is not None:

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 GreyImage = Callable[[int], NDArray[np.uint8]]
 
 # Lost frames after which another segment is started beside the lost one.
-_LOST_FRAMES = 10
+_LOST_FRAMES = 3
 _MIN_VIEWS = 3
 # Revisits that must agree on the relation of two segments: within these differences of positions,
 # relative to the depth of the scene, and of scale.
@@ -74,32 +74,46 @@ class SegmentedOdometry:
 
 
 def largest(maps: Sequence[SparseMap]) -> SparseMap:
-    """The segment with the most views."""
-    return max(maps, key=lambda m: len(m.views))
+    """The segment with the most frames."""
+    return max(maps, key=len)
 
 
 def connected(
     maps: Sequence[SparseMap], image: GreyImage, detected: dict[int, Keypoints] | None = None
-) -> SparseMap:
-    """One map of the largest segment and of all those that show places of it, in order.
+) -> list[SparseMap]:
+    """Join the segments that show the same places, the largest one with its own first.
 
     Args:
-        maps: segments in order; those that are connected are moved into the largest one's frame.
+        maps: segments in order; those that are joined are moved into the largest one's frame.
         image: returns the grey image [H, W] of a frame.
         detected: as `find_keypoints` has it.
+
+    Returns:
+        Maps whose relative positions and scales are unknown.
     """
-    if len(maps) == 1:
-        return maps[0]
+    joined, rest = [], list(maps)
+    while rest:
+        parts = _largest_connected(rest, image, detected)
+        joined.append(SparseMap.joined([rest[n] for n in parts], rest[parts[0]].camera))
+        rest = [segment for n, segment in enumerate(rest) if n not in parts]
+    return joined
+
+
+def _largest_connected(
+    maps: list[SparseMap], image: GreyImage, detected: dict[int, Keypoints] | None
+) -> list[int]:
+    """Numbers of the largest segment and of those that show places of it, in order."""
     main = largest(maps)
-    keypoints = [find_keypoints(main.camera, m.views, image, detected) for m in maps]
     parts = {n for n, m in enumerate(maps) if m is main}
+    if len(maps) == 1:
+        return sorted(parts)
+    keypoints = [find_keypoints(main.camera, m.views, image, detected) for m in maps]
     while True:
         rest = [n for n in range(len(maps)) if n not in parts]
         moved = [n for n in rest if _connect(maps, keypoints, sorted(parts), n)]
         if not moved:
-            break
+            return sorted(parts)
         parts.update(moved)
-    return SparseMap.joined([maps[n] for n in sorted(parts)], main.camera)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
-from toolkit.depth_priors.completion import DepthCompletion
+from toolkit.depth_priors.completion import CompletedDepth, DepthCompletion
 from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.depth_priors.multi_view import MultiViewDepth
+from toolkit.depth_priors.multi_view import EstimatedDepth, MultiViewDepth
 from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.depth_priors.provider import DepthProvider
 from toolkit.depth_priors.source import PriorSource
@@ -23,12 +23,26 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.motion import CameraMotion
 
 
+@dataclass(frozen=True)
+class _PartDepth:
+    """Depth of the keyframes of one part of a motion."""
+
+    measured: MultiViewDepth
+    completion: DepthCompletion | None = None
+
+    def completed(self, number: int) -> EstimatedDepth | CompletedDepth:
+        """Depth of a keyframe, completed by its prior, or else on planes without texture."""
+        if self.completion is not None:
+            return self.completion.depth(number)
+        return self.measured.completed(number)
+
+
 class MonocularSequence:
     """A dataset whose keyframes have the depth that neighbouring keyframes agree with.
 
     Other frames have no depth. Planes without texture and depth priors, where there are any,
     complete the depth of keyframes, which is then marked as inferred. If priors are used alone
-    (`correction`), only the first keyframe has depth, which fixes the unit of length.
+    (`correction`), only the first keyframe of each part has depth, which fixes its unit of length.
     Implements `Dataset`; its ground truth is the estimated motion.
 
     Args:
@@ -36,6 +50,11 @@ class MonocularSequence:
         motion: estimated from it.
         provider: source of depth priors, or None.
         options: how priors are used.
+
+    Attributes:
+        trajectories: those of the parts of the motion, whose relative poses are unknown; the first
+            one is the ground truth.
+        part_of_keyframe: number of the part of each frame with depth, by index.
     """
 
     def __init__(
@@ -51,20 +70,31 @@ class MonocularSequence:
         self._dataset = dataset
         # Frames are read by a thread of their own, and by the correction of priors.
         self._reading = threading.Lock()
-        self._frames = [view.frame for view in motion.views]
-        self._views = {frame: number for number, frame in enumerate(self._frames)}
-        self._depth = MultiViewDepth(motion.camera, motion.views, self._intensity)
         self._provider, self._options = provider, options or DepthPriorOptions()
-        self._completion: DepthCompletion | None = None
-        if provider is not None and self._options.use == "complete":
-            source = PriorSource(provider, self._frame, self._frames, self._options.size, stride=1)
-            self._completion = DepthCompletion(
-                motion.camera,
-                motion.views,
-                self._depth.depth,
-                lambda number: source.prior(self._frames[number]).image,
-                self._options,
-            )
+        motions = (motion, *motion.others)
+        self._parts = [self._depth_of(one) for one in motions]
+        self._views = {
+            view.frame: (part, number)
+            for part, one in enumerate(motions)
+            for number, view in enumerate(one.views)
+        }
+        self.trajectories = tuple(one.trajectory for one in motions)
+        self.part_of_keyframe = {frame: part for frame, (part, _) in self._views.items()}
+
+    def _depth_of(self, motion: CameraMotion) -> _PartDepth:
+        depth = MultiViewDepth(motion.camera, motion.views, self._intensity)
+        if self._provider is None or self._options.use != "complete":
+            return _PartDepth(depth)
+        frames = [view.frame for view in motion.views]
+        source = PriorSource(self._provider, self._frame, frames, self._options.size, stride=1)
+        completion = DepthCompletion(
+            motion.camera,
+            motion.views,
+            depth.depth,
+            lambda number: source.prior(frames[number]).image,
+            self._options,
+        )
+        return _PartDepth(depth, completion)
 
     def __len__(self) -> int:
         return len(self._dataset)
@@ -72,14 +102,13 @@ class MonocularSequence:
     def __getitem__(self, index: int) -> Frame:
         """Frame `index` with estimated depth, in the unit of the estimated motion."""
         frame = self._frame(index)
-        number = self._views.get(index)
-        if number is None or len(self._views) < 2 or (number > 0 and self._uses_priors_alone):
+        if index not in self._views or len(self._views) < 2:
             return frame
-        if self._completion is not None:
-            by_prior = self._completion.depth(number)
-            return replace(frame, depth_m=by_prior.depth, inferred=by_prior.inferred)
-        by_planes = self._depth.completed(number)
-        return replace(frame, depth_m=by_planes.depth, inferred=by_planes.inferred)
+        part, number = self._views[index]
+        if number > 0 and self._uses_priors_alone:
+            return frame
+        found = self._parts[part].completed(number)
+        return replace(frame, depth_m=found.depth, inferred=found.inferred)
 
     def __iter__(self) -> Iterator[Frame]:
         return prefetched(self, range(len(self)))

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from toolkit.baselines.factory import build_tracker
 from toolkit.closing.factory import ClosingContext, build_loop_closer
+from toolkit.closing.given_parts import GivenParts
+from toolkit.closing.interface import LoopClosing
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.errors import DatasetError, ToolkitError
@@ -17,6 +19,7 @@ from toolkit.length_unit import LengthUnit
 from toolkit.loops.log import LoopLog
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
+from toolkit.monocular.sequence import MonocularSequence
 from toolkit.rendering import map_device
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings
@@ -104,24 +107,33 @@ def build_slam(
             unit=unit,
         )
         return slam
-    if dataset is None or dataset.ground_truth is None:
-        name = "this sequence" if dataset is None else dataset.name
-        raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
-    poses: Tracker
-    if settings.poses == "slam":
-        poses = GuidedTracker(dataset.ground_truth, settings.backend, recorder)
-    else:
-        poses = GivenPoses((unit or LengthUnit()).trajectory(dataset.ground_truth))
+    poses, parts = _known_poses(dataset, settings, recorder, unit or LengthUnit())
     return Slam(
         poses,
         mapper,
         recorder,
         labeller,
         atlas,
+        parts,
         denoise=settings.denoise,
         correction=correction,
         unit=unit,
     )
+
+
+def _known_poses(
+    dataset: Dataset | None, settings: RunSettings, recorder: StageRecorder, unit: LengthUnit
+) -> tuple[Tracker, LoopClosing | None]:
+    """The poses of the dataset, or of the motion of a sequence without depth and its parts."""
+    if dataset is None or dataset.ground_truth is None:
+        name = "this sequence" if dataset is None else dataset.name
+        raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
+    if settings.poses == "given":
+        return GivenPoses(unit.trajectory(dataset.ground_truth)), None
+    if not isinstance(dataset, MonocularSequence):
+        return GuidedTracker([dataset.ground_truth], settings.backend, recorder), None
+    tracker = GuidedTracker(dataset.trajectories, settings.backend, recorder)
+    return tracker, GivenParts(dataset.part_of_keyframe)
 
 
 def _start_velocity(dataset: Dataset | None, unit: LengthUnit | None) -> NDArray[np.float64] | None:

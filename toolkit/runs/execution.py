@@ -260,6 +260,12 @@ def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress)
             total,
             len(motion.views),
         )
+        if motion.others:
+            _log.info(
+                "%d more frames are in %d other part(s), each with a unit of length of its own.",
+                motion.frames_in_others,
+                len(motion.others),
+            )
         motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale)
     if motion.metric_scale is not None:
         _log.info(

@@ -6,6 +6,7 @@ by its intensities alone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,18 +54,50 @@ class GuidedTracker(GivenPoses):
     too little of the image, or alignment fails, the pose is the given one.
 
     Args:
-        trajectory: poses of the frames, wrong by a few pixels.
+        trajectories: poses of the frames, wrong by a few pixels. A trajectory of several parts,
+            whose relative poses are unknown, has one of them for each part.
     """
 
-    without_pose = "the motion of the camera could not be estimated there, or not be connected"
+    without_pose = "the motion of the camera could not be estimated there"
 
     def __init__(
-        self, trajectory: Trajectory, backend_name: str = "auto", recorder: Recorder | None = None
+        self,
+        trajectories: Sequence[Trajectory],
+        backend_name: str = "auto",
+        recorder: Recorder | None = None,
     ) -> None:
-        super().__init__(trajectory)
+        super().__init__(trajectories[0])
+        self._trajectories, self._part = trajectories, 0
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._exposure = IDENTITY
+
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """T_map_camera [4, 4] of the first frame; None if it has no pose or cannot be mapped."""
+        if self.elsewhere(frame) is not None:
+            self._continue_in(self._part_of(frame))
+        return super().first_pose(frame)
+
+    def elsewhere(self, frame: Frame) -> NDArray[np.float64] | None:
+        """Pose [4, 4] of a frame in the world frame of a part other than the map's, if any."""
+        part = self._part_of(frame)
+        return None if part == self._part else self._trajectories[part].at(frame.timestamp_s)
+
+    def enter(self, frame: Frame) -> None:
+        """Continue in the part of such a frame, in a map whose frame is that of the camera."""
+        self._continue_in(self._part_of(frame))
+        T_world_camera = self._trajectory.at(frame.timestamp_s)
+        assert T_world_camera is not None, "the part has a pose of it"
+        self._T_map_world = se3.inverse(T_world_camera)
+        self._exposure = IDENTITY
+
+    def _part_of(self, frame: Frame) -> int:
+        """Number of the part that has a pose of a frame; the present one if none has."""
+        known = [n for n, t in enumerate(self._trajectories) if t.at(frame.timestamp_s) is not None]
+        return known[0] if known else self._part
+
+    def _continue_in(self, part: int) -> None:
+        self._part, self._trajectory = part, self._trajectories[part]
 
     def track(
         self,
@@ -131,12 +164,15 @@ class GuidedTracker(GivenPoses):
 
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
-        return super().state() | {"exposure": np.array([self._exposure.gain, self._exposure.bias])}
+        exposure = np.array([self._exposure.gain, self._exposure.bias])
+        return super().state() | {"exposure": exposure, "part": np.array(self._part)}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Restore an earlier `state`."""
         super().restore(state)
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
+        # Checkpoints of earlier versions have one part.
+        self._continue_in(int(state.get("part", 0)))
 
 
 def _exposure(models: list[ModelLevel], frames: list[FrameLevel], alignment: Alignment) -> Exposure:

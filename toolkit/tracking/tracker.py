@@ -79,3 +79,16 @@ class LocatingTracker(Tracker, Protocol):
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
         ...
+
+
+@runtime_checkable
+class PartTracker(Tracker, Protocol):
+    """A tracker that knows poses in several parts, whose relative poses are unknown."""
+
+    def elsewhere(self, frame: Frame) -> NDArray[np.float64] | None:
+        """Pose [4, 4] of a frame in the world frame of a part other than the map's, if any."""
+        ...
+
+    def enter(self, frame: Frame) -> None:
+        """Continue in the part of such a frame, in a map whose frame is that of the camera."""
+        ...
