@@ -111,16 +111,20 @@ ROWS: dict[str, Row] = {
     STILL: Row("still"),
     "RedKitchen": Row("redkitchen"),
     "HoloLens walk": Row("hololens"),
+    "HoloLens walk, 270x180": Row("hololens-small"),
+    "walk through rooms": Row("walk"),
+    "fast walk through rooms": Row("walk-fast"),
     RPY: Row("fr1_rpy"),
     OFFICE_FILM: Row("office0", film=True),
     EUROC_FILM: Row("euroc", film=True),
+    "objects, film": Row("phone", film=True),
 }
 DESCRIPTION = f"""\
 `semsplat run --depth none` with default settings: true depth is used for the evaluation alone.
 Medians over the seeds. For the synthetic sequences, each seed is another room with another camera
 path; for recordings it is that of the mapper, while the motion is the same. Films are the same
 images in an .mp4 without intrinsics. RedKitchen, fr1/rpy and the synthetic sequences have 320x240
-pixels, office0 600x340, EuRoC 752x480 (grey), the HoloLens walk 540x360.
+pixels, office0 600x340, EuRoC 752x480 (grey), the HoloLens walk 540x360, the film of objects 360x640.
 
 ATE of all frames after Sim(3) alignment; `still_cm` is the RMS distance of the camera from its mean
 position, which is the ATE of a camera that never moves. Rotation: RMS after alignment of the

@@ -53,6 +53,10 @@ SEQUENCES = {
     "room, sensor noise": ("room-noise", 6),
     "RedKitchen": ("redkitchen", 4),
     "HoloLens walk": ("hololens", 4),
+    "HoloLens walk, 270x180": ("hololens-small", 4),
+    "walk through rooms": ("walk", 10),
+    "fast walk through rooms": ("walk-fast", 5),
+    "film of objects": ("phone", 12),
     "fr1/rpy": ("fr1_rpy", 2),
 }
 # ORB-SLAM3's threads race each other.

@@ -12,6 +12,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
 
 # Options of `semsplat make-room` for each synthetic sequence; a number behind the name is its seed.
+_NOISE = ("--sensor-noise",)
 _RING = ("--layout", "ring", "--frames", "900")
 _SMALL = ("--image-size", "160", "120", "--sensor-noise")
 _TINY = ("--image-size", "120", "90", "--sensor-noise")
@@ -28,6 +29,11 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
+    # A film of objects with a telephone, 720x1280, at the size to which a run reduces it.
+    "phone": ("--layout", "orbit", "--frames", "706", "--image-size", "360", "640", *_NOISE),
+    # Walks through three rooms, at 5 and at 10 cm per frame; turns of 4 and 8 degrees per frame.
+    "walk": ("--layout", "rooms", "--frames", "600", *_NOISE),
+    "walk-fast": ("--layout", "rooms", "--frames", "300", *_NOISE),
     "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
     # A fast walk: up to 10 cm and 9 degrees per frame.
     "hall-fast": ("--layout", "hall", "--frames", "1500", *_TINY),
@@ -70,6 +76,7 @@ RECORDINGS = {
     "fr1_rpy": Recording("tum", "tum_fr1_rpy", (320, 240)),
     "office0": Recording("replica", "replica_office0"),
     "hololens": Recording("folder", "hololens_walk"),
+    "hololens-small": Recording("folder", "hololens_walk", (270, 180)),
     "euroc": Recording("folder", "euroc_v101"),
 }
 # The file of true poses has the rotations from the world to the camera.
