@@ -124,7 +124,8 @@ DESCRIPTION = f"""\
 Medians over the seeds. For the synthetic sequences, each seed is another room with another camera
 path; for recordings it is that of the mapper, while the motion is the same. Films are the same
 images in an .mp4 without intrinsics. RedKitchen, fr1/rpy and the synthetic sequences have 320x240
-pixels, office0 600x340, EuRoC 752x480 (grey), the HoloLens walk 540x360, the film of objects 360x640.
+pixels, office0 600x340, EuRoC 752x480 (grey), the HoloLens walk 540x360, the film of objects
+360x640.
 
 ATE of all frames after Sim(3) alignment; `still_cm` is the RMS distance of the camera from its mean
 position, which is the ATE of a camera that never moves. Rotation: RMS after alignment of the
