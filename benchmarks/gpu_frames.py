@@ -47,6 +47,7 @@ from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam import Slam
+from toolkit.stages import Stage
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import DenseOptions, FirstOrderOptions
 
@@ -126,8 +127,8 @@ def run(
         found.append(psnr_db(shown, frame.rgb))
     ate = absolute_trajectory_error(result.trajectory, truth)
     return Walked(
-        watch.median_ms("tracking"),
-        watch.median_ms("mapping"),
+        watch.median_ms(Stage.TRACKING),
+        watch.median_ms(Stage.MAPPING),
         (len(result.keyframe_indices) - 1) / (len(frames) - 1),
         len(result.lost_frames),
         100.0 * ate.rmse_m,

@@ -18,15 +18,17 @@ from tqdm import tqdm
 from benchmarks.programs import semsplat
 from benchmarks.tables import Metrics
 from toolkit.datasets.base import Dataset
+from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
 from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.results import FINISH, ONLINE, RunRecord, write_results
+from toolkit.runs.results import RunRecord, write_results
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam import Slam
+from toolkit.stages import Stage
 
 
 def run_metrics(arguments: Sequence[str], seed: int) -> Metrics:
@@ -80,6 +82,7 @@ def finished_slam(
         prepare: called with the system before the first frame.
     """
     watch = StageRecorder()
+    costs = FrameCostRecorder(watch)
     with tempfile.TemporaryDirectory() as temporary:
         folder = RunFolder.create(Path(temporary) / "run", dump_settings(settings))
         slam = build_slam(dataset, settings, folder, watch)
@@ -87,14 +90,15 @@ def finished_slam(
             prepare(slam)
         for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
             frame = dataset[index]
-            with watch.timed(ONLINE):
+            with watch.timed(Stage.ONLINE), costs.frame(index):
                 slam.process_frame(frame)
-        with watch.timed(FINISH):
+        with watch.timed(Stage.FINISH):
             result = slam.finish()
         folder.check_taxonomy(result.taxonomy)
-        write_results(result, dataset, folder, settings, RunRecord(watch))
+        write_results(result, dataset, folder, settings, RunRecord(watch, costs.costs()))
         metrics = json.loads(folder.metrics.read_text(encoding="utf-8"))
-        frames_ms, (finish_ms,) = watch.durations_ms[ONLINE], watch.durations_ms[FINISH]
+        frames_ms = watch.durations_ms[Stage.ONLINE]
+        (finish_ms,) = watch.durations_ms[Stage.FINISH]
         yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_ms / 1e3)
 
 

@@ -243,3 +243,6 @@ class LengthUnit:
     def _part(self, part: SeparatePart) -> SeparatePart:
         scene = None if part.map is None else part.map.converted(self.submap_in_metres)
         return replace(part, frames=self._frames(part.frames), map=scene)
+
+
+METRE = LengthUnit()

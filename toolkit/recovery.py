@@ -19,6 +19,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation
+from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.health import has_depth
@@ -105,7 +106,7 @@ class Recovery:
         if not has_depth(frame):
             return Located(None, lost)
         out_of_patience = self.out_of_patience(frame)
-        with self._recorder.timed("relocalisation"):
+        with self._recorder.timed(Stage.RELOCALISATION):
             last = self._path.last_position(self._atlas)
             found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
         active = self._atlas.active if self._atlas.has_active_submap else None
@@ -192,7 +193,7 @@ class Recovery:
         exposure = IDENTITY if found is None else found.result.exposure
         anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
         self._closer.submap_ending(atlas)
-        with self._recorder.timed("mapping"):
+        with self._recorder.timed(Stage.MAPPING):
             if found is None:
                 atlas.start_at(anchor, *otherwise, inherit=False)
             else:

@@ -13,38 +13,35 @@ from numpy.typing import NDArray
 
 from toolkit.camera_path import CameraPath
 from toolkit.closing.interface import LoopClosing, NoLoopClosing
-from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
+from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.exposure import IDENTITY, NEUTRAL
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
-from toolkit.length_unit import LengthUnit
+from toolkit.length_unit import METRE, LengthUnit
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.pose_graph.graph import PoseEdge
+from toolkit.preparation import FramePreparation, FrameSources
 from toolkit.recovery import Located, Recovery
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import T_part_world, by_size, separate
 from toolkit.refinement.within import refine_submaps
 from toolkit.result import FrameResult, SlamResult, SubmapSummary, TrackedFrames, separate_parts
-from toolkit.semantics.labeller import Labeller
+from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
-from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.health import is_black
 from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.proposals import FeatureProposals
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
-from toolkit.tracking.rolling_shutter import rectified
 from toolkit.tracking.tracker import LocatingTracker, Tracker
 
 _log = logging.getLogger(__name__)
-
-METRE = LengthUnit()
 
 _Part = Recovery | Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
 
@@ -57,13 +54,10 @@ class Slam:
         tracker: Tracker,
         mapper: Mapper,
         recorder: Recorder | None = None,
-        labeller: Labeller | None = None,
+        sources: FrameSources | None = None,
         atlas: Atlas | None = None,
         closer: LoopClosing | None = None,
-        denoise: bool = True,
         placement: KeyframePlacement | None = None,
-        correction: DepthCorrection | None = None,
-        start_velocity: NDArray[np.float64] | None = None,
         unit: LengthUnit | None = METRE,
     ) -> None:
         """Assemble the system.
@@ -72,15 +66,10 @@ class Slam:
             tracker: estimates the pose of each frame against the map.
             mapper: holds and optimises the active submap.
             recorder: receives times and counts.
-            labeller: segments frames; None for a map without semantics.
+            sources: what frames are prepared with; by default, they are denoised.
             atlas: holds all submaps; a single submap by default.
             closer: closes loops and relocalises the camera; by default neither is done.
-            denoise: filter the depth of each frame according to its noise.
             placement: refines the poses of new keyframes against earlier keyframes.
-            correction: gives frames that may become keyframes the depth of their priors, aligned
-                with the map; None if depth is measured.
-            start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling
-                shutter has bent; None if it is not known.
             unit: in which the parts of the system work; frames and results are in metres. None
                 for the one that suits the first frame with depth.
         """
@@ -88,16 +77,21 @@ class Slam:
         self.mapper = mapper
         self.atlas = Atlas(mapper) if atlas is None else atlas
         self._recorder = recorder or NullRecorder()
-        self._labeller = labeller
         self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
-        self._filter = DepthFilter() if denoise else None
-        self._placement, self._correction = placement, correction
-        self._start_velocity, self._unit = start_velocity, unit
+        self._placement, self._unit = placement, unit
         self._features = FeatureProposals()
         self._path = CameraPath()
         self._between = IntermediateFrames()
+        self._preparation = FramePreparation(
+            sources or FrameSources(), self.atlas, self._path, self._recorder, tracker.wants_labels
+        )
         self._recovery = Recovery(
-            tracker, self.atlas, self._path, self._closer, self._labelled, self._recorder
+            tracker,
+            self.atlas,
+            self._path,
+            self._closer,
+            self._preparation.labelled,
+            self._recorder,
         )
         self._fused: list[FusedMap | None] = []
 
@@ -150,9 +144,7 @@ class Slam:
         """
         if self.mapper.device.type == "cpu" or frame.readout_s > 0.0 or not self.unit.is_metre:
             return  # tracking and mapping need all cores; rectification, the frames before
-        if self._filter is not None:
-            frame = self._filter.prepare(frame)
-        self.tracker.prepare(frame, self.mapper.device)
+        self.tracker.prepare(self._preparation.ahead(frame), self.mapper.device)
 
     @single_threaded_blas()
     def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
@@ -174,11 +166,7 @@ class Slam:
         if disorder := self._path.disorder(frame):
             self._path.add_lost(frame, disorder, tried=False)
             return FrameResult(frame.index, None, not_tracked(disorder))
-        observed, frame = frame, self._denoised(self._rectified(frame))
-        if self._labels_first:
-            frame = self._segmented(frame, None)
-        frame = self._with_prior(frame)
-
+        observed, frame = frame, self._preparation.before_tracking(frame)
         located = self._locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
         if T_map_camera is None:
@@ -188,9 +176,9 @@ class Slam:
         mapping = None
         may_map &= not located.doubtful and not is_black(frame)
         if may_map:
-            frame = self._with_prior(frame, T_map_camera)
+            frame = self._preparation.for_mapping(frame, T_map_camera)
         if may_map and self.mapper.wants(frame, T_map_camera):
-            frame = self._rectified_again(observed, frame, T_map_camera)
+            frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
             mapping = self._add_keyframe(frame, T_map_camera, tracking)
             self._start_submap_if_due(tracking)
             T_map_camera = self.mapper.keyframes[-1].T_map_camera
@@ -247,7 +235,7 @@ class Slam:
     @single_threaded_blas()
     def take_deferred_step(self) -> None:
         """Take one of the deferred optimisation steps, if there are any."""
-        with self._recorder.timed("mapping"):
+        with self._recorder.timed(Stage.MAPPING):
             self.mapper.take_deferred_step()
 
     @single_threaded_blas()
@@ -260,11 +248,11 @@ class Slam:
         if not keyframes:
             return True  # of another submap
         T_map_camera = keyframes[0].T_map_camera @ between.T_keyframe_camera
-        with self._recorder.timed("mapping"):
+        with self._recorder.timed(Stage.MAPPING):
             mask = self.mapper.unmapped_pixels(between.frame, T_map_camera, keyframes)
         if mask.mean() >= MIN_OUTSIDE:
-            frame = self._labelled(between.at_map_exposure(), T_map_camera)
-            with self._recorder.timed("mapping"):
+            frame = self._preparation.labelled(between.at_map_exposure(), T_map_camera)
+            with self._recorder.timed(Stage.MAPPING):
                 self.mapper.seed_pixels(frame, T_map_camera, mask, keyframes[0])
         return True
 
@@ -274,7 +262,7 @@ class Slam:
         if self.mapper.keyframes:
             self._between.select(self.mapper.keyframes[-1])
             self._map_intermediate_frames()
-            with self._recorder.timed("refinement"):
+            with self._recorder.timed(Stage.REFINEMENT):
                 self._closer.finish(self.atlas)
                 parts = self.parts
                 separate(self.atlas, parts)
@@ -292,6 +280,7 @@ class Slam:
     def result(self) -> SlamResult:
         """The current state of the run."""
         atlas, path, parts = self.atlas, self._path, self.parts
+        labeller = self._preparation.labeller
         maps, covariances, exposures = self._fused, None, {}
         if maps:
             exposures = {n: e for one in maps if one is not None for n, e in one.exposures.items()}
@@ -329,7 +318,7 @@ class Slam:
             loops=list(self._closer.loops),
             map=InMemoryScene(self.mapper.content.gaussians) if fused is None else fused,
             semantics=self.mapper.semantics,
-            taxonomy=None if self._labeller is None else self._labeller.taxonomy,
+            taxonomy=None if labeller is None else labeller.taxonomy,
             covariances=main.covariances,
             dropped_frames=list(path.dropped_frames),
             doubtful_frames=doubtful,
@@ -348,55 +337,6 @@ class Slam:
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
 
-    def _rectified(self, frame: Frame) -> Frame:
-        """The frame without the effect of its rolling shutter, from the camera's last motion."""
-        if frame.readout_s == 0.0:
-            return frame
-        with self._recorder.timed("rectification"):
-            velocity = self._path.velocity(self.atlas, frame)
-            if velocity is None and len(self._path.indices) < 2 and not self._path.lost_frames:
-                velocity = self._start_velocity
-            return rectified(frame, velocity)
-
-    def _rectified_again(
-        self, observed: Frame, frame: Frame, T_map_camera: NDArray[np.float64]
-    ) -> Frame:
-        """A new keyframe, rectified with the velocity that its own pose gives.
-
-        The velocity of the frames before it differs from its own by the tremor of a hand.
-        """
-        if observed.readout_s == 0.0:
-            return frame
-        velocity = self._path.velocity(self.atlas, observed, T_map_camera)
-        if velocity is None:
-            return frame
-        with self._recorder.timed("rectification"):
-            images = self._denoised(rectified(observed, velocity))
-        return replace(images, labels=frame.labels if self._labels_first else images.labels)
-
-    def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
-        if self._filter is None:
-            return frame
-        with self._recorder.timed("denoising"):
-            return self._filter.of(frame, measured)
-
-    def _with_prior(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
-        """The frame with the depth of its prior, if it may be mapped.
-
-        Args:
-            T_map_camera: [4, 4] pose of the frame; None before there is a map.
-        """
-        if self._correction is None or bool(self.mapper.keyframes) != (T_map_camera is not None):
-            return frame
-        with self._recorder.timed("depth prior"):
-            if T_map_camera is None:
-                return self._denoised(self._correction.start(frame), measured=False)
-            if not self.mapper.wants_view(frame.index, T_map_camera):
-                return frame
-            view = self.mapper.render(self.mapper.gaussians, frame.camera, T_map_camera)
-            corrected = self._correction.correct(frame, RenderedDepth.of(view))
-            return self._denoised(corrected, measured=False)
-
     def _locate(self, frame: Frame, may_map: bool) -> Located:
         """Estimate the pose of a frame in the active submap."""
         if not self.atlas.has_active_submap:
@@ -410,7 +350,7 @@ class Slam:
                 "the map cannot start with it: no pose, black, or too little depth"
             )
             return Located(first, None if first is not None else unusable)
-        with self._recorder.timed("tracking"):
+        with self._recorder.timed(Stage.TRACKING):
             gaussians = self.mapper.gaussians
             tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
         if tracking.lost or tracking.doubtful:
@@ -436,18 +376,17 @@ class Slam:
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
     ) -> MappingResult:
         """Create a keyframe, refine its pose, and extend the map with it."""
-        frame = self._labelled(frame, T_map_camera)
         exposure = exposure_of(tracking)
         if self.mapper.keyframes:
             # Until the mapper estimates that of the new keyframe.
             exposure = exposure.with_balance(self.mapper.keyframes[-1].exposure.balance)
         keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
-        if self._correction is not None:
+        if self._preparation.correction is not None:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
         if self.mapper.keyframes:
             self._between.select(self.mapper.keyframes[-1], keyframe)
-        with self._recorder.timed("mapping"):
+        with self._recorder.timed(Stage.MAPPING):
             mapping = self.mapper.add_keyframe(keyframe)
         if self.mapper.deferred is None:
             self._map_intermediate_frames()
@@ -463,7 +402,7 @@ class Slam:
         if self._placement is None or not self.mapper.keyframes:
             return
         T_tracked = keyframe.T_map_camera
-        with self._recorder.timed("placing"):
+        with self._recorder.timed(Stage.PLACING):
             keyframe.T_map_camera = self._placement.place(self.mapper.keyframes, keyframe)
         self.tracker.change_frame(keyframe.T_map_camera @ se3.inverse(T_tracked))
 
@@ -475,7 +414,7 @@ class Slam:
         T_new_old = self._closer.submap_ending(self.atlas)
         if T_new_old is not None:
             self.tracker.change_frame(T_new_old)
-        with self._recorder.timed("mapping"):
+        with self._recorder.timed(Stage.MAPPING):
             self.tracker.change_frame(self.atlas.start_next())
         _log.info(
             "Started submap %d at frame %d: %s.", self.atlas.active, verdict.index, verdict.reason
@@ -483,31 +422,10 @@ class Slam:
         information = np.zeros((6, 6)) if tracking is None else tracking.information
         self._closer.submap_started(self.atlas, information)
 
-    @property
-    def _labels_first(self) -> bool:
-        """Whether all frames are labelled before they are tracked, not only keyframes."""
-        labeller = self._labeller
-        return labeller is not None and (labeller.every_frame or self.tracker.wants_labels)
-
-    def _labelled(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
-        """A frame that becomes a keyframe, with labels if the map has semantics."""
-        if self._labeller is None or self._labels_first:
-            return frame
-        return self._segmented(frame, T_map_camera)
-
-    def _segmented(self, frame: Frame, T_map_camera: NDArray[np.float64] | None) -> Frame:
-        assert self._labeller is not None
-        # Segmenters use the world frame, which does not depend on submaps.
-        T_world_map = self.atlas.T_world_submap(self.atlas.active)
-        T_world_camera = None if T_map_camera is None else T_world_map @ T_map_camera
-        with self._recorder.timed("labelling"):
-            return self._labeller.label(frame, T_world_camera)
-
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues to identical results."""
         arrays = {f"tracker/{k}": a for k, a in self.tracker.state().items()}
-        if self._labeller is not None:
-            arrays |= {f"segmenter/{k}": a for k, a in self._labeller.segmenter.state().items()}
+        arrays |= {f"segmenter/{k}": a for k, a in self._preparation.state().items()}
         values: dict[str, Any] = {"units_per_metre": self._unit and self._unit.per_metre}
         for name, part in self._parts().items():
             part_arrays, values[name] = part.state()
@@ -522,8 +440,7 @@ class Slam:
             # Checkpoints of earlier versions have no "recovery".
             part.restore(arrays_below(arrays, f"{name}/"), values.get(name, {}))
         self.tracker.restore(arrays_below(arrays, "tracker/"))
-        if self._labeller is not None:
-            self._labeller.segmenter.restore(arrays_below(arrays, "segmenter/"))
+        self._preparation.restore(arrays_below(arrays, "segmenter/"))
 
     def _parts(self) -> dict[str, _Part]:
         """Components whose state consists of arrays and JSON values, in the order of restoring."""
@@ -535,4 +452,5 @@ class Slam:
             "between": self._between,
             "recovery": self._recovery,
         }
-        return parts if self._correction is None else parts | {"correction": self._correction}
+        correction = self._preparation.correction
+        return parts if correction is None else parts | {"correction": correction}

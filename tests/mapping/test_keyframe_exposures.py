@@ -188,8 +188,7 @@ def test_a_view_of_nothing_known_keeps_the_exposure_of_the_tracker():
 
 def test_gain_and_bias_can_be_left_alone():
     views = keyframes(drift(0.03))
-    exposures = KeyframeExposures(WhiteBalanceOptions())
-    exposures.gains = False
+    exposures = KeyframeExposures(WhiteBalanceOptions(), gains=False)
     exposures.estimate(views[1], views[:1])
     assert (views[1].exposure.gain, views[1].exposure.bias) == (1.0, 0.0)
     assert views[1].log_balance is not None

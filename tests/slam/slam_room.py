@@ -18,6 +18,7 @@ from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.options import validated
+from toolkit.preparation import FrameSources
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.options import SemanticsOptions
 from toolkit.slam import FrameResult, Slam
@@ -64,7 +65,8 @@ def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
     code = build_code(settings.code, labeller.taxonomy)
     semantics = build_semantic_mapping(settings, code, 0)
     mapper = Mapper(FEW, np.random.default_rng(seed), semantics=semantics)
-    return Slam(DenseTracker(), mapper, labeller=labeller, placement=KeyframePlacement())
+    sources = FrameSources(labeller)
+    return Slam(DenseTracker(), mapper, sources=sources, placement=KeyframePlacement())
 
 
 def fed(slam: Slam, frames: Iterable[Frame], hold_out: int | None = None) -> list[FrameResult]:

@@ -37,6 +37,7 @@ from toolkit.rendering import RenderOutput, backend
 from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
 from toolkit.semantics.options import SemanticLossWeights
+from toolkit.stages import Stage
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.proposals import Proposals
@@ -138,7 +139,7 @@ class FirstOrderTracker(MovingTracker):
         # The loss of a pose is computed from the rendering at that pose (SplaTAM assigns it to the
         # following step), so there is one more rendering than steps.
         for step in range(self.options.iterations + 1):
-            with self._recorder.timed("tracking render"):
+            with self._recorder.timed(Stage.TRACKING_RENDER):
                 view = self._backend.forward(gaussians, frame.camera, T_camera_map, features, None)
             renders += 1
             loss = tracking_loss(view.images, rgb, depth_m, weights)
@@ -148,7 +149,7 @@ class FirstOrderTracker(MovingTracker):
                 best = _Candidate(T_camera_map, view.images, loss.per_pixel, step)
             if step == self.options.iterations or loss.pixels == 0:
                 break
-            with self._recorder.timed("tracking backward"):
+            with self._recorder.timed(Stage.TRACKING_BACKWARD):
                 gradients = view.backward(loss.gradient, colours=False)
             gradient = pose_gradient(gradients.T_camera_map.cpu().numpy(), T_camera_map)
             T_camera_map = se3.orthonormalise(se3.exp(adam.step(gradient)) @ T_camera_map)

@@ -36,6 +36,7 @@ from toolkit.pose_graph.correction import (
     submap_graph,
 )
 from toolkit.pose_graph.graph import PoseEdge, connected_parts
+from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ class LoopCloser:
 
     def keyframe_added(self, atlas: Atlas) -> None:
         """Search for loops at the newest keyframe of the active submap."""
-        with self._recorder.timed("loop detection"):
+        with self._recorder.timed(Stage.LOOP_DETECTION):
             considered = self._detector.observe(atlas)
         if self._detector.searched:
             query = atlas.mapper.keyframes[-1].index
@@ -139,7 +140,7 @@ class LoopCloser:
         self._pending = [c for c in self._pending if c not in candidates]
         if not candidates or not self.options.within:
             return False
-        with self._recorder.timed("loops within submaps"):
+        with self._recorder.timed(Stage.LOOPS_WITHIN):
             return KeyframeLoops(self._parts, self.options, self._record).close(atlas, candidates)
 
     def add_odometry(self, atlas: Atlas, information: Array) -> None:
@@ -186,7 +187,7 @@ class LoopCloser:
         self._pending = [c for c in self._pending if c not in candidates]
         if not candidates or not self.options.between:
             return False
-        with self._recorder.timed("loops between submaps"):
+        with self._recorder.timed(Stage.LOOPS_BETWEEN):
             found = False
             # After a relocalisation, two submaps have a loop edge before they are registered.
             existing = {(loop.first, loop.second): loop for loop in self.loops}
@@ -213,7 +214,7 @@ class LoopCloser:
         """
         if not self.loops or not self.options.between:
             return False
-        with self._recorder.timed("anchors settle"):
+        with self._recorder.timed(Stage.ANCHOR_REGISTRATION):
             existing = {(loop.first, loop.second): loop for loop in self.loops}
             registered = []
             for first, second in self._between.overlapping(atlas, set(existing), self.parts(atlas)):

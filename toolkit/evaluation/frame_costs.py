@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from toolkit.evaluation.charts import Axes, Series, line_chart
 from toolkit.evaluation.memory import resident_memory_mb
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.stages import COLUMNS, Column, Stage
 
-# Recorded stages that each line of the chart sums.
-_TRACKING = ("denoising", "tracking")
-_MAPPING = ("labelling", "placing", "mapping")
 # A chart has at most this many points; each shows the largest value of some frames.
 _MAX_POINTS = 600
 # The first map and loop closures take many times the time of other frames; the range of the chart
@@ -31,14 +29,13 @@ class FrameCosts:
     Attributes:
         frames: [F] frame indices, ascending.
         total_ms: [F] time from taking a frame to its result, with loop closure.
-        tracking_ms, mapping_ms: [F] parts of it.
+        columns_ms: [F] what each column has of it; the rest is in none.
         memory_mb: [F] resident memory of the process after the frame, nan where unknown.
     """
 
     frames: NDArray[np.int64]
     total_ms: NDArray[np.float64]
-    tracking_ms: NDArray[np.float64]
-    mapping_ms: NDArray[np.float64]
+    columns_ms: dict[Column, NDArray[np.float64]]
     memory_mb: NDArray[np.float64]
 
 
@@ -57,16 +54,18 @@ class FrameCostRecorder:
     @contextmanager
     def frame(self, index: int) -> Iterator[None]:
         """Measure the stage "frame" and what it contains; then store it with the memory."""
-        with self.recorder.timed("frame"):
+        with self.recorder.timed(Stage.FRAME):
             yield
-        times = [self._new_ms(("frame",)), self._new_ms(_TRACKING), self._new_ms(_MAPPING)]
+        times = [self._new_ms(stages) for stages in ((Stage.FRAME,), *COLUMNS.values())]
         memory_mb = resident_memory_mb()
         self._rows.append((index, *times, math.nan if memory_mb is None else memory_mb))
 
     def costs(self) -> FrameCosts:
         """Return the costs of all frames."""
-        rows = np.array(self._rows, np.float64).reshape(-1, 5)
-        return FrameCosts(rows[:, 0].astype(np.int64), *rows[:, 1:].T)
+        rows = np.array(self._rows, np.float64).reshape(-1, 3 + len(COLUMNS))
+        frames, total_ms, *columns_ms, memory_mb = rows.T
+        by_column = dict(zip(COLUMNS, columns_ms, strict=True))
+        return FrameCosts(frames.astype(np.int64), total_ms, by_column, memory_mb)
 
     def _new_ms(self, stages: Sequence[str]) -> float:
         total_ms = 0.0
@@ -88,13 +87,14 @@ def time_chart(costs: FrameCosts) -> str:
         shown = np.where(values_ms <= highest_ms, values_ms, np.nan)
         return Series(_points(costs.frames, shown), name, css_class)
 
-    mapping = line(costs.mapping_ms, "mapping of keyframes", "second")
+    mapping_ms = costs.columns_ms[Column.LABELLING] + costs.columns_ms[Column.MAPPING]
+    mapping = line(mapping_ms, "mapping of keyframes", "second")
     # Frames between keyframes are not mapped; the line connects the keyframes.
     mapped = replace(mapping, points=mapping.points[~(mapping.points[:, 1] == 0.0)])
     series = [
         line(costs.total_ms, "all", "truth"),
         mapped,
-        line(costs.tracking_ms, "tracking", "estimate"),
+        line(costs.columns_ms[Column.TRACKING], "tracking", "estimate"),
     ]
     axes = Axes(
         _x_label(len(costs.frames)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from toolkit.evaluation.trajectory import (
 from toolkit.evaluation.white_balance import balanced
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
+from toolkit.stages import Column
 
 MetricValue = float | int | str | None
 Metrics = dict[str, MetricValue]
@@ -84,10 +85,10 @@ class RunCosts:
         frames: number of processed frames.
         frames_lost: number of frames without a pose.
         keyframes, gaussians: numbers in the final map.
-        tracking_ms, labelling_ms, mapping_ms, refinement_ms: total times over all frames, in
-            milliseconds.
-        online_ms: wall-clock time of the loop over all frames, with loop closing, relocalisation,
-            waiting for images and checkpoints.
+        columns_ms: total time of each column over all frames, in milliseconds.
+        refinement_ms: time of the refinement after them.
+        online_ms: wall-clock time of the loop over all frames: the columns, waiting for images,
+            checkpoints, and everything else.
         total_ms: the same with everything after the last frame, without evaluation.
         peak_memory_mb: peak resident memory of the process, in MB.
         map_mb: size of the map's parameters, in MB.
@@ -97,9 +98,7 @@ class RunCosts:
     frames_lost: int
     keyframes: int
     gaussians: int
-    tracking_ms: float | None
-    labelling_ms: float | None
-    mapping_ms: float | None
+    columns_ms: Mapping[Column, float]
     refinement_ms: float | None
     online_ms: float | None
     total_ms: float | None
@@ -198,11 +197,16 @@ def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
 
 
 def cost_metrics(costs: RunCosts) -> Metrics:
-    """Return counts, mean times per frame and memory."""
-    per_frame = {
-        "tracking_ms_per_frame": costs.tracking_ms,
-        "labelling_ms_per_frame": costs.labelling_ms,
-        "mapping_ms_per_frame": costs.mapping_ms,
+    """Return counts, mean times per frame and memory.
+
+    The columns and `other_ms_per_frame` add up to `online_ms_per_frame`.
+    """
+    known_ms = sum(costs.columns_ms.values())
+    per_frame: dict[str, float | None] = {
+        f"{column}_ms_per_frame": ms for column, ms in costs.columns_ms.items()
+    }
+    per_frame |= {
+        "other_ms_per_frame": None if costs.online_ms is None else costs.online_ms - known_ms,
         "refinement_ms_per_frame": costs.refinement_ms,
         "online_ms_per_frame": costs.online_ms,
         "total_ms_per_frame": costs.total_ms,

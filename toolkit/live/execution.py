@@ -208,9 +208,7 @@ def _execute(
         checkpoints.save(system, len(frames))
         checkpoints.wait()
         result = session.finish()
-        write_results(
-            result, frames, folder, settings, RunRecord(recorder, summary, costs=costs.costs())
-        )
+        write_results(result, frames, folder, settings, RunRecord(recorder, costs.costs(), summary))
         slam.store_in_metres()
     if source.writer is not None and not options.save_frames:
         source.writer.remove()

@@ -116,12 +116,12 @@ class _Common:
 class KeyframeExposures:
     """Estimates exposures of keyframes; caches the cells of the last ones compared.
 
-    Attributes:
+    Args:
         gains: estimate gain and bias of new keyframes, not only their white balance.
     """
 
-    def __init__(self, options: WhiteBalanceOptions) -> None:
-        self.options, self.gains = options, True
+    def __init__(self, options: WhiteBalanceOptions, gains: bool = True) -> None:
+        self.options, self.gains = options, gains
         self._cache: LruCache[_Cells] = LruCache(_CACHED)
 
     def estimate(self, keyframe: Keyframe, others: Sequence[Keyframe]) -> None:

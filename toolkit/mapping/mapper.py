@@ -37,6 +37,7 @@ from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
+from toolkit.stages import Stage
 from toolkit.tracking.health import has_depth
 
 _log = logging.getLogger(__name__)
@@ -66,6 +67,7 @@ class Mapper:
         generator: chooses keyframes, and pixels if only a random fraction of them is seeded.
         semantics: semantics of the map; none by default.
         device: device that stores and optimises the map, "cpu" or "cuda".
+        gains: whether the exposures of keyframes are estimated, not only their white balance.
 
     Attributes:
         exposures: estimates those of keyframes.
@@ -73,7 +75,7 @@ class Mapper:
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - everything that the parts of mapping share
         self,
         options: MapperOptions | None = None,
         generator: np.random.Generator | None = None,
@@ -81,6 +83,7 @@ class Mapper:
         recorder: Recorder | None = None,
         semantics: SemanticMapping | None = None,
         device: str = "cpu",
+        gains: bool = True,
     ) -> None:
         self.options = options or MapperOptions()
         self.semantics = semantics or SemanticMapping()
@@ -90,7 +93,7 @@ class Mapper:
         self.map = GaussianMap(rates, self.semantics.channels, self.device, self.options.centred)
         self.keyframe_choice: KeyframeChoice = self.options.keyframes
         self.deferred: DeferredSteps | None = None
-        self.exposures = KeyframeExposures(self.options.white_balance)
+        self.exposures = KeyframeExposures(self.options.white_balance, gains)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
@@ -133,21 +136,21 @@ class Mapper:
         """
         if self.semantics.channels == 0:
             keyframe.class_ids = None
-        with self._recorder.timed("exposure"):
+        with self._recorder.timed(Stage.EXPOSURE):
             self.exposures.estimate(keyframe, self.keyframes)
         self.keyframes.append(keyframe)
         self.semantics.observe(keyframe.class_ids)
         observed = self._observations.of(keyframe)
         if self.options.fuse_depth:
-            with self._recorder.timed("depth fusion"):
+            with self._recorder.timed(Stage.DEPTH_FUSION):
                 fuse_depth(self.map, observed.measured_m)
         others = self.keyframes[:-1]
         free_space = others and is_measured(self.options.free_space, self.keyframes)
         if free_space:
-            with self._recorder.timed("free space"):
+            with self._recorder.timed(Stage.FREE_SPACE):
                 mask = self._free_space.contradicted(self.gaussians.means, keyframe, others)
                 self._remove(mask)
-        with self._recorder.timed("seeding"):
+        with self._recorder.timed(Stage.SEEDING):
             view, options = self.view(keyframe), self.options
             hide_moving_objects(
                 keyframe, view, others, options.moving_objects, options.min_silhouette
@@ -267,10 +270,10 @@ class Mapper:
         """
         if T_map_cameras is None:
             T_map_cameras = np.array([k.T_map_camera for k in self.keyframes])
-        with self._recorder.timed("exposure"):
+        with self._recorder.timed(Stage.EXPOSURE):
             self.exposures.adjust(self.keyframes)
         if self.semantics.channels and self.options.consensus.use:
-            with self._recorder.timed("map consensus"):
+            with self._recorder.timed(Stage.MAP_CONSENSUS):
                 self.map.gaussians = label_consensus(
                     self.gaussians,
                     self.keyframes,
@@ -281,7 +284,7 @@ class Mapper:
             self.map.optimiser.reset("features")
         self._clear_free_space(T_map_cameras)
         if self.options.fill_holes:
-            with self._recorder.timed("hole filling"):
+            with self._recorder.timed(Stage.HOLE_FILLING):
                 self._fill_holes()
         refine(self.map, self._optimisation, self.options, self._generator)
         self._clear_free_space(T_map_cameras)
@@ -334,7 +337,7 @@ class Mapper:
         """
         if not is_measured(self.options.free_space, self.keyframes):
             return
-        with self._recorder.timed("free space"):
+        with self._recorder.timed(Stage.FREE_SPACE):
             views = (DepthView.of(keyframe) for keyframe in self.keyframes)
             evidence = Evidence.of(self.gaussians.means, views)
             mask = evidence.contradicts_in_map(self.gaussians.radii_m, self.options.free_space)

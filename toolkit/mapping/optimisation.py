@@ -26,6 +26,7 @@ from toolkit.rendering import RenderOptions, render_surface
 from toolkit.rendering.backend import Backend
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import resample_at_centres
+from toolkit.stages import Stage
 
 _GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
@@ -80,12 +81,12 @@ class MapOptimisation:
         rgb, depth_m, labels = keyframe.observed(observed)
         if not self._semantics.is_due(progress[0]):
             labels = None
-        with self._recorder.timed("map forward"):
+        with self._recorder.timed(Stage.MAP_FORWARD):
             options = RenderOptions(features=labels is not None)
             view = render_surface(
                 self._backend, gaussian_map.gaussians, keyframe.camera, T_camera_map, options
             )
-        with self._recorder.timed("map loss"):
+        with self._recorder.timed(Stage.MAP_LOSS):
             images, moving = view.forward_pass.images, observed.transient
             # Equal colours: pixels and windows beside a moving object are compared without it.
             rgb = _replaced(rgb, images[COLOUR], moving)
@@ -103,11 +104,11 @@ class MapOptimisation:
                 feature_loss, colour_gradient = objective.feature.gradient(images[COLOUR], rgb)
                 gradient[COLOUR] += colour_gradient
                 loss += feature_loss
-        with self._recorder.timed("map semantic loss"):
+        with self._recorder.timed(Stage.MAP_SEMANTIC_LOSS):
             _, gradient, detached = self._semantics.add_gradient(view, labels, progress, gradient)
-        with self._recorder.timed("map backward"):
+        with self._recorder.timed(Stage.MAP_BACKWARD):
             gradients = view.forward_pass.backward(gradient, detached=detached)
-        with self._recorder.timed("map update"):
+        with self._recorder.timed(Stage.MAP_UPDATE):
             with_features = len(gradient) > BASE_CHANNELS
             names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
             named = {name: getattr(gradients, name) for name in names}

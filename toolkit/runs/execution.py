@@ -37,7 +37,6 @@ from toolkit.runs.lock import locked
 from toolkit.runs.observers import Observers, ProgressObserver
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import (
-    MOTION,
     RunRecord,
     write_motion_alone,
     write_results,
@@ -47,6 +46,7 @@ from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
 from toolkit.slam import Slam
+from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)
 
@@ -119,7 +119,7 @@ def _execute(
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     if settings.depth == "none":
-        with recorder.timed(MOTION), logged_to(folder.log):
+        with recorder.timed(Stage.MOTION), logged_to(folder.log):
             motion = _motion(dataset, settings, progress)
             if not motion.views:
                 write_motion_alone(motion, folder)
@@ -176,7 +176,7 @@ def _execute(
         prior = None
         if provider is not None:
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
-        record = RunRecord(recorder, pace, motion, prior, costs.costs(), findings)
+        record = RunRecord(recorder, costs.costs(), pace, motion, prior, findings)
         write_results(result, dataset, folder, settings, record)
         slam.store_in_metres()
 

@@ -10,6 +10,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.runs.settings import RunSettings
+from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)
 
@@ -26,7 +27,13 @@ _LONG_S = 300.0
 _LARGE_PIXELS = 480 * 360
 
 # Stages of an optimisation step of the map; the first one is timed once per step.
-_STEP_STAGES = ("map forward", "map loss", "map semantic loss", "map backward", "map update")
+_STEP_STAGES = (
+    Stage.MAP_FORWARD,
+    Stage.MAP_LOSS,
+    Stage.MAP_SEMANTIC_LOSS,
+    Stage.MAP_BACKWARD,
+    Stage.MAP_UPDATE,
+)
 
 
 class ExpectedTime:
@@ -100,7 +107,7 @@ class ExpectedTime:
         """Expected time of the final refinement per keyframe."""
         mapping = self._settings.mapping
         steps = mapping.final_iterations
-        if mapping.consensus.use and self._recorder.durations_ms.get("labelling"):
+        if mapping.consensus.use and self._recorder.durations_ms.get(Stage.LABELLING):
             # Each vote on the labels takes about as long as a step.
             steps += mapping.consensus.rounds + 1
         taken = len(self._recorder.durations_ms.get(_STEP_STAGES[0], ()))

@@ -61,12 +61,9 @@ from toolkit.runs.separate_parts import separate_part_metrics, write_separate_pa
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)
-
-# Stages of a run's wall-clock time: the motion of the camera before the loop over the frames where
-# there is no depth, the loop, and what follows it.
-MOTION, ONLINE, FINISH = "motion", "online", "finish"
 
 _NUM_VIEWS = 6
 _LEGEND_ROWS = 8
@@ -86,18 +83,18 @@ class RunRecord:
 
     Attributes:
         recorder: times of its stages.
+        costs: time and memory by frame.
         pace: delays of a run in real time, None for other runs.
         motion: motion of the camera that a run without depth starts from, None for other runs.
         prior: depth priors of the run, None without them.
-        costs: time and memory by frame.
         findings: a line for each defect of the recording that a few of its frames show.
     """
 
     recorder: StageRecorder
+    costs: FrameCosts
     pace: DelaySummary | None = None
     motion: CameraMotion | None = None
     prior: DepthPriorUse | None = None
-    costs: FrameCosts | None = None
     findings: tuple[str, ...] = ()
 
 
@@ -132,7 +129,7 @@ def write_results(
         write_bytes(folder.delays, pace.csv().encode())
     folder.write_json(folder.frames, frames)
     # Measured before the evaluation, whose memory does not count.
-    costs = _costs(result, scene, dataset, recorder)
+    costs = _costs(result, scene, dataset, record)
     _log.info("Evaluating the run.")
     semantics = semantic_evaluation(
         result.semantics, result.taxonomy, dataset, settings.evaluation.subset
@@ -144,7 +141,7 @@ def write_results(
     metrics |= evaluate_loops(folder.loops, dataset, settings)
     metrics |= {} if pace is None else pace.metrics()
     if motion is not None:
-        motion_ms = recorder.total_ms(MOTION) or 0.0
+        motion_ms = recorder.total_ms(Stage.MOTION) or 0.0
         metrics |= motion.metrics() | {"motion_ms_per_frame": motion_ms / motion.frames}
     metrics |= {} if record.prior is None else record.prior.metrics()
     write_metrics(folder.metrics, metrics)
@@ -205,20 +202,18 @@ def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFra
 
 
 def _costs(
-    result: SlamResult, scene: GaussianScene, dataset: Dataset, recorder: StageRecorder
+    result: SlamResult, scene: GaussianScene, dataset: Dataset, record: RunRecord
 ) -> RunCosts:
-    count = len(scene)
+    count, recorder = len(scene), record.recorder
     return RunCosts(
         frames=len(dataset),
         frames_lost=len(result.lost_frames),
         keyframes=len(result.keyframe_indices),
         gaussians=count,
-        tracking_ms=recorder.total_ms("denoising", "tracking"),
-        labelling_ms=recorder.total_ms("labelling"),
-        mapping_ms=recorder.total_ms("placing", "mapping"),
-        refinement_ms=recorder.total_ms("refinement"),
-        online_ms=recorder.total_ms(ONLINE),
-        total_ms=recorder.total_ms(MOTION, ONLINE, FINISH),
+        columns_ms={column: float(ms.sum()) for column, ms in record.costs.columns_ms.items()},
+        refinement_ms=recorder.total_ms(Stage.REFINEMENT),
+        online_ms=recorder.total_ms(Stage.ONLINE),
+        total_ms=recorder.total_ms(Stage.MOTION, Stage.ONLINE, Stage.FINISH),
         peak_memory_mb=peak_memory_mb(),
         map_mb=count * gaussian_bytes(result.semantics.channels) / 1e6,
     )

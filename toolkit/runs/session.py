@@ -17,9 +17,10 @@ from toolkit.runs.checkpoint_writer import CheckpointWriter, System
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import Observers, RunProgress
-from toolkit.runs.results import FINISH, ONLINE, held_out
+from toolkit.runs.results import held_out
 from toolkit.runs.settings import RunSettings
 from toolkit.slam import Slam
+from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)
 
@@ -72,7 +73,7 @@ class Session:
             checkpoints: saves them.
             expected: reports the expected duration; None if the number of frames is unknown.
         """
-        with self.costs.recorder.timed(ONLINE):
+        with self.costs.recorder.timed(Stage.ONLINE):
             saved_at, new_keyframes = time.monotonic(), 0
             for frame in frames:
                 new_keyframes += self._process_frame(frame, expected)
@@ -109,7 +110,7 @@ class Session:
             keyframes,
             "one submap" if submaps == 1 else f"{submaps} submaps",
         )
-        with self.costs.recorder.timed(FINISH):
+        with self.costs.recorder.timed(Stage.FINISH):
             result = self.slam.finish()
         self.observers.finished(result)
         return result

@@ -33,6 +33,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.stages import Stage
 from toolkit.tracking.evidence import is_clear, is_convincing, quality, unexpected_reason
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.judgement import judged
@@ -176,7 +177,7 @@ class DenseTracker(MovingTracker):
         """
         initial = Alignment(se3.inverse(view.T_map_view) @ start, self._scales, self._exposure)
         models, frames = view.levels[:_FINE_LEVELS], task.levels[:_FINE_LEVELS]
-        with self._recorder.timed("tracking align"):
+        with self._recorder.timed(Stage.TRACKING_ALIGN):
             aligned = align(models, frames, initial, self._alignment_options)
         T_map_camera = view.T_map_view @ aligned.T_view_camera
         if task.distance(T_map_camera, result.T_map_camera) >= _SAME:
@@ -233,7 +234,7 @@ class DenseTracker(MovingTracker):
     ) -> View:
         min_silhouette = self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
-        with self._recorder.timed("tracking render"):
+        with self._recorder.timed(Stage.TRACKING_RENDER):
             options = RenderOptions(min_silhouette)
             surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
             images = pyramid(view_level(surface, min_silhouette), levels)
@@ -261,7 +262,7 @@ class DenseTracker(MovingTracker):
         level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
         T_view_start = se3.inverse(view.T_map_view) @ start
         try:
-            with self._recorder.timed("tracking odometry"):
+            with self._recorder.timed(Stage.TRACKING_ODOMETRY):
                 T_view_camera = frame_to_model(view.levels[level], task.levels[level], T_view_start)
         except DependencyError as error:
             if self.options.start == "both":
@@ -284,7 +285,7 @@ class DenseTracker(MovingTracker):
             self._alignment_options,
             max_distance=self.options.max_distance * 2**_SEARCH_LEVEL,
         )
-        with self._recorder.timed("tracking search"):
+        with self._recorder.timed(Stage.TRACKING_SEARCH):
             found = rotated_starts(view.levels, levels, np.eye(4), self._exposure, options)
         yield from ((view.T_map_view @ T, _FINE_LEVELS) for T in found)
 
@@ -302,7 +303,7 @@ class DenseTracker(MovingTracker):
         alignment = Alignment(T_view_camera, self._scales, self._exposure)
         renders, levels, options = 1, levels or len(view.levels), self._alignment_options
         while True:
-            with self._recorder.timed("tracking align"):
+            with self._recorder.timed(Stage.TRACKING_ALIGN):
                 alignment = align(view.levels[:levels], task.levels[:levels], alignment, options)
             near = task.size(alignment.T_view_camera) <= self.options.rerender_distance
             if (near and alignment.converged) or renders == self.options.renders:

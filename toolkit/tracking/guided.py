@@ -28,6 +28,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.stages import Stage
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import TrackingResult
@@ -110,7 +111,7 @@ class GuidedTracker(GivenPoses):
         if given.lost:
             return given
         T_map_view = given.T_map_camera
-        with self._recorder.timed("tracking render"):
+        with self._recorder.timed(Stage.TRACKING_RENDER):
             options = RenderOptions(_MIN_SILHOUETTE)
             T_view_map = se3.inverse(T_map_view)
             surface = render_surface(self._backend, gaussians, frame.camera, T_view_map, options)
@@ -118,7 +119,7 @@ class GuidedTracker(GivenPoses):
         known = view.depth_m[view.depth_m > 0]
         if len(known) < _MIN_COVERED * view.depth_m.numel():
             return given
-        with self._recorder.timed("tracking align"):
+        with self._recorder.timed(Stage.TRACKING_ALIGN):
             found, exposure = self._aligned(frame, view)
         correction = float(
             np.linalg.norm(found.T_view_camera[:3, 3]) / float(known.median())

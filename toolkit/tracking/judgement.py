@@ -13,6 +13,7 @@ from toolkit.alignment.health import failure_reason
 from toolkit.alignment.options import HealthLimits
 from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.frame import Recorder
+from toolkit.stages import Stage
 from toolkit.tracking.evidence import doubt_reason, lacks_texture
 from toolkit.tracking.result import Health
 from toolkit.tracking.views import Task, View
@@ -61,7 +62,7 @@ def judged(
     health = Health.LOST if reason else Health.GOOD
     level = _level(task)
     model, frame, T_view_camera = view.levels[level], task.levels[level], alignment.T_view_camera
-    with recorder.timed("tracking evidence"):
+    with recorder.timed(Stage.TRACKING_EVIDENCE):
         similarity = aligned_correlation(model, frame, T_view_camera)
         if not reason:
             rise = None
