@@ -213,7 +213,7 @@ class LoopCloser:
         """
         if not self.loops or not self.options.between:
             return False
-        with self._recorder.timed("anchors settle"):
+        with self._recorder.timed("anchor registration"):
             existing = {(loop.first, loop.second): loop for loop in self.loops}
             registered = []
             for first, second in self._between.overlapping(atlas, set(existing), self.parts(atlas)):

@@ -43,7 +43,7 @@ from toolkit.runs.snapshots import SnapshotWriter
 _log = logging.getLogger(__name__)
 
 RECORDING = "recording"
-# Nominal rate of a recording whose camera does not state one.
+# Nominal rate of a recording whose camera does not report one.
 _FPS = 30.0
 
 
@@ -185,7 +185,7 @@ def _execute(
             load_saved_map(slam, saved)
         _log.info(
             "Frames come from %s; the results depend on the speed of this machine and are not "
-            "repeatable.",
+            "reproducible.",
             camera.name,
         )
         total = None if replayed is None else len(replayed)
