@@ -119,9 +119,9 @@ def run_live(
                 _execute(settings, options, source, folder, hooks)
         except Exception as error:
             if not folder.has_checkpoint:
-                # Frames that could not be mapped are of no use; others can be processed again.
-                useless = isinstance(error, CameraError | DatasetError)
-                if source.writer is not None and useless and not options.save_frames:
+                # Frames that could not be mapped are removed; others can be processed again.
+                unusable = isinstance(error, CameraError | DatasetError)
+                if source.writer is not None and unusable and not options.save_frames:
                     source.writer.remove()
                 folder.discard()
             raise
