@@ -41,7 +41,7 @@ DESCRIPTION = """\
 frames) with different seeds on a Ray cluster of this machine, one thread each. Times include the
 start of the cluster, the imports of each process, and the report. One run's worker is killed
 (SIGKILL) in the middle of the run. `semsplat refine` refines the map of a walk through twelve rooms
-along corridors (120x90, sensor noise, 1500 frames unless the command states fewer).
+along corridors (120x90, sensor noise, 1500 frames unless the command specifies fewer).
 `trajectory.txt`, `map.ply` and `loops.jsonl` of runs, and all files of refined maps, are compared
 byte by byte.
 

@@ -62,7 +62,7 @@ def compiled(kernel: Any, capability: int, warps: int = 4, **constants: Any) -> 
     """A kernel as machine code for a compute capability, 90 or 80 say."""
     names = kernel.arg_names
     types = {n: _type_of(n, kernel.__name__) for n in names if n not in constants}
-    # As torch allocates them: a launch tells the compiler so.
+    # As torch allocates them: a launch passes this to the compiler.
     aligned = {
         (i,): [["tt.divisibility", 16]] for i, n in enumerate(names) if "*" in types.get(n, "")
     }

@@ -30,7 +30,7 @@ DESCRIPTION = """\
 A synthetic room ({frames} frames, 160x120) in the form of each kind of recording, given to the
 commit {commit} (before) and to this one (now). Good maps have the PSNR of their mapped views, the
 ATE relative to the size of the scene, and lost frames; otherwise, the last line of the message.
-"reported" marks runs that state a defect of the data."""
+"reported" marks runs that report a defect of the data."""
 _MAX_MESSAGE = 160
 
 

@@ -68,7 +68,7 @@ for the viewer of Rerun. With "viewer attached", `semsplat view --live` follows 
 of its own, on the same machine; its client is a websocket that receives what a browser would and
 draws nothing. `viewer_updates` counts the states of the growing map that were shown. RedKitchen and
 the synthetic room have 320x240 pixels. Live runs depend on the speed and the load of the machine
-and are not repeatable."""
+and are not reproducible."""
 
 
 @dataclass(frozen=True, kw_only=True)

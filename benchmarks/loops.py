@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 Values = dict[str, Any]
 
 # Every registration is accepted.
-_BELIEVE_ALL: Values = {
+_ACCEPT_ALL: Values = {
     "verification": {
         "min_overlap": 0.0,
         "min_inliers": 0.0,
@@ -76,10 +76,10 @@ _BELIEVE_ALL: Values = {
 _NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}
 ROWS: dict[str, Values] = {
     "no loops": {"use": False},
-    "descriptor alone": _BELIEVE_ALL | _NO_LANDMARKS,
-    "and landmarks as printed (G-7)": _BELIEVE_ALL | {"landmarks": {"weighting": "paper"}},
-    "and landmarks, linear": _BELIEVE_ALL | {"landmarks": {"weighting": "linear"}},
-    "and landmarks, square root": _BELIEVE_ALL,
+    "descriptor alone": _ACCEPT_ALL | _NO_LANDMARKS,
+    "and landmarks as printed (G-7)": _ACCEPT_ALL | {"landmarks": {"weighting": "paper"}},
+    "and landmarks, linear": _ACCEPT_ALL | {"landmarks": {"weighting": "linear"}},
+    "and landmarks, square root": _ACCEPT_ALL,
     "and verification (default)": {},
 }
 COLUMNS = (

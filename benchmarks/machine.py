@@ -15,7 +15,7 @@ _PACKAGES = ("torch", "numpy", "open3d")
 def describe_machine() -> str:
     """Processor, usable cores, memory, versions and load average, in one line.
 
-    The load average tells whether times can be trusted: it should be near zero at the start.
+    The load average shows whether times are reliable: it should be near zero at the start.
     """
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return f"{machine_identity()}; load {load:.1f}"

@@ -104,7 +104,7 @@ def _row(name: str, label: str, every: int) -> str:
 
 
 def measure(job: list[str | int], _seed: int) -> Metrics:
-    """Run one method; the median run by its error if it is not repeatable."""
+    """Run one method; the median run by its error if it is not reproducible."""
     method, sequence, every = str(job[0]), str(job[1]), int(job[2])
     package = _PACKAGES.get(method)
     if package is not None and importlib.util.find_spec(package) is None:

@@ -191,7 +191,7 @@ class CaseDataset(RecordedDataset):
 class MixedDataset:
     """Frames of several scenes as one sequence of 30 frames per second; a `Dataset`.
 
-    All frames state the camera of the first one, as images in one folder do.
+    All frames have the camera of the first one, like images in one folder.
 
     Attributes:
         scenes: which scene each frame shows; `WALL` for a blank wall.

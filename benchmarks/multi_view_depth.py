@@ -72,10 +72,10 @@ to 1-2 cm on RedKitchen and to some centimetres on the HoloLens walk) or those e
 depth that have a measured one; its median relative error, and the fraction with an error above
 {_OUTLIER:.0%}. Edge: the density among the pixels within {_BESIDE_PX:.0f} pixels of a depth
 edge, and the fractions of their depth that are more than {_WRONG_SIDE:.0%} too near and too far.
-Within 1 and 2 sigma: fraction of errors below the stated standard deviation and below twice that,
-68 and 95 % if it is right and errors are normal, after the common scale of the
-keyframe's depth has been removed, which all keyframes share and which the stated deviation cannot
-contain; "unscaled": without that. Depth of the rooms with sensor noise, of RedKitchen and of the
+Within 1 and 2 sigma: fraction of errors below the estimated standard deviation and below twice
+that, 68 and 95 % if it is right and errors are normal, after the common scale of the keyframe's
+depth has been removed, which all keyframes share and which the deviation cannot contain;
+"unscaled": without that. Depth of the rooms with sensor noise, of RedKitchen and of the
 HoloLens walk has errors of its own. Inferred: the same for depth that was completed on planes, as
 a fraction of the same pixels. Times are medians of one keyframe on all threads."""
 

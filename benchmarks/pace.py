@@ -64,7 +64,7 @@ time that remains. RedKitchen and the synthetic room have 320x240 pixels. The de
 the arrival of a frame to its pose. All frames are scored, dropped ones at the last pose before
 them. PSNR is the mean over at most 100 views of the recording; before the final refinement, it is
 that of the same run, fused without the optimisation steps of the refinement. Runs with `--pace`
-depend on the speed of the machine and are not repeatable. The second table divides each sequence
+depend on the speed of the machine and are not reproducible. The second table divides each sequence
 into {_PARTS} parts of equal length: median and maximum of the delay in ms, and dropped frames."""
 
 

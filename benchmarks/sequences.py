@@ -76,7 +76,7 @@ ROWS: dict[str, list[str]] = {
     RPY: ["fr1_rpy"],
     OFFICE: ["office0"],
     GIVEN: ["office0", "--poses", "given", "--hold-out", "5"],
-    # Held-out frames state what space is empty.
+    # Held-out frames show what space is empty.
     WALK: ["hololens", "--image-size", "270", "180", "--hold-out", "10"],
     ROOM: ["room"],
     NOISY: ["room-noise"],

@@ -4,7 +4,7 @@
     python -m benchmarks.stale --write    also update the index in benchmarks/RESULTS.md
 
 A file of results is stale if a commit after its own has changed a path that its header names
-under "measures". Not every such commit changes results; only measuring again tells.
+under "measures". Not every such commit changes results; this can only be found by measuring again.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What all tests share: repeatable property tests, kernels without a GPU, real recordings."""
+"""Common to all tests: reproducible property tests, kernels without a GPU, real recordings."""
 
 from __future__ import annotations
 

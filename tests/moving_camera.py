@@ -29,7 +29,7 @@ def turn(frames: int = 14) -> NDArray[np.float64]:
 
 
 def wind(frames: int = 24) -> NDArray[np.float64]:
-    """Poses [N, 4, 4] of a walk with turns in several directions, which tell the focal length."""
+    """Poses [N, 4, 4] of a walk with turns that make the focal length observable."""
     poses = []
     for n in range(frames):
         y, *turns = (a * np.sin(n / b) for a, b in ((0.1, 4), (0.15, 3), (0.25, 5), (0.1, 4)))

@@ -84,7 +84,7 @@ def submap_of(
 
 
 def moved(submap: Submap, T_new_old: NDArray[np.float64]) -> Submap:
-    """The same submap, told in another frame."""
+    """The same submap, expressed in another frame."""
     keyframes = [replace(k, T_map_camera=T_new_old @ k.T_map_camera) for k in submap.keyframes]
     gaussians = submap.gaussians.transformed(T_new_old)
     return replace(submap, gaussians=gaussians, keyframes=keyframes)

@@ -154,7 +154,7 @@ class LengthUnit:
         return self._metres.pose(T)
 
     def record_in_metres(self, record: Mapping[str, Any]) -> dict[str, Any]:
-        """A record of the log of loops, whose keys state the unit, in metres."""
+        """A record of the log of loops, whose keys name the unit, in metres."""
         if self.is_metre:
             return dict(record)
         converted = dict(record)

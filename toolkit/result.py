@@ -59,7 +59,7 @@ class FrameResult:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the pose may be wrong; `reason` states why."""
+        """Whether the pose may be wrong; see `reason`."""
         return not self.lost and self.tracking is not None and self.tracking.doubtful
 
     @property

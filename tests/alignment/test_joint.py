@@ -49,7 +49,7 @@ def test_the_motion_does_not_depend_on_the_submaps_frames(submaps: Scene, pairs)
     start = submaps.T_target_source @ motion(1, 0.03, 1.0)
     once = replace(OPTIONS, iterations=1)
     found = align(pairs, Estimate(start), once)
-    told = [
+    transformed = [
         replace(
             pair,
             T_model_target=pair.T_model_target @ T_target_other,
@@ -57,7 +57,7 @@ def test_the_motion_does_not_depend_on_the_submaps_frames(submaps: Scene, pairs)
         )
         for pair in pairs
     ]
-    other = align(told, Estimate(T_other_target @ start @ se3.inverse(T_new_source)), once)
+    other = align(transformed, Estimate(T_other_target @ start @ se3.inverse(T_new_source)), once)
     A = se3.adjoint(se3.inverse(T_new_source))
     np.testing.assert_allclose(
         T_target_other @ other.T_target_source @ T_new_source, found.T_target_source, atol=1e-4

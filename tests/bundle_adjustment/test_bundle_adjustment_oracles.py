@@ -18,8 +18,8 @@ from toolkit.geometry import se3
 
 SQUARES = BundleOptions(iterations=100, huber_px=1e6, min_decrease=1e-14)
 HUBER = replace(SQUARES, huber_px=1.0)
-# Landmarks lie on the ray of their anchor's pixel exactly, which GTSAM is told by a noise of so
-# many pixels, and COLMAP by repeating that pixel so many times.
+# Landmarks lie exactly on the ray of their anchor's pixel. GTSAM gets this constraint as a noise of
+# so many pixels, and COLMAP by repeating that pixel so many times.
 EXACT_PX = 1e-3
 REPEATED = 200
 

@@ -156,6 +156,6 @@ def test_bad_names_end_in_one_line(names_file, capsys, content, message):
     assert len(printed.err.strip().splitlines()) == 1
 
 
-def test_a_data_set_without_labels_is_told(recording, capsys):
+def test_a_data_set_without_labels_is_an_error(recording, capsys):
     assert build("--dataset.kind", "synthetic", "--dataset.path", recording, "--review") == 2
     assert "has no labels/classes.json; give --classes FILE" in capsys.readouterr().err

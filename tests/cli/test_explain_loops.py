@@ -106,7 +106,7 @@ def test_a_verdict_belongs_to_its_frames_or_its_submaps():
     assert results_of(CANDIDATE, [BETWEEN, VERIFIED, another]) == [BETWEEN, VERIFIED]
 
 
-def test_the_story_tells_what_was_refused():
+def test_the_summary_contains_rejected_candidates():
     lines = summary(
         [CANDIDATE, WITHIN, BETWEEN | {"accepted": False, "reason": "only 3 % overlap"}]
     )

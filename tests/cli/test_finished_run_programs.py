@@ -100,7 +100,7 @@ def test_a_bare_splat_file_is_shown_whole(run, tmp_path):
         (["evaluate", "RUN", "--max-views", "0"], "--max-views"),
     ],
 )
-def test_bad_input_is_told_in_one_line(run, capsys, words, said):
+def test_bad_input_is_reported_in_one_line(run, capsys, words, said):
     line = one_line_of_error(capsys, *(word.replace("RUN", str(run)) for word in words))
     assert said.replace("RUN", str(run)) in line
 

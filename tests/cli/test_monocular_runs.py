@@ -159,7 +159,7 @@ def test_what_needs_depth_is_refused(recording, tmp_path, capsys, words):
     assert "needs depth images" in line
 
 
-def test_without_a_known_length_no_output_states_metres(run, tmp_path, capsys, caplog):
+def test_without_a_known_length_no_output_is_in_metres(run, tmp_path, capsys, caplog):
     frames = json.loads((run / "frames.json").read_text())
     assert frames["metric"] is False
     report = (run / "report.html").read_text()

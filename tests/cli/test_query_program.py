@@ -148,7 +148,7 @@ def test_without_a_floor_it_says_so(finished, capsys):
         (["chair", "--floor", "flor"], "did you mean floor"),
     ],
 )
-def test_bad_queries_are_told_in_one_line(finished, tmp_path, capsys, words, said):
+def test_bad_queries_are_reported_in_one_line(finished, tmp_path, capsys, words, said):
     words = [word.replace("FOLDER", str(tmp_path)) for word in words]
     assert said in one_line_of_error(capsys, "query", finished, *words)
 
@@ -204,7 +204,7 @@ def test_export_makes_meshes_and_points_of_a_part(finished, tmp_path):
         (["--drop", "large items"], "exclude all Gaussians"),
     ],
 )
-def test_bad_parts_are_told_in_one_line(finished, tmp_path, capsys, words, said):
+def test_bad_parts_are_reported_in_one_line(finished, tmp_path, capsys, words, said):
     line = one_line_of_error(capsys, "export", finished, "--to", tmp_path / "a.ply", *words)
     assert said in line
     assert list(tmp_path.iterdir()) == []

@@ -60,7 +60,7 @@ def test_it_finds_where_the_other_map_lies(merged, room_runs):
     assert found["overlap"] > 0.5 and found["inliers"] > 0.8 and found["class_agreement"] > 0.8
 
 
-def test_the_merged_map_tells_what_both_show_once(merged, room_runs):
+def test_the_merged_map_contains_common_surfaces_once(merged, room_runs):
     splats = read_splats(merged / "map.ply")
     found = figures(merged)
     assert len(splats.means) == found["gaussians"]

@@ -76,10 +76,10 @@ def test_a_run_leaves_its_tree_and_labelled_splats(run):
     assert taxonomy == shipped_taxonomy("replica")
     labels = read_splats(run / "map.ply").labels
     assert labels.levels.shape[1] == taxonomy.depth
-    told = labels.label > 0
-    assert told.mean() > 0.99
+    labelled = labels.label > 0
+    assert labelled.mean() > 0.99
     # Where a level is sure, it lies on the label's own path.
-    sure = told & (labels.confidence > 0.6)
+    sure = labelled & (labels.confidence > 0.6)
     path = taxonomy.node_ids[labels.label[sure] - 1]
     levels = labels.levels[sure]
     assert (levels == path)[levels >= 0].all()

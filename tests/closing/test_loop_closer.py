@@ -99,7 +99,7 @@ def closed(
 ):
     """An atlas of three submaps, the last of which drifted, and its closer.
 
-    The second registrar is as wrong as the first unless it is told otherwise.
+    The second registrar has the errors of the first unless `nearby_changes` are given.
     """
     atlas = Atlas(
         Mapper(FEW, np.random.default_rng(0)),
@@ -409,7 +409,7 @@ class TestLost:
 
 
 class TestState:
-    def test_it_goes_on_as_if_nothing_had_been(self, frames, tmp_path):
+    def test_a_restored_closer_continues_identically(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
         atlas, closer, _ = closed(frames, log=log)
         arrays, values = closer.state()

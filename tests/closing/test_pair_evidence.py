@@ -68,7 +68,7 @@ def test_depth_of_another_time_pulls_both_directions_to_a_wrong_pose(walk, match
     assert "correlate" in pair.reason
 
 
-def test_the_reason_states_both_correlations(walk):
+def test_the_reason_contains_both_correlations(walk):
     first, second = keyframe(walk, 20, 20), keyframe(walk, 24, 25)
     reason = verified(first, second, PairOptions()).reason
     before, after = (float(number) for number in re.findall(r"by (\d\.\d+)", reason))

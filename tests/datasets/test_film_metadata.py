@@ -1,4 +1,4 @@
-"""Films of phones: stated focal length, portrait rotation, variable frame rate."""
+"""Films of phones: focal length in the metadata, portrait rotation, variable frame rate."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_focal_length_of_a_phone_is_an_initial_value(film, place, versioned,
     # The diagonal of 4:3 is 5/4 of its width.
     expected = STABILISATION_CROP * 26 / np.hypot(36, 24) * 1.25 * WIDTH
     assert recording.camera.fx == pytest.approx(expected)
-    assert "that the film states" in recording.notes[0]
+    assert "in the metadata of the film" in recording.notes[0]
 
 
 @pytest.mark.parametrize("value", [b"wide", b"0", b"-13", b"1e9", b"nan", b""])

@@ -183,7 +183,7 @@ def test_rendered_images_have_no_rolling_shutter(make_seven_scenes, make_replica
     assert describe("seven-scenes", make_seven_scenes()).readout_s is None
 
 
-def test_the_readout_of_a_rolling_shutter_can_be_stated(make_folder):
+def test_the_readout_of_a_rolling_shutter_can_be_specified(make_folder):
     folder = make_folder(intrinsics={"readout_ms": 20})
     whole = open_dataset("folder", folder)
     assert whole[0].readout_s == pytest.approx(0.02)
@@ -196,7 +196,7 @@ def test_the_readout_of_a_rolling_shutter_can_be_stated(make_folder):
     assert cropped.readout_s == pytest.approx(0.01)
 
 
-def test_times_of_a_plain_folder_can_be_stated(make_folder):
+def test_times_of_a_plain_folder_can_be_specified(make_folder):
     folder = make_folder(frames=3)
     (folder / "timestamps.txt").write_text("0 0.01\n1 0.13\n2 7.5\n")
     dataset = open_dataset("folder", folder)

@@ -37,7 +37,7 @@ def test_seconds_are_accepted(fps):
 
 
 def test_a_time_lapse_is_no_error_of_a_run():
-    assert "state the times in seconds" in unit_fault(1e5 * np.arange(4.0) / 30)
+    assert "specify the times in seconds" in unit_fault(1e5 * np.arange(4.0) / 30)
     assert not is_impossible(60.0 * np.arange(4.0))
 
 

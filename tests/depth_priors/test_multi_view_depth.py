@@ -46,7 +46,7 @@ def test_errors_are_within_the_stated_accuracy():
     assert not found.inferred.any()
     error = np.abs(found.depth / FRAMES[2].depth_m - 1.0)[known]
     sigma = found.relative_sigma[known]
-    # Real images have noise, for which the accuracy is stated.
+    # The estimated accuracy assumes the noise of real images.
     assert (error < sigma).mean() > 0.65
     assert (error < 2 * sigma).mean() > 0.9
     accurate = sigma < np.median(sigma)

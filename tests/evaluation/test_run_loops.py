@@ -44,7 +44,7 @@ def found(query, match, kind="verified", accepted=True, apart_m=0.1):
 SEARCHES = [{"kind": "search", "query": q, "considered": 3} for q in (5, 8, 10)]
 
 
-def test_verified_and_suspected_are_told_apart():
+def test_verified_and_suspected_loops_are_counted_separately():
     records = [
         *SEARCHES,
         found(8, 2, "candidate"),

@@ -1,4 +1,4 @@
-"""Thickness of walls: shifted as a whole they stay thin, told twice they do not."""
+"""Thickness of walls: shifted walls are thin, duplicated ones are thick."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def figures(gaussians, wall, T=None):
     return wall_thickness(InMemoryScene(gaussians), wall, np.eye(4) if T is None else T).metrics()
 
 
-def test_a_wall_told_once_is_thin(wall):
+def test_a_single_wall_is_thin(wall):
     assert figures(cloud([0.0]), wall)["wall_thickness_cm"] < 0.01
 
 
@@ -46,7 +46,7 @@ def test_a_shift_is_no_thickness(wall):
     assert figures(cloud([0.03]), wall)["wall_thickness_cm"] < 0.01
 
 
-def test_a_wall_told_twice_is_as_thick_as_the_two_differ(wall):
+def test_a_duplicated_wall_is_as_thick_as_its_copies_are_apart(wall):
     found = figures(cloud([0.0, 0.04]), wall)
     assert found["wall_thickness_cm"] == pytest.approx(4.0, abs=0.1)
     assert found["wall_thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)

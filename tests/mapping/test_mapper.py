@@ -150,7 +150,7 @@ def test_a_new_surface_before_the_map_is_seeded(room):
     assert 100 <= result.seeded <= 500
 
 
-def test_useless_gaussians_are_pruned(room):
+def test_invalid_transparent_and_large_gaussians_are_pruned(room):
     mapper = fed(Mapper(UNTOUCHED), room, [0])
     count = len(mapper.gaussians)
     cloud = mapper.gaussians
@@ -251,7 +251,7 @@ def test_it_works_without_compiled_kernels(room, monkeypatch):
 
 
 def test_bundle_adjustment_draws_a_wrong_pose_back(room):
-    """A keyframe laid down 5 mm off comes nearer to its true place; the first one stays."""
+    """A keyframe placed 5 mm off comes nearer to its true pose; the first one stays."""
     options = replace(FEW, bundle_adjustment=True, final_iterations=25, pose_translation_m=2e-4)
     mapper = fed(Mapper(options), room, [0])
     wrong = room.T_map_camera[4].copy()

@@ -60,7 +60,7 @@ def accuracy(mapper: Mapper, room, number: int) -> float:
 
 
 @pytest.mark.parametrize("code", CODES)
-def test_a_map_shows_what_it_was_told(room, code):
+def test_a_map_renders_the_labels_of_its_keyframes(room, code):
     mapper = fed(mapper_with(code=code), room, [0, 4, 8])
     assert accuracy(mapper, room, 4) > 0.97
     assert accuracy(mapper, room, 6) > 0.93  # never mapped

@@ -81,7 +81,7 @@ def test_frames_without_pose_are_reported(walked):
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_an_unknown_focal_length_is_estimated(factor):
-    """Only turns in several directions tell it."""
+    """It is observable only from turns in several directions."""
     frames = film(wind())
     true = frames[0].camera
     wrong = replace(true, fx=factor * true.fx, fy=factor * true.fy)
@@ -91,21 +91,21 @@ def test_an_unknown_focal_length_is_estimated(factor):
     assert motion.metrics()["monocular_focal_px"] == motion.camera.fx
 
 
-def test_a_stated_focal_length_is_kept_where_the_motion_does_not_tell_it(walked):
-    """A walk to the side without the turns that tell the focal length."""
+def test_a_prior_focal_length_is_kept_where_it_is_not_observable(walked):
+    """A walk to the side without turns."""
     true = walked[0].camera
-    stated = replace(true, fx=1.02 * true.fx, fy=1.02 * true.fy)
-    motion = estimate_motion(walked, stated, calibrated=False, focal_sigma=0.03)
-    assert motion.camera.fx == pytest.approx(stated.fx, rel=0.03)
+    prior = replace(true, fx=1.02 * true.fx, fy=1.02 * true.fy)
+    motion = estimate_motion(walked, prior, calibrated=False, focal_sigma=0.03)
+    assert motion.camera.fx == pytest.approx(prior.fx, rel=0.03)
     assert motion.focal_sigma <= 0.03
     assert motion.reliable
 
 
-def test_a_stated_focal_length_is_corrected_by_a_motion_that_tells_it():
+def test_a_prior_focal_length_is_corrected_where_it_is_observable():
     frames = film(wind())
     true = frames[0].camera
-    stated = replace(true, fx=1.06 * true.fx, fy=1.06 * true.fy)
-    motion = estimate_motion(frames, stated, calibrated=False, focal_sigma=0.03)
+    prior = replace(true, fx=1.06 * true.fx, fy=1.06 * true.fy)
+    motion = estimate_motion(frames, prior, calibrated=False, focal_sigma=0.03)
     assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
 
 

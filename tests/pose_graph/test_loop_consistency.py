@@ -87,7 +87,7 @@ def residual_of_cycle(steps, a: PoseEdge, b: PoseEdge, noise: np.ndarray) -> np.
         ((0, 9), (4, 15)),
         ((9, 15), (0, 4)),
         ((3, 20), (3, 20)),  # the same twice
-        ((3, 20), (20, 3)),  # and told backwards
+        ((3, 20), (20, 3)),  # and in reverse
     ],
 )
 def test_pair_chi2_includes_every_edge_of_the_cycle(ends_a, ends_b) -> None:

@@ -74,7 +74,7 @@ def test_solution_is_invariant_to_the_world_frame(seed: int) -> None:
         expected = T_other_world @ here.T_world_node[node]
         np.testing.assert_allclose(there.T_world_node[node], expected, atol=1e-5)
     np.testing.assert_allclose(there.chi2, here.chi2, atol=1e-3)
-    # Covariances are told in the nodes' own frames.
+    # Covariances are expressed in the nodes' own frames.
     np.testing.assert_allclose(there.covariances, here.covariances, rtol=1e-2, atol=1e-8)
 
 
@@ -144,10 +144,10 @@ def test_covariances_match_samples() -> None:
         solution = solve(steps.graph(steps.loop(0, 20)), PLAIN, covariances=seed == 0)
         errors.append(se3.log(se3.inverse(steps.T_world_node[15]) @ solution.T_world_node[15]))
         if seed == 0:
-            stated = solution.covariances[15]
+            estimated = solution.covariances[15]
     measured = np.cov(np.array(errors).T)
-    # In the stated metric the measured spread is the unit sphere, within that of 80 draws.
-    L = np.linalg.cholesky(np.linalg.inv(stated))
+    # In the estimated metric, the measured spread is the unit sphere, within that of 80 draws.
+    L = np.linalg.cholesky(np.linalg.inv(estimated))
     spread = np.linalg.eigvalsh(L.T @ measured @ L)
     assert spread[0] > 0.45
     assert spread[-1] < 1.8

@@ -13,6 +13,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 PROGRAMS = ("semsplat", "make", "python", ".venv/bin/python", ".venv/bin/semsplat")
 
 _FENCE = re.compile(r"^( *)```(\w*)\s*$")
+_LONE_LINK = re.compile(r"^\s*(?:- )?!?\[[^\]]*\]\([^)]*\)\S?$")
 # Names that the test must define before it executes the block that follows.
 _GIVEN = re.compile(r"^<!-- given: ([\w, ]+) -->$")
 # Elements of a synopsis, such as "..." and "[--option]".
@@ -108,6 +109,28 @@ def links(page: Path) -> Iterator[tuple[str, str]]:
         for target in re.findall(r"\]\(([^)\s]+)\)", line):
             if not re.match(r"[a-z]+:", target):
                 yield f"{page.relative_to(ROOT)}:{number}", target
+
+
+def prose(page: Path) -> Iterator[tuple[str, str]]:
+    """Lines of a page, each with its place, that can be wrapped.
+
+    Code blocks, tables, and lines with nothing but a link or a picture are left out.
+    """
+    in_fence = False
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+        if _FENCE.match(line):
+            in_fence = not in_fence
+        elif not in_fence and not line.startswith("|") and not _LONE_LINK.match(line):
+            yield f"{page.relative_to(ROOT)}:{number}", line
+
+
+def word_count(page: Path) -> int:
+    """Number of words that a reader of the rendered page sees, code and tables included."""
+    text = page.read_text(encoding="utf-8")
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.S)
+    text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", text)
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    return len(re.findall(r"\w\S*", text))
 
 
 def anchors(page: Path) -> set[str]:

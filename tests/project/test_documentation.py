@@ -255,4 +255,9 @@ def test_every_page_is_in_the_navigation():
 
 
 def test_the_readme_is_short():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < 150
+    assert documentation.word_count(ROOT / "README.md") <= 1150
+
+
+def test_lines_of_the_readme_are_wrapped():
+    wide = [place for place, line in documentation.prose(ROOT / "README.md") if len(line) > 100]
+    assert not wide, f"wrap at 100 characters: {', '.join(wide)}"

@@ -1,4 +1,4 @@
-"""The order of the layers, as setup.cfg states it."""
+"""The order of the layers in setup.cfg."""
 
 import os
 import re

@@ -35,9 +35,9 @@ def wall(number, left_m, right_m, steps, colour=0.5):
         torch.full((count, 3), colour) * torch.tensor(1.0 + 0.2 * places, dtype=torch.float32),
     )
     T = se3.exp(np.array([0.1, 0.2, 0.3, 0.2, 0.1, 0.3]) * number)
-    told = cloud.transformed(se3.inverse(T))
+    own = cloud.transformed(se3.inverse(T))
     full = torch.full((count,), steps, dtype=torch.int32)
-    return Submap(number, T, told, [], full, steps=full)
+    return Submap(number, T, own, [], full, steps=full)
 
 
 def fused_of(parts):

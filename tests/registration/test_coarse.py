@@ -17,7 +17,7 @@ NOWHERE_NEAR = motion(4, 7.0, 150.0)
 
 
 def elsewhere(room: Scene) -> tuple[Scene, np.ndarray]:
-    """The same with the source told in a frame far away, and the true motion to it."""
+    """The same with the source expressed in a distant frame, and the true motion to it."""
     far = replace(room, source=moved(room.source, NOWHERE_NEAR))
     return far, room.T_target_source @ se3.inverse(NOWHERE_NEAR)
 
@@ -65,7 +65,7 @@ def test_alike_views_are_not_equal_poses(room: Scene, generator):
     assert error(ours.T_target_source, room.T_target_source)[0] < 1.0
 
 
-def test_a_look_alike_from_another_room_has_no_say(room: Scene, generator, stranger):
+def test_a_look_alike_from_another_room_is_ignored(room: Scene, generator, stranger):
     keyframes = [*room.source.keyframes, stranger]
     # It claims to look exactly like the target's first keyframe.
     words = np.vstack([room.source.descriptors, thumbnail(room.target.keyframes[0])])
@@ -83,7 +83,7 @@ def test_without_descriptors_it_says_so(room: Scene, generator):
     assert "descriptor" in found.result.reason
 
 
-def test_one_pair_alone_convinces_nobody(room: Scene, generator):
+def test_a_single_pair_is_not_sufficient(room: Scene, generator):
     one = CoarseOptions(pairs=1, pooled_pairs=1)
     found = register_coarse(room.target, room.source, one, generator)
     assert not found.result.converged

@@ -101,7 +101,7 @@ def test_void_and_missing_classes_clash_with_nothing():
     assert mismatched_classes(seen, None, 0) is None
 
 
-def test_pixels_of_other_classes_have_no_say(labelled_room: Scene, semantics):
+def test_pixels_of_other_classes_are_ignored(labelled_room: Scene, semantics):
     """A source whose labels are nonsense leaves nothing to align."""
     scene = labelled_room
     renderer = ViewRenderer(semantics=semantics)

@@ -34,12 +34,12 @@ def test_pairs_find_the_motion_together(room: Scene, generator, stranger):
     assert 3 not in found.pairs
 
 
-def test_another_room_is_not_believed(room: Scene, generator, stranger):
+def test_another_room_is_rejected(room: Scene, generator, stranger):
     pairs = [(keyframe, stranger) for keyframe in room.target.keyframes]
     assert pooled_motion(pairs, MatchingOptions(), generator) is None
 
 
-def test_one_pair_alone_convinces_nobody(room: Scene, generator):
+def test_a_single_pair_is_not_sufficient(room: Scene, generator):
     assert pooled_motion(keyframes(room)[:1], MatchingOptions(), generator) is None
 
 
@@ -60,7 +60,7 @@ def test_the_same_seed_gives_the_same_bits(room: Scene):
 def test_the_coarse_stage_asks_it_where_no_pair_is_sure(room: Scene, generator):
     T_new_source = motion(4, 7.0, 150.0)
     far = moved(room.source, T_new_source)
-    # No dense alignment is believed, so that no pair has an offset of its own.
+    # Every dense alignment is rejected, so that no pair has an offset of its own.
     limits = replace(MatchingOptions().limits, min_visible=1.1)
     options = CoarseOptions(matching=MatchingOptions(limits=limits))
     found = register_coarse(room.target, far, options, generator)

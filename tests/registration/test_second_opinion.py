@@ -34,7 +34,7 @@ def verdict(first, second, start=None):
     return SecondOpinion(first, second).register(None, None, start)
 
 
-def test_two_that_agree_are_the_first_ones_answer():
+def test_if_both_agree_the_first_result_is_returned():
     first, second = Says((1, 0, 0, 0, 0, 0), method="sgr"), Says((1.05, 0, 0, 0, 0.01, 0))
     result = verdict(first, second, np.eye(4))
     assert result.converged
@@ -45,17 +45,17 @@ def test_two_that_agree_are_the_first_ones_answer():
 
 
 @pytest.mark.parametrize("step", [(0, 0, 0.3, 0, 0, 0), (0, 0, 0, 0.2, 0, 0)])
-def test_two_that_do_not_are_refused_with_the_reason(step):
+def test_if_they_differ_the_result_is_rejected_with_a_reason(step):
     result = verdict(Says(method="sgr"), Says(step, method="clouds"))
     assert not result.converged
     assert result.reason.startswith("clouds differs by")
 
 
-def test_an_opinion_that_is_none_changes_nothing():
+def test_a_second_registration_that_fails_changes_nothing():
     assert verdict(Says(), Says((5, 0, 0, 0, 0, 0), converged=False)).converged
 
 
-def test_nobody_else_is_asked_about_nothing():
+def test_a_rejected_result_needs_no_second_registration():
     second = Says()
     assert not verdict(Says(converged=False), second).converged
     assert second.asked == []

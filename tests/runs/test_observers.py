@@ -1,4 +1,4 @@
-"""Observers of a run: all are told, and one that fails costs nothing but itself."""
+"""Observers of a run: all are notified, and one that fails is left out."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def follow(observers: Observers) -> None:
     observers.close()
 
 
-def test_all_observers_are_told_everything_in_order():
+def test_all_observers_are_notified_of_everything_in_order():
     first, second = Listener(), Listener()
     follow(Observers([first, second]))
     assert first.calls == ["started", "frame", "frame", "finished", "close"]

@@ -23,8 +23,8 @@ BOXES = (TABLE, CUPBOARD, CRATE)
 
 
 @dataclass(frozen=True)
-class Sight:
-    """A frame, where it was taken, and the true classes [H, W]."""
+class LabelledView:
+    """A frame with its pose and the true classes [H, W]."""
 
     frame: Frame
     T_world_camera: NDArray[np.float64]
@@ -44,7 +44,9 @@ def looking(
     return se3.from_rotation_translation(upright @ roll, np.array(eye))
 
 
-def see(T_world_camera: NDArray[np.float64], camera: Camera = CAMERA, index: int = 0) -> Sight:
+def see(
+    T_world_camera: NDArray[np.float64], camera: Camera = CAMERA, index: int = 0
+) -> LabelledView:
     """What an ideal camera sees there."""
     directions = camera.rays() @ T_world_camera[:3, :3].T
     eye = T_world_camera[:3, 3]
@@ -57,7 +59,7 @@ def see(T_world_camera: NDArray[np.float64], camera: Camera = CAMERA, index: int
         classes = np.where(hit, np.where(side == 5, SURFACE, OBJECT), classes)
     rgb = np.zeros((*depth.shape, 3), np.float32)
     frame = Frame(index, index / 30.0, rgb, depth.astype(np.float32), camera)
-    return Sight(frame, T_world_camera, classes)
+    return LabelledView(frame, T_world_camera, classes)
 
 
 def _crossings(box: NDArray, eye: NDArray, directions: NDArray) -> tuple[NDArray, NDArray]:
@@ -86,11 +88,11 @@ def _enter(box: NDArray, eye: NDArray, directions: NDArray) -> tuple[NDArray, ND
     return np.where(hit, depth, np.inf), 2 * axis + took_upper
 
 
-def walk(count: int = 12, roll_deg: float = 0.0, camera: Camera = CAMERA) -> list[Sight]:
+def walk(count: int = 12, roll_deg: float = 0.0, camera: Camera = CAMERA) -> list[LabelledView]:
     """A turn on the spot, once around, looking a little down."""
-    sights = []
+    views = []
     for index, angle in enumerate(np.linspace(0.0, 2 * np.pi, count, endpoint=False)):
         eye = (-0.2 + 0.1 * np.cos(angle), -0.6, 1.5)
         at = (eye[0] + 2 * np.sin(angle), eye[1] + 2 * np.cos(angle), 0.9)
-        sights.append(see(looking(eye, at, roll_deg), camera, index))
-    return sights
+        views.append(see(looking(eye, at, roll_deg), camera, index))
+    return views

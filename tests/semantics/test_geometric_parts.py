@@ -284,7 +284,7 @@ def nearest_observation(view: LevelledGrid) -> PlaneObservation:
     return found
 
 
-def test_a_window_in_a_wall_does_not_speak_against_it():
+def test_a_window_in_a_wall_is_no_contradiction():
     depth = np.full((120, 160), 3.0)
     depth[30:80, 50:110] = 3.3
     found = nearest_observation(levelled(depth))

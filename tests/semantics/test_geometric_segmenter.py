@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from box_room import CEILING, FLOOR, OBJECT, SURFACE, WALL, Sight, looking, see, walk
+from box_room import CEILING, FLOOR, OBJECT, SURFACE, WALL, LabelledView, looking, see, walk
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
@@ -17,118 +17,118 @@ from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegment
 
 
 def segmented(
-    segmenter: GeometricSegmenter, sights: Iterable[Sight], first: Sight | None = None
+    segmenter: GeometricSegmenter, views: Iterable[LabelledView], first: LabelledView | None = None
 ) -> list[np.ndarray]:
     """Labels of frames in the frame of the first camera, as SLAM has its map."""
-    sights = list(sights)
-    T_map_world = se3.inverse((first or sights[0]).T_world_camera)
-    return [segmenter.segment(s.frame, T_map_world @ s.T_world_camera) for s in sights]
+    views = list(views)
+    T_map_world = se3.inverse((first or views[0]).T_world_camera)
+    return [segmenter.segment(s.frame, T_map_world @ s.T_world_camera) for s in views]
 
 
-def accuracy(sights: list[Sight], labels: list[np.ndarray]) -> float:
+def accuracy(views: list[LabelledView], labels: list[np.ndarray]) -> float:
     right = [
-        (found == s.classes)[s.frame.depth_m > 0] for s, found in zip(sights, labels, strict=True)
+        (found == s.classes)[s.frame.depth_m > 0] for s, found in zip(views, labels, strict=True)
     ]
     return float(np.concatenate(right).mean())
 
 
-def iou(sights: list[Sight], labels: list[np.ndarray], number: int) -> float:
-    true = np.stack([s.classes for s in sights]) == number
+def iou(views: list[LabelledView], labels: list[np.ndarray], number: int) -> float:
+    true = np.stack([s.classes for s in views]) == number
     found = np.stack(labels) == number
     return float((true & found).sum() / (true | found).sum())
 
 
-def up_error_deg(segmenter: GeometricSegmenter, first: Sight) -> float:
+def up_error_deg(segmenter: GeometricSegmenter, first: LabelledView) -> float:
     true = first.T_world_camera[:3, :3].T @ [0.0, 0.0, 1.0]
     return float(np.rad2deg(np.arccos(np.clip(segmenter.up @ true, -1.0, 1.0))))
 
 
 def test_a_room_is_taken_apart():
-    sights, segmenter = walk(), GeometricSegmenter()
-    labels = segmented(segmenter, sights)
-    assert accuracy(sights, labels) > 0.97
-    assert iou(sights, labels, FLOOR) > 0.95
-    assert iou(sights, labels, WALL) > 0.95
-    assert iou(sights, labels, SURFACE) > 0.8
-    assert iou(sights, labels, OBJECT) > 0.85
-    assert up_error_deg(segmenter, sights[0]) < 0.5
+    views, segmenter = walk(), GeometricSegmenter()
+    labels = segmented(segmenter, views)
+    assert accuracy(views, labels) > 0.97
+    assert iou(views, labels, FLOOR) > 0.95
+    assert iou(views, labels, WALL) > 0.95
+    assert iou(views, labels, SURFACE) > 0.8
+    assert iou(views, labels, OBJECT) > 0.85
+    assert up_error_deg(segmenter, views[0]) < 0.5
     assert segmenter.floor_m == pytest.approx(-1.5, abs=0.02)
     assert set(CLASS_NAMES) == {FLOOR, WALL, CEILING, SURFACE, OBJECT}
 
 
 def test_the_ceiling_is_found_when_it_comes_into_view():
-    sights = [*walk(4), see(looking((0.0, -0.6, 1.5), (1.0, 1.5, 2.4)))]
-    labels = segmented(GeometricSegmenter(), sights)
-    assert iou(sights[-1:], labels[-1:], CEILING) > 0.95
+    views = [*walk(4), see(looking((0.0, -0.6, 1.5), (1.0, 1.5, 2.4)))]
+    labels = segmented(GeometricSegmenter(), views)
+    assert iou(views[-1:], labels[-1:], CEILING) > 0.95
 
 
 @pytest.mark.parametrize("roll_deg", [-40.0, -20.0, 20.0, 40.0])
 def test_a_tilted_camera_changes_nothing(roll_deg):
-    sights, segmenter = walk(8, roll_deg), GeometricSegmenter()
-    labels = segmented(segmenter, sights)
-    assert up_error_deg(segmenter, sights[0]) < 1.0
-    assert accuracy(sights[1:], labels[1:]) > 0.95
+    views, segmenter = walk(8, roll_deg), GeometricSegmenter()
+    labels = segmented(segmenter, views)
+    assert up_error_deg(segmenter, views[0]) < 1.0
+    assert accuracy(views[1:], labels[1:]) > 0.95
 
 
 def test_a_noisy_sensor_with_holes_changes_little():
     generator = np.random.default_rng(0)
     noisy = []
-    for sight in walk():
-        depth = sight.frame.depth_m
+    for view in walk():
+        depth = view.frame.depth_m
         sigma = 0.0012 + 0.0019 * (depth - 0.4) ** 2
         depth = depth + sigma * generator.normal(size=depth.shape)
         depth[generator.random(depth.shape) < 0.05] = 0.0
-        noisy.append(replace(sight, frame=replace(sight.frame, depth_m=depth.astype(np.float32))))
+        noisy.append(replace(view, frame=replace(view.frame, depth_m=depth.astype(np.float32))))
     labels = segmented(GeometricSegmenter(), noisy)
     assert accuracy(noisy, labels) > 0.94
 
 
-def above_the_table() -> Sight:
+def above_the_table() -> LabelledView:
     """The table's top and nothing else."""
-    sight = see(looking((0.0, 0.85, 1.3), (0.0, 0.9, 0.75)))
-    assert (sight.classes == SURFACE).all()
-    return sight
+    view = see(looking((0.0, 0.85, 1.3), (0.0, 0.9, 0.75)))
+    assert (view.classes == SURFACE).all()
+    return view
 
 
 def test_a_table_that_fills_the_view_is_not_the_floor():
-    sights = [*walk(6), above_the_table()]
-    labels = segmented(GeometricSegmenter(), sights)
+    views = [*walk(6), above_the_table()]
+    labels = segmented(GeometricSegmenter(), views)
     assert (labels[-1] == SURFACE).mean() > 0.95
 
 
 def test_a_first_view_that_misleads_is_put_right():
-    sights = [above_the_table(), *walk(8)]
+    views = [above_the_table(), *walk(8)]
     segmenter = GeometricSegmenter()
-    labels = segmented(segmenter, sights)
-    assert (labels[0] != SURFACE).any()  # a wall or a floor, for all that one view tells
-    assert up_error_deg(segmenter, sights[0]) < 1.0
+    labels = segmented(segmenter, views)
+    assert (labels[0] != SURFACE).any()  # one view may as well show a wall or a floor
+    assert up_error_deg(segmenter, views[0]) < 1.0
     assert segmenter.floor_m == pytest.approx(-1.3, abs=0.03)
-    assert accuracy(sights[4:], labels[4:]) > 0.95
+    assert accuracy(views[4:], labels[4:]) > 0.95
 
 
 def test_a_cupboard_is_no_wall_even_from_so_near_that_its_top_is_out_of_view():
-    sights = [*walk(), see(looking((0.9, -0.5, 1.3), (1.9, -0.5, 1.2)))]
-    labels = segmented(GeometricSegmenter(), sights)
-    front = sights[-1].classes == OBJECT
+    views = [*walk(), see(looking((0.9, -0.5, 1.3), (1.9, -0.5, 1.2)))]
+    labels = segmented(GeometricSegmenter(), views)
+    front = views[-1].classes == OBJECT
     assert front.mean() > 0.9
     assert (labels[-1][front] == OBJECT).mean() > 0.95
 
 
 def test_pixels_without_depth_are_void_and_no_others():
-    sight = walk(1)[0]
-    depth = sight.frame.depth_m.copy()
+    view = walk(1)[0]
+    depth = view.frame.depth_m.copy()
     depth[20:60, 30:90] = 0.0
-    labels = GeometricSegmenter().segment(replace(sight.frame, depth_m=depth), np.eye(4))
+    labels = GeometricSegmenter().segment(replace(view.frame, depth_m=depth), np.eye(4))
     assert not labels[depth == 0].any()
     assert (labels[depth > 0] > 0).all()
 
 
 def test_scattered_holes_of_a_large_image_are_void():
     camera = Camera(512.0, 512.0, 319.5, 239.5, 640, 480)
-    sight = walk(1, camera=camera)[0]
-    depth = sight.frame.depth_m.copy()
+    view = walk(1, camera=camera)[0]
+    depth = view.frame.depth_m.copy()
     depth[np.random.default_rng(0).random(depth.shape) < 0.05] = 0.0
-    labels = GeometricSegmenter().segment(replace(sight.frame, depth_m=depth), np.eye(4))
+    labels = GeometricSegmenter().segment(replace(view.frame, depth_m=depth), np.eye(4))
     np.testing.assert_array_equal(labels == 0, depth == 0)
 
 
@@ -147,50 +147,50 @@ def assert_same_state(found: dict[str, np.ndarray], expected: dict[str, np.ndarr
 
 
 def test_a_resumed_run_gives_the_same_labels_to_the_bit():
-    sights = walk(8)
+    views = walk(8)
     whole = GeometricSegmenter()
-    expected = segmented(whole, sights)
+    expected = segmented(whole, views)
     first = GeometricSegmenter()
-    segmented(first, sights[:4])
+    segmented(first, views[:4])
     saved = {name: array.copy() for name, array in first.state().items()}
     assert all(np.issubdtype(a.dtype, np.floating) for a in saved.values())
     resumed = GeometricSegmenter()
     resumed.restore(saved)
-    again = segmented(resumed, sights[4:], sights[0])
+    again = segmented(resumed, views[4:], views[0])
     np.testing.assert_array_equal(again, expected[4:])
     assert_same_state(resumed.state(), whole.state())
 
 
 def test_a_state_is_a_copy():
-    sights, segmenter = walk(4), GeometricSegmenter()
-    segmented(segmenter, sights[:2])
+    views, segmenter = walk(4), GeometricSegmenter()
+    segmented(segmenter, views[:2])
     saved = segmenter.state()
     kept = {name: array.copy() for name, array in saved.items()}
-    segmented(segmenter, sights[2:], sights[0])
+    segmented(segmenter, views[2:], views[0])
     assert_same_state(saved, kept)
 
 
 def test_without_a_pose_a_frame_stands_for_itself():
-    sights, segmenter = walk(4), GeometricSegmenter()
-    segmented(segmenter, sights[:2])
+    views, segmenter = walk(4), GeometricSegmenter()
+    segmented(segmenter, views[:2])
     before = segmenter.state()
-    labels = [segmenter.segment(s.frame) for s in sights]
+    labels = [segmenter.segment(s.frame) for s in views]
     assert_same_state(segmenter.state(), before)
-    assert accuracy(sights, labels) > 0.9
+    assert accuracy(views, labels) > 0.9
 
 
 def test_larger_images_have_sharper_borders_than_the_grid():
     camera = Camera(512.0, 512.0, 319.5, 239.5, 640, 480)
-    sights = walk(3, camera=camera)
-    labels = segmented(GeometricSegmenter(), sights)
-    assert accuracy(sights, labels) > 0.97
+    views = walk(3, camera=camera)
+    labels = segmented(GeometricSegmenter(), views)
+    assert accuracy(views, labels) > 0.97
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (16, 12), (41, 7), (7, 200)])
 def test_any_size_has_labels(size):
     camera = Camera(size[0], size[0], (size[0] - 1) / 2, (size[1] - 1) / 2, *size)
-    sight = see(looking((0.0, -0.6, 1.5), (0.5, 1.0, 0.8)), camera)
-    labels = GeometricSegmenter().segment(sight.frame, np.eye(4))
+    view = see(looking((0.0, -0.6, 1.5), (0.5, 1.0, 0.8)), camera)
+    labels = GeometricSegmenter().segment(view.frame, np.eye(4))
     assert labels.shape == (size[1], size[0])
     assert (labels > 0).all()
 

@@ -164,7 +164,7 @@ def test_a_legend_is_ordered_by_share_with_void_last():
     assert legend[-1].colour == (0, 0, 0)
 
 
-def test_names_that_several_groups_have_are_told_apart():
+def test_names_of_several_groups_are_made_unique():
     legend = Palette(ROOM).legend(ROOM.level_ids(np.array([[1, 2, 4, 6]]), 2))
     names = {entry.text.removesuffix(" 25.0 %") for entry in legend}
     assert names == {"furniture > round", "dishes > round", "square", "ball"}

@@ -184,7 +184,7 @@ def test_without_a_floor_boxes_are_free_and_areas_unknown():
     np.testing.assert_allclose(size_m, sorted(TABLE_SIZE_M, reverse=True), atol=2e-3)
 
 
-def test_an_answer_tells_counts_areas_and_distances(room):
+def test_an_answer_contains_counts_areas_and_distances(room):
     viewpoint_m = se3.transform_points(T_MAP_ROOM, np.array([[2.1, 1.4, 1.75]]))[0]
     values = SceneReader(room, OPTIONS, viewpoint_m).answer("tables")
     assert values["path"] == ["large items", "furnishings", "tables"]
@@ -203,7 +203,7 @@ def test_an_answer_tells_counts_areas_and_distances(room):
     }
 
 
-def test_a_summary_is_json_that_tells_the_room(room):
+def test_a_summary_is_json_that_describes_the_room(room):
     summary = json.loads(json.dumps(reader(room).summary(), allow_nan=False))
     assert summary["taxonomy"]["digest"] == TAXONOMY.digest
     assert summary["gaussians"] == len(room)
@@ -264,7 +264,7 @@ def test_as_many_labels_as_gaussians():
 
 @given(st.integers(0, 10_000), st.integers(1, 4))
 @settings(max_examples=25)
-def test_pieces_that_lie_apart_are_told_apart(seed, count):
+def test_pieces_that_lie_apart_are_separated(seed, count):
     generator = np.random.default_rng(seed)
     pieces = [
         sheet((i * 1.0, 0, 0), (0.3 + 0.2 * generator.uniform(), 0, 0), (0, 0.4, 0.2))

@@ -124,7 +124,7 @@ def test_confidence_is_the_probability_of_the_best_class():
     assert confident_labels(logits, (2, 2), 0.71).tolist() == [[0, 0], [0, 0]]
 
 
-def test_a_processor_that_crops_is_told_not_to(segformer, broken):
+def test_cropping_by_a_processor_is_disabled(segformer, broken):
     folder = broken(segformer)
     file = folder / "preprocessor_config.json"
     cropping = {
@@ -244,7 +244,7 @@ def trained(tiny_dinov2):
     return encoder, train_head(encoder, frames, NAMES | {11: "never seen"}, generator)
 
 
-def test_a_head_learns_what_can_be_told_from_features(trained):
+def test_a_head_learns_what_features_distinguish(trained):
     encoder, head = trained
     assert head.class_names == ("red", "green", "blue")
     score = score_head(encoder, head, [coloured_frame(i) for i in (20, 21)], NAMES)
@@ -254,7 +254,7 @@ def test_a_head_learns_what_can_be_told_from_features(trained):
     assert score.mean_iou > 0.8
 
 
-def test_training_is_repeatable(trained, tiny_dinov2):
+def test_training_is_reproducible(trained, tiny_dinov2):
     encoder, head = trained
     frames = [coloured_frame(i) for i in range(6)]
     again = train_head(encoder, frames, NAMES, np.random.default_rng(0))

@@ -134,7 +134,7 @@ def test_an_interrupted_run_of_a_large_scene_is_resumed(runs, tmp_path):
 
 @pytest.mark.parametrize("factor", [1 / 50, 30.0])
 def test_without_a_dataset_the_unit_follows_from_the_first_frame(factor):
-    """As with a live camera, or frames of one's own."""
+    """As with a live camera, or with frames from your own code."""
     frames, truth = tiny_room(FRAMES, *SIZE)
     slam = build_slam()
     blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))

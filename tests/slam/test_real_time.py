@@ -216,7 +216,7 @@ def test_images_of_a_camera_are_processed_when_they_arrive(room: SlamRoom):
 
 
 def test_two_runs_on_equal_clocks_are_identical(room: SlamRoom):
-    """Only the times of the machine make real time unrepeatable."""
+    """Real time is not reproducible only because of the times of the machine."""
     paths = []
     for _ in range(2):
         system = paced({"tracking": 0.06, "placing": 0.05, "map forward": 0.003})

@@ -92,7 +92,7 @@ def test_the_camera_is_found_and_the_world_is_the_saved_ones(room, saved):
     assert min(slam.result().keyframe_indices) == 0, "keyframes of the saved map are not its own"
 
 
-def test_the_saved_map_stays_as_it_is_and_is_told_with_the_new_one(room, saved):
+def test_the_saved_map_is_unchanged_and_part_of_the_result(room, saved):
     slam = begun(saved)
     fed(slam, back(room))
     slam.finish()

@@ -1,4 +1,4 @@
-"""The whole method on a small room: path, map, lost frames, and the same bits again."""
+"""The whole method on a small room: path, map, lost frames, and reproducibility."""
 
 from __future__ import annotations
 

@@ -277,8 +277,8 @@ class TestAtlas:
     def test_a_result_has_its_place_in_the_world(self, room, tmp_path):
         slam = cut_slam(room, tmp_path)
         results = [slam.process_frame(frame) for frame in room[0]]
-        told = np.array([result.T_world_camera for result in results])
-        assert np.allclose(told, room[1].T_world_camera, atol=1e-9)
+        found = np.array([result.T_world_camera for result in results])
+        assert np.allclose(found, room[1].T_world_camera, atol=1e-9)
 
     def test_the_boundary_belongs_to_both(self, cut):
         atlas = cut.atlas
@@ -380,7 +380,7 @@ class TestFusion:
             errors.append(((drawn.colour.numpy() - frame.rgb) ** 2).mean())
         assert -10 * np.log10(np.mean(errors)) > 22.0
 
-    def test_overlaps_are_told_once(self, cut, room):
+    def test_overlaps_are_fused_once(self, cut, room):
         whole = Slam(GivenPoses(room[1]), Mapper(FEW, np.random.default_rng(0)))
         for frame in room[0]:
             whole.process_frame(frame)

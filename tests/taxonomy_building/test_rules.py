@@ -48,7 +48,7 @@ def test_functions_are_what_a_person_would_say():
     assert not any({"cup", "chair"} <= group for group in together)
 
 
-def test_shapes_and_then_sizes_tell_things_apart():
+def test_shapes_and_then_sizes_distinguish_things():
     groups = ask(["ball", "orange", "wall", "picture", "pillow"], "geometry", max_groups=4)
     assert {"ball", "orange"} in [set(items) for items in groups.values()]
     boxes = ask(["jewelry box", "shoe box", "packing box", "wardrobe"], "geometry", max_groups=4)

@@ -79,7 +79,7 @@ def test_exact_planes_lines_and_points_have_statistics(points):
     assert np.isfinite(shape_statistics(points, UP)).all()
 
 
-def test_objects_of_a_class_are_told_apart_and_crumbs_ignored():
+def test_objects_of_a_class_are_separated_and_crumbs_ignored():
     two = [box(0.5, 0.5, 0.5, count=800), box(0.5, 0.5, 0.5, centre=(2, 0, 0), count=500)]
     crumbs = box(0.05, 0.05, 0.05, centre=(0, 3, 0), count=12)
     pieces = instances(np.concatenate([two[1], crumbs, two[0]]), gap_m=0.15)

@@ -57,7 +57,7 @@ def test_a_name_is_known_by_its_ending(vocabulary, name, word):
         ("quiche (food)", "food and drink"),
     ],
 )
-def test_parts_toys_and_strangers_belong_to_what_the_name_speaks_of(vocabulary, name, function):
+def test_parts_toys_and_unknown_things_have_the_function_in_their_name(vocabulary, name, function):
     assert vocabulary.look_up(name).function[-1] == function
 
 

@@ -112,7 +112,7 @@ def test_frames_that_cannot_be_placed_are_lost(room, gaussians, make):
     assert result.lost
     assert result.reason
     assert np.isfinite(result.T_map_camera).all()
-    # The camera is where it was last seen, and no longer believed to move.
+    # The camera is where it was last seen, at zero velocity.
     assert np.array_equal(tracker.motion.predict(room.frames[3].timestamp_s), place)
 
 
@@ -165,9 +165,9 @@ def test_information_is_a_covariance_inverse(room, gaussians):
 def test_errors_are_as_large_as_the_information_says(room, gaussians):
     """Noise on depth and colour moves the pose by about its standard deviation.
 
-    Squared errors in units of the stated covariance have mean 6 (six degrees of freedom) if pixels
-    are independent. Bilinear samples of neighbouring pixels are not: the mean here is 13.1. The
-    bounds are a factor of two either way, so an information matrix off by that factor fails.
+    Squared errors in units of the estimated covariance have mean 6 (six degrees of freedom) if
+    pixels are independent. Bilinear samples of neighbouring pixels are not: the mean here is 13.1.
+    The bounds are a factor of two either way, so an information matrix off by that factor fails.
     """
     pose = room.T_map_camera[1]
     gaussians = replace(gaussians, centred_colours=False)

@@ -199,7 +199,7 @@ class TestWithoutOpen3d:
             and "Open3D cannot be loaded" in caplog.text
         )
 
-    def test_who_asks_for_both_is_told(self, room, gaussians):
+    def test_both_without_open3d_is_an_error(self, room, gaussians):
         tracker = DenseTracker(DenseOptions(start="both"))
         tracker.first_pose(room.frames[0])
         with pytest.raises(DependencyError, match="Open3D"):

@@ -74,15 +74,15 @@ def test_without_earlier_ones_it_stays(room: Scene):
     assert np.array_equal(KeyframePlacement().place([], new), new.T_map_camera)
 
 
-def test_a_correction_by_many_pixels_is_not_believed(room: Scene):
-    """The same view, told to stand where alignment would have to go far to find it."""
+def test_a_correction_by_many_pixels_is_rejected(room: Scene):
+    """The same view, starting far from its true pose."""
     new = moved(keyframe(room, 3), 5, metres=0.06, degrees=4.0)
     T = KeyframePlacement().place(room.target.keyframes[:3], new)
     assert np.array_equal(T, new.T_map_camera)
 
 
-def test_a_keyframe_that_has_depth_else_has_no_say(room: Scene):
-    """Two hands wide of where it was taken, its surfaces are not the new one's."""
+def test_a_keyframe_of_other_surfaces_is_ignored(room: Scene):
+    """Far from its true pose, a keyframe does not show the surfaces of the new one."""
     wrong = replace(keyframe(room, 1), T_map_camera=motion(3, 0.8, 20.0))
     new = moved(keyframe(room, 3), 6)
     placement = KeyframePlacement(PlacementOptions(recent=1, every=1))

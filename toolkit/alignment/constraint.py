@@ -1,7 +1,7 @@
 """Whether two views determine their relative pose: the rise of the cost beside the minimum.
 
 Gauss-Newton information counts every gradient, those of noise too: a blank wall seems to determine
-the pose to millimetres. The cost of the same images at a displaced pose tells the difference. Noise
+the pose to millimetres. The cost of the same images at a displaced pose shows the difference. Noise
 fits there as well as at the minimum.
 """
 

@@ -4,7 +4,7 @@ Alignment minimises residuals, so small residuals do not confirm its result: the
 wrong one, and a view without texture has small residuals at every pose. Two other measurements can
 be compared between poses, scenes and cameras. Normalised cross-correlation (NCC) of small blocks
 does not depend on exposure or on the amount of texture, and falls once a pose moves texture by
-more than its own size. Depth tells where the two views contradict each other: a surface that one
+more than its own size. Depth shows where the two views contradict each other: a surface that one
 view measured lies in space that the other one measured as empty.
 """
 

@@ -19,8 +19,8 @@ from toolkit.runs.settings import PresetName, RunSettings, load_settings, overri
 # Names of sequences and settings become names of folders.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
-# Keys of settings that a plan states elsewhere.
-_ELSEWHERE = {"dataset": "sequences", "seed": "seeds"}
+# Keys of settings that a plan specifies by keys of its own.
+_PLAN_KEYS = {"dataset": "sequences", "seed": "seeds"}
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _settings(path: Path, base: Path, sequence: str, name: str, plan: Plan) -> R
         (f"settings.{name}.options", chosen.options),
         (f"sequences.{sequence}.options", planned.options),
     ):
-        for key, place in _ELSEWHERE.items():
+        for key, place in _PLAN_KEYS.items():
             if key in options:
                 raise SettingsError(f"{path}: key '{where}.{key}' belongs into '{place}'")
         # Validated on their own first, so that the message names their place.

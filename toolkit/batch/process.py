@@ -1,4 +1,4 @@
-"""Execute one run as a process with a stated number of threads.
+"""Execute one run as a process with the specified number of threads.
 
 The process (`toolkit/cli/planned_run.py`) ends when the one that started it ends, however that
 happens: it watches its standard input, a pipe that the system closes then. Otherwise a run whose
@@ -137,7 +137,7 @@ def _reason(job: RunJob, status: int) -> str:
     if status == 0:
         if (job.folder / "report.html").is_file():
             return ""
-        return f"the run has no map; {job.folder / 'log.txt'} states the reason"
+        return f"the run has no map; see {job.folder / 'log.txt'}"
     if status == -_SIGKILL:
         return f"the process was killed, probably for lack of memory; see {job.log_file}"
     if status < 0:

@@ -10,9 +10,8 @@ from toolkit.native.loading import kernels
 def adjust(problem: BundleProblem, options: BundleOptions | None = None) -> BundleResult:
     """Minimise the reprojection errors of a problem over poses and inverse depths.
 
-    Levenberg-Marquardt with Huber's cost; landmarks are eliminated. Directions that the
-    observations do not determine, such as the scale where fewer than two poses are fixed, keep
-    their initial values.
+    Levenberg-Marquardt with Huber's cost; landmarks are eliminated. Unobservable directions, such
+    as the scale where fewer than two poses are fixed, keep their initial values.
     """
     options = options or BundleOptions()
     module = kernels()

@@ -85,12 +85,12 @@ def _evaluation_settings(run: FinishedRun, options: EvaluateOptions) -> Evaluati
         weights = ()
     evaluation = run.settings.evaluation
     subset = options.subset or evaluation.subset
-    stated = {
+    changed = {
         name: value
         for name in ("truth_error_m", "truth_error_deg", "truth_error_s")
         if (value := getattr(options, name)) is not None
     }
-    truth = replace(evaluation.truth, **stated)
+    truth = replace(evaluation.truth, **changed)
     return replace(evaluation, lpips_weights=weights, subset=subset, truth=truth)
 
 

@@ -31,7 +31,7 @@ JOBS = {
     "compare": ("compare", "compare runs on one HTML page"),
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),
     "register": ("register", "register the maps of two runs and merge them"),
-    "query": ("query", "query number, position and size of the objects of a labelled map"),
+    "query": ("query", "count, locate and measure the objects of a labelled map"),
     "serve": ("serve", "serve views, poses, queries and objects of a run over HTTP"),
     "check-data": ("check_data", "read a dataset and report its defects"),
     "make-room": ("make_room", "create a synthetic room with ground truth"),

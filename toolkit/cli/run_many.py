@@ -94,7 +94,7 @@ class _Progress:
     def __init__(self, planned: PlannedRuns, due: int) -> None:
         self._runs = {run.name: run for run in planned.runs}
         self._jobs = {run.name: job_of(run, planned) for run in planned.runs}
-        # Attempts before this call, so that runs that have not begun yet are told apart.
+        # Attempts before this call, to recognise runs that have not begun yet.
         self._before = {name: job.attempts for name, job in self._jobs.items()}
         terminal = sys.stderr.isatty()
         self._bar = tqdm(total=due, unit="run", file=sys.stderr, disable=not terminal)

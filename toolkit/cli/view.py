@@ -42,7 +42,7 @@ def main(options: ViewOptions) -> int:
     server = start_viser(options.host, options.port)
     try:
         if options.host not in _LOCAL:
-            _log.warning("Everyone who reaches %s can see this map.", options.host)
+            _log.warning("Anyone who can connect to %s can see this map.", options.host)
         shown = MapServer(server, text)
         # The address is the program's result; other programs read it.
         print(f"http://{options.host}:{server.get_port()}", flush=True)

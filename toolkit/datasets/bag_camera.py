@@ -17,7 +17,7 @@ _SAME_CAMERA = 0.01
 
 # A T265 publishes no camera info in many recordings. Its fisheye cameras are of one design; these
 # are the values of one device (github.com/AaltoVision/realsense-capture). The focal length, 286
-# pixels, follows from the 163 degrees diagonal field of view that Intel states.
+# pixels, follows from the 163 degrees diagonal field of view that Intel specifies.
 T265_SIZE = (848, 800)
 _T265 = Camera(286.0, 286.0, 423.5, 399.5, *T265_SIZE)
 _T265_DISTORTION = (-0.0020, 0.0390, -0.0372, 0.0062)

@@ -15,7 +15,7 @@ from toolkit.io.bags import BagFile
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 # Parts of the names of depth that is registered to colour: realsense-ros, Azure Kinect, OpenNI.
 REGISTERED_NAMES = ("aligned_depth", "depth_to_rgb", "depth_to_color", "depth_registered")
-# Names by which drivers tell the two cameras of a stereo pair apart.
+# Names by which drivers distinguish the two cameras of a stereo pair.
 _OF_A_PAIR = re.compile(r"left|right|\d+")
 
 
@@ -44,7 +44,7 @@ class ImageTopic:
 
     @property
     def registered(self) -> bool:
-        """Whether the name states that depth is registered to colour."""
+        """Whether depth is registered to colour, by the name of the topic."""
         return any(name in self.name for name in REGISTERED_NAMES)
 
     @property

@@ -120,8 +120,8 @@ class Recording:
         flaws: one line for each defect of the recording that was worked around.
         notes: one line for each kind of gap that is common in this format.
         calibrated: whether the focal length is known; otherwise it is to be estimated.
-        focal_sigma: relative standard deviation of the focal length that metadata states; None if
-            nothing is stated, so that a typical one is the initial value.
+        focal_sigma: relative standard deviation of a focal length from metadata; None without one,
+            so that a typical focal length is the initial value.
         depth_offset_px: (x, y) by which colour images are offset from depth images; depth is
             shifted by it.
         readout_s: time in seconds from the exposure of the first row of an image to that of the

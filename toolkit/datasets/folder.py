@@ -32,7 +32,7 @@ class Intrinsics:
     """Content of `intrinsics.yaml`: camera, depth values per metre, distortion, frame rate.
 
     Without depth, `depth_scale` is 1. With `fisheye`, `distortion` is the key of that name.
-    `readout_s` is that of a rolling shutter, in seconds; None if it is not stated.
+    `readout_s` is that of a rolling shutter, in seconds; None if it is not specified.
     """
 
     camera: Camera
@@ -47,7 +47,7 @@ def describe(path: Path) -> Recording:
     """Describe `rgb/STEM.*`, `intrinsics.yaml` and optional files.
 
     Frames are sorted by stem, numerically if all stems are numbers. The timestamp of frame i is
-    i / fps, unless `timestamps.txt` states others. Optional files are `depth/STEM.png`,
+    i / fps, unless `timestamps.txt` exists. Optional files are `depth/STEM.png`,
     `labels/STEM.png` with `labels/classes.json`, and `trajectory.txt` in TUM format with the same
     timestamps.
 

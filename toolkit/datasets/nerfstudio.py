@@ -49,8 +49,8 @@ class _Lens:
 def describe(path: Path) -> Recording:
     """Describe the images and depth images that `transforms.json` names.
 
-    Without this file, those of `transforms_train.json`. If it does not state their size, it is that
-    of the first image.
+    Without this file, those of `transforms_train.json`. If it does not contain their size, it is
+    that of the first image.
 
     Frames are sorted by file name, numerically if all names are numbers; the timestamp of frame i
     is i / 30 s. Frames without a depth image are left out. Values of depth images are millimetres,

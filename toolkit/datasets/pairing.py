@@ -172,7 +172,7 @@ def check_times(files: tuple[FrameFiles, ...], place: Path) -> None:
     """Check that the times of frames increase.
 
     Args:
-        place: file that states the times.
+        place: file with the times.
 
     Raises:
         DatasetError: times repeat or run backwards.

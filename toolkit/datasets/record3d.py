@@ -90,10 +90,10 @@ def _file_at(path: Path) -> Path:
 
 def _timestamps(file: Record3DFile, numbers: list[int]) -> tuple[list[float], tuple[str, ...]]:
     """Times of the frames in seconds, and a line if those of the file cannot be used."""
-    stated = file.metadata.get("frameTimestamps")
-    if isinstance(stated, list) and len(stated) > numbers[-1]:
+    recorded = file.metadata.get("frameTimestamps")
+    if isinstance(recorded, list) and len(recorded) > numbers[-1]:
         try:
-            times = [float(stated[n]) for n in numbers]
+            times = [float(recorded[n]) for n in numbers]
         except (TypeError, ValueError):
             times = []
         if times and math.isfinite(sum(times)) and (np.diff(times) > 0).all():
@@ -102,7 +102,7 @@ def _timestamps(file: Record3DFile, numbers: list[int]) -> tuple[list[float], tu
     valid = isinstance(fps, int | float) and 0 < fps < float("inf")
     rate = float(fps) if valid and fps else _FPS
     flaw = ("frameTimestamps are not ascending; timestamps are number / fps",)
-    return [n / rate for n in numbers], flaw if stated else ()
+    return [n / rate for n in numbers], flaw if recorded else ()
 
 
 def _camera(file: Record3DFile, numbers: list[int]) -> CommonCamera:

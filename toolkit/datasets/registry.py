@@ -58,7 +58,7 @@ KINDS: dict[str, Callable[[Path], Recording]] = {
 }
 
 
-def open_dataset(  # noqa: PLR0913 - everything that a user can state about a recording
+def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a recording
     kind: str,
     path: str | os.PathLike[str],
     image_size: tuple[int, int] | None = None,
@@ -76,8 +76,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
     Args:
         kind: one of `KINDS`; synthetic rooms use the layout of Replica.
         path: folder of the dataset.
-        image_size: (width, height) in pixels to scale and crop to, or None for the native size;
-            large images whose depth is estimated are reduced then.
+        image_size: (width, height) in pixels to scale and crop to. By default, images keep their
+            size, except large ones without depth, which are reduced.
         max_frames: maximum number of frames from the start, or None for all.
         needs_depth: whether a recording without depth is an error.
         fov_deg: horizontal field of view of a recording without intrinsics; None to estimate it.
@@ -86,7 +86,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can state about a re
             to estimate it; depth is shifted by it.
         readout_ms: time in milliseconds from the exposure of the first row of an image to that of
             the last; "auto" for that of the recording, which is estimated from its images if it is
-            not stated. Not used without depth.
+            not specified. Not used without depth.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.

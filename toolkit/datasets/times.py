@@ -27,7 +27,7 @@ def unit_fault(times_s: NDArray[np.float64]) -> str:
                 f"{usual:.3g} s between frames; the times look like {unit}: divide those of the "
                 f"frames and of the trajectory by 1e{places}"
             )
-    return f"{usual:.3g} s between frames; state the times in seconds"
+    return f"{usual:.3g} s between frames; specify the times in seconds"
 
 
 def is_impossible(times_s: NDArray[np.float64]) -> bool:

@@ -38,11 +38,11 @@ def describe(path: Path) -> Recording:
 
     Colour and depth images are associated one to one by the smallest time difference, at most
     20 ms. A frame has the timestamp of its colour image and the interpolated pose at this time.
-    The camera is that of `intrinsics.yaml`, of ETH3D's `calibration.txt`, or of the benchmark that
-    the name states.
+    The camera is that of `intrinsics.yaml`, of ETH3D's `calibration.txt`, or of the benchmark in
+    the name.
 
     Raises:
-        DatasetError: the folder has a different layout, or does not state its camera.
+        DatasetError: the folder has a different layout, or its camera is unknown.
         FormatError: a line of a list file is malformed.
     """
     folder, names = folder_holding_any(path, (_LISTS, _OPENLORIS, _PAIRS), "TUM")

@@ -1,4 +1,4 @@
-"""Cameras of recordings in TUM's layout: stated by a file, or known by the recording's name."""
+"""Cameras of recordings in TUM's layout: from a file, or known by the recording's name."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def camera_of(folder: Path, path: Path, first: Path, openloris: bool) -> TumCame
 
     Args:
         folder: of the recording.
-        path: as the user stated it; the own names of symbolic links count as well.
+        path: as the user specified it; names of symbolic links are considered, too.
         first: first colour image.
         openloris: whether the lists are those of OpenLORIS.
 
     Raises:
-        DatasetError: no file states it, and the name is unknown; or the file is malformed.
+        DatasetError: no file contains it, and the name is unknown; or the file is malformed.
     """
     if (folder / INTRINSICS).exists():
         found = read_intrinsics(folder / INTRINSICS)
@@ -83,7 +83,7 @@ def camera_of(folder: Path, path: Path, first: Path, openloris: bool) -> TumCame
     if openloris:
         return OPENLORIS
     raise DatasetError(
-        f"{folder} does not state its camera; write {folder / INTRINSICS} with the keys fx, fy, "
+        f"the camera of {folder} is unknown; write {folder / INTRINSICS} with the keys fx, fy, "
         f"cx, cy, width, height and depth_scale (docs/guides/datasets.md)"
     )
 

@@ -17,8 +17,8 @@ from toolkit.io.video import VideoFile
 # Focal length relative to the longer side of the image, where nothing else is known: that of a
 # phone's main camera, 28 mm on 35 mm film.
 TYPICAL_FOCAL = 28.0 / 36.0
-# Relative standard deviation of a focal length that metadata states. Equivalents on 35 mm film are
-# rounded to 1 mm, which is 2 % of a phone's 26 mm, and autofocus changes the focal length.
+# Relative standard deviation of a focal length from metadata. Equivalents on 35 mm film are rounded
+# to 1 mm, which is 2 % of a phone's 26 mm, and autofocus changes the focal length.
 FOCAL_SIGMA = 0.03
 # Factor by which stabilisation enlarges films, and the uncertainty of their focal length. Without
 # stabilisation it is 1; films of an iPhone with 27 mm were measured by others as of 32 mm, which is
@@ -31,9 +31,9 @@ def describe(path: Path) -> Recording:
     """Describe a film and, beside it, an optional file of its name with suffix `.yaml`.
 
     The file has the keys of `intrinsics.yaml` in the `folder` layout, for the film as it is shown.
-    Without it, the focal length is the one that the film states, or a typical one, and is to be
-    estimated. Timestamps are those of the film, also where its frame rate varies; rotation metadata
-    is applied.
+    Without it, the focal length is estimated, starting from that of the film's metadata or from a
+    typical one. Timestamps are those of the film, also where its frame rate varies; rotation
+    metadata is applied.
 
     Raises:
         DatasetError: the film cannot be read, or the intrinsics are malformed or for another size.
@@ -60,25 +60,25 @@ def describe(path: Path) -> Recording:
             distortion=intrinsics.distortion,
             fisheye=intrinsics.fisheye,
         )
-    stated = stated_focal(path, width, height)
+    focal_px = metadata_focal(path, width, height)
     note = f"no intrinsics in {calibration.name}; the focal length is estimated"
-    if stated is not None:
-        note += f" from the {stated:.0f} pixels that the film states"
+    if focal_px is not None:
+        note += f" from the {focal_px:.0f} pixels in the metadata of the film"
     return Recording(
         path.stem,
         typical_camera(width, height)
-        if stated is None
-        else camera_with_focal(width, height, stated),
+        if focal_px is None
+        else camera_with_focal(width, height, focal_px),
         files,
         1.0,
         notes=(note,),
         calibrated=False,
-        focal_sigma=None if stated is None else FILM_FOCAL_SIGMA,
+        focal_sigma=None if focal_px is None else FILM_FOCAL_SIGMA,
     )
 
 
-def stated_focal(path: Path, width: int, height: int) -> float | None:
-    """Focal length in pixels of frames of a film by its metadata; None if it states none.
+def metadata_focal(path: Path, width: int, height: int) -> float | None:
+    """Focal length in pixels of frames of a film by its metadata; None without one.
 
     The metadata describe the lens. Films show a part of the sensor: the full width of its 4:3, or
     what stabilisation leaves of that.

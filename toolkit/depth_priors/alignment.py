@@ -34,7 +34,7 @@ REFERENCE_NOISE, _MAX_REFERENCE_SHARE = 0.012, 0.5
 # Noise is proportional to the value, but not less than this fraction of the median value.
 _MIN_RELATIVE = 0.25
 _MIN_SIGMA = 1e-4
-# Without a larger relative spread of the reference, a shift cannot be told from a scale.
+# Without a larger relative spread of the reference, shift and scale cannot be distinguished.
 _MIN_SPREAD = 0.03
 # Noise and model errors are correlated: this many pixels count as one observation on the grid.
 _CORRELATED_PIXELS = 50.0

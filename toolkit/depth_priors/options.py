@@ -50,7 +50,7 @@ class PriorModelOptions:
     """Device that runs the model."""
     values: Literal["auto", "metric", "scaled", "affine", "affine-inverse"] = "auto"
     """What a model of the transformers library predicts, as in --depth-prior.maps.values; by
-    default as its configuration states (auto)."""
+    default according to its configuration (auto)."""
     min_confidence: NonNegativeFloat = 0.0
     """Minimum confidence of a pixel, in the unit of the model (see the guide). By default, all
     pixels are used."""
@@ -69,7 +69,7 @@ class ScaleCorrectionOptions:
     """Estimate a shift beside the scale, for priors that have one. Plain least squares always
     estimate it."""
     share: Literal["scope", "frame"] = "scope"
-    """Which frames have a common scale and shift: those that the model states (scope), or none
+    """Which frames have a common scale and shift: according to the model (scope), or none
     (frame)."""
     grid: PositiveInt = 3
     """Number of nodes per axis of a smooth grid of corrections; 1 uses one scale and shift."""

@@ -138,7 +138,7 @@ class DepthPrior:
         model: what produced it.
         pixels: from pixels of the frame to pixels of `values`.
         confidence: of the values, or None.
-        mask: [h, w], False where the model states that there is no depth (sky); or None.
+        mask: [h, w], False where the model predicts that there is no depth (sky); or None.
         camera: intrinsics that the model estimated, at the size of `values`; or None.
     """
 

@@ -158,8 +158,8 @@ def _convention_rows(runs: Sequence[ComparedRun]) -> list[tuple[str, list[str]]]
     rows = []
     for key in keys:
         texts = [run.metrics.get(key) for run in runs]
-        stated = {text for text in texts if isinstance(text, str)}
-        if len(stated) > 1:
+        distinct = {text for text in texts if isinstance(text, str)}
+        if len(distinct) > 1:
             rows.append((key, [_text(text) for text in texts]))
     return rows
 

@@ -1,7 +1,7 @@
 """Opacity of a map in space that held-out frames measured as empty.
 
 Unlike the floaters of `walls.py`, this needs no true mesh: the depth of frames that the map was not
-built from states where nothing is.
+built from shows where space is empty.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Pose errors of accepted loop edges against the ground truth.
 
-An edge is right if the relative pose that it states is within 5 cm and 2 degrees of the true one,
-plus the ground truth's own error. Whether two views overlap (`toolkit.evaluation.loops`) says that
-a place was recognised, and nothing about the pose that corrects the map.
+An edge is right if its relative pose is within 5 cm and 2 degrees of the true one, plus the ground
+truth's own error. Whether two views overlap (`toolkit.evaluation.loops`) says that a place was
+recognised, and nothing about the pose that corrects the map.
 
 Times of motion capture and of images often differ by a constant of 10 to 20 ms. In a turn of 180
 degrees per second, 15 ms are 2.7 degrees, and twice that between turns in opposite directions. This
-part of the ground truth's error is stated in seconds.
+part of the ground truth's error is specified in seconds.
 """
 
 from __future__ import annotations

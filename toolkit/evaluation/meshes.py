@@ -75,7 +75,7 @@ class MeshQuality:
         """Return the metrics by name.
 
         Args:
-            voxel_m: voxel size of the reconstruction, for the stated convention.
+            voxel_m: voxel size of the reconstruction, for the text of the convention.
         """
         if len(self.completion_m) == 0:
             return {}

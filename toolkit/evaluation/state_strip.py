@@ -18,7 +18,7 @@ def state_strip(states: Sequence[FrameState]) -> str:
     """Return an SVG element with one section per range of frames; empty without frames.
 
     Sections have the class of their state. Tracked frames of separate parts of the map have the
-    class "other", and the tooltip of a section states indices and reason.
+    class "other", and the tooltip of a section shows indices and reason.
     """
     if not states:
         return ""

@@ -22,12 +22,12 @@ _UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 @dataclass(frozen=True)
 class PhotoInfo:
-    """What a photo states about itself.
+    """Metadata of a photo.
 
     Attributes:
         size: width and height of the stored pixels.
         orientation: 1 to 8, how they are to be turned and mirrored; 1 leaves them as they are.
-        focal_px: focal length in pixels, None if it is not stated.
+        focal_px: focal length in pixels, None if the metadata lack it.
     """
 
     size: tuple[int, int]
@@ -63,7 +63,7 @@ def focal_of_equivalent(equivalent_mm: float, width: float, height: float) -> fl
 
 
 def _focal_px(details: Any, size: tuple[int, int]) -> float | None:
-    """From the resolution of the sensor if it is stated: the equivalent is rounded to 1 mm."""
+    """From the resolution of the sensor if it is known: the equivalent is rounded to 1 mm."""
     focal_mm, resolution = _number(details, _FOCAL_LENGTH_MM), _number(details, _PLANE_RESOLUTION)
     unit_mm = _UNITS_MM.get(details.get(_PLANE_UNIT, 2))
     if focal_mm and resolution and unit_mm:

@@ -31,8 +31,8 @@ class LengthNames:
         if self.metric:
             return ()
         return (
-            "lengths are in arbitrary units, because no length in the sequence is known; state one "
-            "with --scale",
+            "lengths are in arbitrary units, because no length in the sequence is known; specify "
+            "one with --scale",
         )
 
 

@@ -384,7 +384,7 @@ def _array(values: Any) -> NDArray[np.float32]:
 
 
 def _check_ply_length(path: Path) -> None:
-    """Check that a binary PLY is as long as its header states, which Open3D does not check.
+    """Check that a binary PLY has the length given by its header, which Open3D does not check.
 
     Raises:
         FormatError: the file is shorter.

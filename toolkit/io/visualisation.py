@@ -259,7 +259,7 @@ def _legend_block(entries: Sequence[LegendEntry], size: tuple[int, int], scale: 
 
 
 def _shortened(entries: Sequence[LegendEntry], max_count: int) -> list[LegendEntry]:
-    """Return at most `max_count` entries; if some are omitted, the last one states how many."""
+    """Return at most `max_count` entries; if some are omitted, the last one says how many."""
     if len(entries) <= max_count:
         return list(entries)
     kept = list(entries[: max(max_count - 1, 0)])

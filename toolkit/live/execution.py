@@ -43,7 +43,7 @@ from toolkit.runs.snapshots import SnapshotWriter
 _log = logging.getLogger(__name__)
 
 RECORDING = "recording"
-# Nominal rate of a recording whose camera does not state one.
+# Nominal rate of a recording whose camera does not report one.
 _FPS = 30.0
 
 
@@ -119,9 +119,9 @@ def run_live(
                 _execute(settings, options, source, folder, hooks)
         except Exception as error:
             if not folder.has_checkpoint:
-                # Frames that could not be mapped are of no use; others can be processed again.
-                useless = isinstance(error, CameraError | DatasetError)
-                if source.writer is not None and useless and not options.save_frames:
+                # Frames that could not be mapped are removed; others can be processed again.
+                unusable = isinstance(error, CameraError | DatasetError)
+                if source.writer is not None and unusable and not options.save_frames:
                     source.writer.remove()
                 folder.discard()
             raise
@@ -185,7 +185,7 @@ def _execute(
             load_saved_map(slam, saved)
         _log.info(
             "Frames come from %s; the results depend on the speed of this machine and are not "
-            "repeatable.",
+            "reproducible.",
             camera.name,
         )
         total = None if replayed is None else len(replayed)

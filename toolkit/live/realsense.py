@@ -169,7 +169,7 @@ class RealSenseCamera:
         return CapturedFrame(Frame(index, timestamp_s, rgb, depth_m, self._camera), captured_s)
 
     def _capture_time_s(self, colour: Any) -> float:
-        """Time of capture, where the camera states it on a clock of the system; else of arrival."""
+        """Time of capture if the camera reports it on a clock of the system; else of arrival."""
         domains = self._rs.timestamp_domain
         now_s = time.monotonic()
         if colour.get_frame_timestamp_domain() not in (domains.system_time, domains.global_time):

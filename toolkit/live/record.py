@@ -59,7 +59,7 @@ class LiveSummary:
             "live_convention": "delay from the capture of a frame to its pose, without dropped "
             "frames; dropped frames of a dataset, and frames that --pace drops, are scored at the "
             "last pose before them; other dropped frames of a camera are not scored; these "
-            "results depend on the speed of the machine and are not repeatable",
+            "results depend on the speed of the machine and are not reproducible",
         }
 
     def csv(self) -> str:

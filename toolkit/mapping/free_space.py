@@ -1,9 +1,9 @@
 """Free space: removes Gaussians from space that keyframes measured as empty.
 
-The measured depth of a keyframe states that nothing lies in front of it. Wrong depth (at edges, of
-glass and plants, filled in by the device, or from matching beside object borders) places Gaussians
-in such space, where they hide what other keyframes see behind them. A Gaussian is removed if the
-keyframes that measured through it outweigh those that measured a surface at its place.
+The measured depth of a keyframe implies that the space in front of it is empty. Wrong depth (at
+edges, of glass and plants, filled in by the device, or from matching beside object borders) places
+Gaussians in such space, where they hide what other keyframes see behind them. A Gaussian is removed
+if the keyframes that measured through it outweigh those that measured a surface at its place.
 
 Each measurement has a confidence: it decreases with the obliqueness of the surface and with the
 distance, and it is 0 beside depth edges, where a pixel may belong to either side.
@@ -44,7 +44,7 @@ _CLEAR_M = 0.15
 
 
 def is_measured(options: FreeSpaceOptions, keyframes: Iterable[Keyframe]) -> bool:
-    """Whether free space is used, and the depth of these keyframes states it.
+    """Whether free space is used, and the depth of these keyframes is measured.
 
     The depth of priors is no measurement: it is aligned with the map, and may be noisy everywhere.
     """

@@ -45,7 +45,7 @@ def motion_of_given_poses(
     given: Trajectory,
     metric: bool,
 ) -> CameraMotion:
-    """Describe the motion that given poses state, with keyframes whose depth can be estimated.
+    """Describe the motion of given poses, with keyframes whose depth can be estimated.
 
     Args:
         frames: all frames of the sequence; only their images are used.

@@ -86,7 +86,7 @@ class CameraMotion:
         loops: places that the camera visited again.
         metric_scale: how the motion was scaled to metres; None if its unit is arbitrary.
         without_pose: why frames have no pose: number of frames by reason.
-        doubts: why the result is not reliable; empty if it is.
+        doubts: reliability checks that failed, one message each.
         others: motions of the same camera whose position and scale relative to this one, the
             longest, are unknown: the camera was lost in between, and no image shows a place of
             both.
@@ -114,7 +114,7 @@ class CameraMotion:
 
     @property
     def reliable(self) -> bool:
-        """Whether nothing speaks against the result."""
+        """Whether no reliability check failed."""
         return not self.doubts
 
     def metrics(self) -> dict[str, float | int | str | bool | None]:
@@ -172,7 +172,7 @@ def estimate_motion(
             which the estimate is combined; None if it is only a guess.
         progress: iterates over the frames, for instance with a progress bar.
     """
-    stated, sigma = camera, None
+    prior, sigma = camera, None
     for _ in range(1 if calibrated else FOCAL_ROUNDS):
         odometry = _followed(progress(frames), camera, options)
         adjusted = odometry.sparse_map.adjust_all(focal=not calibrated)
@@ -180,9 +180,9 @@ def estimate_motion(
         camera = estimated
         if focal_sigma is not None and adjusted is not None and not calibrated:
             factor, sigma = combined_focal(
-                focal_sigma, estimated.fx / stated.fx, adjusted.focal_sigma
+                focal_sigma, estimated.fx / prior.fx, adjusted.focal_sigma
             )
-            camera = replace(stated, fx=factor * stated.fx, fy=factor * stated.fy)
+            camera = replace(prior, fx=factor * prior.fx, fy=factor * prior.fy)
         if abs(camera.fx / before.fx - 1.0) < _SAME_FOCAL:
             break
     if abs(estimated.fx / camera.fx - 1.0) >= _SAME_FOCAL:
@@ -195,18 +195,18 @@ def estimate_motion(
     return replace(motion, doubts=_doubts(motion))
 
 
-def combined_focal(stated_sigma: float, estimated: float, sigma: float) -> tuple[float, float]:
-    """Combine a stated focal length with an estimate of it, both with normal logarithms.
+def combined_focal(prior_sigma: float, estimated: float, sigma: float) -> tuple[float, float]:
+    """Combine a prior focal length with an estimate of it, both with normal logarithms.
 
     Args:
-        stated_sigma: relative standard deviation of the stated focal length, > 0.
-        estimated: estimate relative to the stated focal length.
+        prior_sigma: relative standard deviation of the prior focal length, > 0.
+        estimated: estimate relative to the prior focal length.
         sigma: relative standard deviation of the estimate; infinite if it is not determined.
 
     Returns:
-        The combination relative to the stated focal length, and its relative standard deviation.
+        The combination relative to the prior focal length, and its relative standard deviation.
     """
-    information = stated_sigma**-2 + sigma**-2
+    information = prior_sigma**-2 + sigma**-2
     return float(estimated ** (sigma**-2 / information)), float(information**-0.5)
 
 
@@ -244,7 +244,7 @@ def grey_image(frame: Frame) -> NDArray[np.uint8]:
 
 
 def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraMotion:
-    """The motion after correction by revisits, and what speaks against it."""
+    """The motion after correction by revisits, with the reliability checks that failed."""
     times_s = odometry.times_s
     detected: dict[int, Keypoints] = {}
 
@@ -331,7 +331,7 @@ def swept_keyframe(
 
 
 def _doubts(motion: CameraMotion) -> list[str]:
-    """What speaks against a motion."""
+    """The reliability checks that failed for a motion, one message each."""
     doubts = []
     if motion.extent < _MIN_EXTENT:
         doubts.append(
@@ -362,9 +362,9 @@ def _doubts(motion: CameraMotion) -> list[str]:
         )
     if motion.error_px > _MAX_ERROR * motion.camera.width:
         doubts.append(
-            f"image points miss their places by {motion.error_px:.1f} pixels, as with a wrong "
-            "focal length, distortion or a moving scene"
+            f"the median reprojection error is {motion.error_px:.1f} pixels, as with a wrong focal "
+            "length, a wrong distortion or a moving scene"
         )
     if motion.focal_sigma is not None and motion.focal_sigma > _MAX_FOCAL_SIGMA:
-        doubts.append("the motion does not determine the focal length; specify the field of view")
+        doubts.append("the focal length is ill-conditioned; specify the field of view")
     return doubts

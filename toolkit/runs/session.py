@@ -51,7 +51,7 @@ class Session:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Append the toolkit's log to the run folder, and tell the observers start and end."""
+        """Append the toolkit's log to the run folder, and notify the observers of start and end."""
         with logged_to(self.folder.log):
             run = RunProgress(self.name, self.camera, self.folder, self.slam, self.costs.recorder)
             self.observers.started(run)

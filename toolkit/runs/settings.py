@@ -35,7 +35,7 @@ class CheckpointOptions:
     every_s: PositiveFloat = 30.0
     """Maximum time between checkpoints, in seconds."""
     every_keyframes: PositiveInt = 50
-    """Maximum number of keyframes between checkpoints. With `--pace`, only the time counts."""
+    """Maximum number of keyframes between checkpoints. With `--pace`, only `every_s` applies."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class RunSettings:
 
     dataset: DatasetOptions = DatasetOptions()
     image_size: tuple[PositiveInt, PositiveInt] | None = None
-    """Width and height in pixels to which images are resized. By default, only large images without
-    depth are."""
+    """Width and height in pixels to which images are resized. By default, images keep their size,
+    except large ones without depth."""
     seed: NonNegativeInt = 0
     """Seed of all random choices."""
     max_frames: PositiveInt | None = None
@@ -64,9 +64,9 @@ class RunSettings:
     """Source of the camera poses: tracking (slam) or the dataset's ground truth (given)."""
     pace: FramesPerSecond = 0.0
     """Frames that arrive per second. Mapping uses the time that remains; if it is too short, frames
-    are dropped. Results are not repeatable. 0 processes all frames completely."""
+    are dropped. Results are not reproducible. 0 processes all frames completely."""
     map: Path | None = None
-    """Folder of a finished run whose map is localised in and extended. By default, a new map is
+    """Folder of a finished run with the map to localise in and extend. By default, a new map is
     started."""
     # Not "auto": the GPU path has not been validated on a GPU, so it must be requested.
     device: Literal["auto", "cpu", "cuda"] = "cpu"

@@ -63,7 +63,7 @@ def partition(root: Branch, max_groups: int) -> tuple[Branch, ...]:
         return (root,)
     ideal = max(len(root.items) / max_groups, 2.0)
     cuts = _children_cuts(root, max_groups, ideal)
-    # One group is useless; of equal costs, the fewest groups give the smallest code.
+    # A single group divides nothing; of equal costs, the fewest groups give the smallest code.
     return min((cuts[n] for n in sorted(cuts) if n > 1), key=lambda cut: cut.cost).groups
 
 

@@ -18,7 +18,7 @@ from toolkit.visual_odometry.two_view import rays
 
 Array = NDArray[np.float64]
 
-# Image points that miss their landmark's projection by more are wrong.
+# Observations with a larger reprojection error are outliers.
 MAX_ERROR_PX = 3.0
 
 

@@ -33,7 +33,7 @@ def dropped_halfway(request: dict) -> Response:
     return Response("never read whole", dropped=True)
 
 
-def test_a_request_asks_for_structured_repeatable_output(fake, connect):
+def test_a_request_asks_for_structured_reproducible_output(fake, connect):
     endpoint, waits = connect()
     answer = endpoint.complete(REQUEST)
     assert answer.ending == "stop"

@@ -1,4 +1,4 @@
-"""Answers that were had once: cached, recorded, replayed."""
+"""Earlier answers: cached, recorded, replayed."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_a_record_of_an_aborted_dialogue_is_whole(tmp_path):
     assert ReplayedModel(tmp_path / "record.json").complete(REQUEST).text.startswith("answer 1")
 
 
-def test_what_was_never_asked_is_told_clearly(tmp_path):
+def test_a_request_without_a_recorded_answer_is_an_error(tmp_path):
     RecordingModel(Counter(), tmp_path / "record.json").complete(REQUEST)
     with pytest.raises(SettingsError, match=r"record\.json has no answer .*seed.*record it again"):
         ReplayedModel(tmp_path / "record.json").complete(OTHERS[3])

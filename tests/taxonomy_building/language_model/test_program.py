@@ -115,7 +115,7 @@ def test_bad_options_end_in_one_line(tmp_path, monkeypatch, fake, capsys, words,
     assert fake.requests == []
 
 
-def test_a_replay_of_other_classes_is_told(tmp_path, monkeypatch, fake, capsys):
+def test_a_replay_of_other_classes_is_an_error(tmp_path, monkeypatch, fake, capsys):
     monkeypatch.chdir(tmp_path)
     fake.behaviours = [says("{}")]
     Path("names.txt").write_text("\n".join(NAMES))

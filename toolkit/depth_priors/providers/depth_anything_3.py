@@ -60,7 +60,7 @@ class DepthAnything3Depth:
         self.model = PriorModel(f"depth-anything-3 {path.name}", sha256_of(path), licence)
 
     def predict(self, frames: Sequence[Frame]) -> PriorSet:
-        """Depth of the frames of a set, metric if the model states so, else up to one scale."""
+        """Depth of the frames of a set, metric if the model is, else up to one scale."""
         found = self._network.inference([image_of(frame) for frame in frames])
         priors = tuple(self._prior(frame, found, n) for n, frame in enumerate(frames))
         poses = None if found.extrinsics is None else relative_poses(found.extrinsics)

@@ -26,7 +26,7 @@ from toolkit.errors import FormatError
 from toolkit.frame import Frame
 from toolkit.pretrained.loading import check_folder, device_of, load_image_processor, load_model
 
-# What the output of an architecture means. Both kinds of Depth Anything state it in their
+# What the output of an architecture means. For both kinds of Depth Anything, it is in the
 # configuration. Depth Pro is in `_DEPTH_PRO`.
 _KINDS = {
     "dpt": DepthKind.AFFINE_INVERSE,
@@ -174,7 +174,7 @@ def _depth_of_depth_pro(inverse: Image, frame: Frame) -> Image:
 
 
 def licence_of(folder: Path) -> str:
-    """The licence that a model card states in its header, "unknown" without one."""
+    """The licence in the header of a model card, "unknown" without one."""
     card = folder / "README.md"
     if card.is_file():
         for line in card.read_text(encoding="utf-8", errors="replace").splitlines():
