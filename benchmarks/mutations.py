@@ -10,7 +10,6 @@ pass: a test is missing, or the mutant behaves as the code does.
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import os
 import queue
@@ -26,23 +25,15 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
+from benchmarks.mutants import Mutant, mutants
 from benchmarks.repository import ROOT
 from benchmarks.tables import Table
 
 _COPIED = ("toolkit", "tests", "benchmarks", "data_tools", "apps", "setup.cfg", "pyproject.toml")
-_COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-}
-_SIGNS: dict[type[ast.operator], type[ast.operator]] = {ast.Add: ast.Sub, ast.Sub: ast.Add}
 
 
 @dataclass(frozen=True)
@@ -61,93 +52,10 @@ class Options:
     """Number of mutants tested at the same time."""
     ignore: tuple[str, ...] = ()
     """Files of tests to leave out, from the root."""
+    exclude: tuple[str, ...] = ()
+    """Files and folders of the package to leave out, such as `cuda`, before mutants are drawn."""
     only: tuple[str, ...] = ()
     """Of the drawn mutants, those in these lines, such as `alignment/joint.py:35`."""
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """A module with one change.
-
-    Attributes:
-        line: of the change, from 1.
-        change: the changed code, before and after.
-    """
-
-    line: int
-    change: str
-    _tree: ast.Module
-    _container: Any
-    _place: Any
-    _replacement: ast.AST
-
-    def source(self) -> str:
-        """The code of the module, without its comments."""
-        node = self._container[self._place]
-        self._container[self._place] = self._replacement
-        try:
-            return ast.unparse(self._tree) + "\n"
-        finally:
-            self._container[self._place] = node
-
-
-def mutants(source: str) -> list[Mutant]:
-    """All mutants of a module, in a fixed order."""
-    tree = ast.parse(source)
-    values = [s.value for s in tree.body if isinstance(s, ast.Assign | ast.AnnAssign) and s.value]
-    constants = {id(part) for value in values for part in ast.walk(value)}
-    return [
-        Mutant(
-            node.lineno, f"{ast.unparse(node)} -> {ast.unparse(new)}", tree, container, place, new
-        )
-        for container, place, node in _nodes(tree)
-        for new in _replacements(node, id(node) in constants)
-    ]
-
-
-def _nodes(tree: ast.Module) -> Iterator[tuple[Any, Any, ast.expr | ast.stmt]]:
-    """Expressions and statements, each with the container that holds it and its place there."""
-    for parent in ast.walk(tree):
-        for name, value in ast.iter_fields(parent):
-            places = enumerate(value) if isinstance(value, list) else [(name, value)]
-            container = value if isinstance(value, list) else vars(parent)
-            for place, node in places:
-                if isinstance(node, ast.expr | ast.stmt):
-                    yield container, place, node
-
-
-def _replacements(node: ast.AST, constant: bool) -> Iterator[ast.AST]:
-    """What may stand in the place of a node."""
-    match node:
-        case ast.Compare(left, operators, right):
-            for i, operator in enumerate(operators):
-                if other := _COMPARISONS.get(type(operator)):
-                    yield ast.Compare(left, [*operators[:i], other(), *operators[i + 1 :]], right)
-        case ast.BinOp(left, ast.Add() | ast.Sub() as operator, right) if not _is_text(node):
-            yield ast.BinOp(left, _SIGNS[type(operator)](), right)
-            yield left
-            yield right if isinstance(operator, ast.Add) else ast.UnaryOp(ast.USub(), right)
-        case ast.BinOp(left, ast.Mult(), right):
-            yield left
-            yield right
-        case ast.AugAssign(variable, ast.Add() | ast.Sub() as operator, value):
-            yield ast.AugAssign(variable, _SIGNS[type(operator)](), value)
-        case ast.BoolOp(ast.And(), values):
-            yield ast.BoolOp(ast.Or(), values)
-        case ast.Constant(int() | float() as number) if constant and type(number) is not bool:
-            if number:
-                yield ast.Constant(2 * number)
-                yield ast.UnaryOp(ast.USub(), node)
-
-
-def _is_text(node: ast.expr) -> bool:
-    """Whether an expression joins texts or sequences, whose parts cannot be subtracted."""
-    match node:
-        case ast.Constant(str()) | ast.JoinedStr() | ast.List() | ast.Tuple() | ast.ListComp():
-            return True
-        case ast.BinOp(left, ast.Add(), right):
-            return _is_text(left) or _is_text(right)
-    return False
 
 
 def sample(options: Options) -> list[tuple[Path, Mutant]]:
@@ -160,7 +68,11 @@ def sample(options: Options) -> list[tuple[Path, Mutant]]:
     modules = [place] if place.suffix == ".py" else sorted(place.rglob("*.py"))
     if not modules or not place.exists():
         raise ValueError(f"toolkit/{options.target} is no Python package or file")
-    paths = [(path, path.relative_to(ROOT)) for path in modules]
+    paths = [
+        (path, path.relative_to(ROOT))
+        for path in modules
+        if not set(path.relative_to(ROOT).parts) & set(options.exclude)
+    ]
     drawn = [(name, m) for path, name in paths for m in mutants(path.read_text(encoding="utf-8"))]
     if 0 < options.count < len(drawn):
         kept = sorted(random.Random(options.seed).sample(range(len(drawn)), options.count))

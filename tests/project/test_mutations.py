@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutations import Mutant, Options, mutants, sample
+from benchmarks.mutants import Mutant, mutants
+from benchmarks.mutations import Options, sample
 
 
 @pytest.mark.parametrize(
@@ -64,5 +65,8 @@ def test_the_sample_depends_on_the_seed_alone() -> None:
     only = (f"{name.relative_to('toolkit')}:{line}",)
     chosen = changes(sample(Options("alignment", count=10, only=only)))
     assert (name, line, change) in chosen and {row[:2] for row in chosen} == {(name, line)}
+    without = sample(Options("alignment", count=0, exclude=("cuda", "joint.py")))
+    assert {"toolkit/alignment/data.py"} < {str(name) for name, _ in without}
+    assert not any("cuda" in name.parts or name.name == "joint.py" for name, _ in without)
     with pytest.raises(ValueError, match="toolkit/nothing is no Python package"):
         sample(Options("nothing"))
