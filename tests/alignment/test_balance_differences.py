@@ -72,6 +72,14 @@ def test_later_pairs_do_not_add_up_along_a_loop():
     np.testing.assert_allclose(found, truth, atol=0.012)
 
 
+def test_the_minority_of_links_is_the_outlier_however_large_the_difference():
+    difference = np.array([0.3, 0.0, -0.3])
+    measured = [difference, difference, np.zeros(3)]
+    links = [BalanceLink(0, 1, BalanceDifference(log_gains, 0.9)) for log_gains in measured]
+    found = solve_balances(np.zeros((1, 3)), 2, links)
+    np.testing.assert_allclose(found[1], difference, atol=0.01)
+
+
 def test_drift_is_bounded_without_loops():
     """A constant error of every pair would otherwise add up to 0.5."""
     links = [
@@ -96,3 +104,4 @@ def test_gains_keep_the_mean_intensity():
 def test_small_changes_are_neutral():
     assert is_neutral(np.array([0.005, 0.0, -0.005]), 0.01)
     assert not is_neutral(np.array([0.0, 0.02, -0.02]), 0.01)
+    assert not is_neutral(np.zeros(3), 0.0)

@@ -26,6 +26,7 @@ from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import kernels_for
+from toolkit.native.constants import SILHOUETTE
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -101,6 +102,20 @@ def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     assert_same_sums(actual.last, expected.last, 2e-3)
 
 
+def test_a_large_step_is_a_rigid_motion(room, aligner):
+    """Products of rotation and translation show only in large steps."""
+    view, frame = model_level(level_of(room, 0, 32, 24)), level_of(room, 1, 32, 24)
+    away = se3.exp(np.array([0.06, -0.05, 0.07, 0.09, -0.08, 0.1]))
+    rules = GaussNewtonOptions(1, 1.0, 1.0, None, 50, 1e-5, 1e-5)
+    start = Alignment(away, INITIAL_SCALES)
+    expected = align([view], [frame], start, rules)
+    found = aligner.align([model_there(view)], [there(frame)], start, rules)
+    step = expected.T_view_camera @ se3.inverse(away)
+    assert np.linalg.norm(step[:3, 3]) > 0.05 and se3.rotation_angle_rad(step[:3, :3]) > 0.05
+    assert distance_mm(found.T_view_camera, expected.T_view_camera) < 0.2
+    assert angle_deg(found.T_view_camera, expected.T_view_camera) < 0.02
+
+
 def test_too_few_pixels_change_nothing(room, aligner):
     frame, view = level_of(room, 1, 20, 16), level_of(room, 0, 20, 16)
     frame.depth_m[:] = 0.0
@@ -109,6 +124,19 @@ def test_too_few_pixels_change_nothing(room, aligner):
     found = aligner.align([model_there(model_level(view))], [there(frame)], start, rules)
     assert np.array_equal(found.T_view_camera, np.eye(4))
     assert (found.iterations, found.converged, found.exposure) == (1, False, IDENTITY)
+
+
+def test_too_few_pixels_end_the_alignment(room, aligner):
+    """Of a coarse level, although the finer one has enough."""
+    view = [model_level(level) for level in pyramid(level_of(room, 0, 32, 24), 2)]
+    frames = pyramid(level_of(room, 1, 32, 24), 2)
+    frames[1].depth_m[:] = 0.0
+    start = Alignment(np.eye(4), INITIAL_SCALES)
+    rules = GaussNewtonOptions(3, 0.05, 1.0, IDENTITY, 50, 1e-5, 1e-5)
+    expected = align(view, frames, start, rules)
+    found = aligner.align([model_there(v) for v in view], [there(f) for f in frames], start, rules)
+    assert (found.iterations, found.converged) == (expected.iterations, False) == (1, False)
+    assert np.array_equal(found.T_view_camera, np.eye(4))
 
 
 @pytest.mark.parametrize("size", [(95, 71), (1, 9), (8, 1), (2, 2)])
@@ -123,10 +151,12 @@ def test_torch_computes_what_numpy_does(room, size):
     for actual, expected in zip(made, reference.model(level.camera, *arrays), strict=True):
         assert_close(actual, torch.from_numpy(expected), few=2)
     images = torch.rand(5, *reversed(size), generator=torch.Generator().manual_seed(0))
-    expected = reference.intensity_of(images.numpy(), 0.6)
+    images[SILHOUETTE, 0] = 0.5
+    expected = reference.intensity_of(images.numpy(), 0.5)
     assert_close(
-        torch_images.intensity_of(images, 0.6)[..., None], torch.from_numpy(expected)[..., None]
+        torch_images.intensity_of(images, 0.5)[..., None], torch.from_numpy(expected)[..., None]
     )
+    assert (expected[0] > 0.0).all()
 
 
 def test_kernels_of_the_cpu_keep_away_from_other_devices():

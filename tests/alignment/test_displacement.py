@@ -9,8 +9,10 @@ import pytest
 import torch
 from tracked_room import Room
 
+from toolkit.alignment import displacement
 from toolkit.alignment.displacement import displacement_rad
 from toolkit.alignment.levels import finest_level, model_level
+from toolkit.alignment.similarity import COLUMNS, ROWS
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.tracking.rolling_shutter import as_exposed
@@ -58,3 +60,10 @@ def test_without_texture_nothing_is_known(room: Room):
     assert np.isnan(measured(room, blank))
     blind = replace(room.frames[5], depth_m=np.zeros_like(room.frames[5].depth_m))
     assert np.isnan(measured(room, blind))
+
+
+def test_blocks_are_numbered_row_by_row():
+    rows, columns = np.indices((3 * ROWS, 2 * COLUMNS))
+    found = displacement._block_numbers(rows.ravel(), columns.ravel(), rows.shape)
+    numbers = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
+    assert np.array_equal(found.reshape(rows.shape), np.kron(numbers, np.ones((3, 2), int)))

@@ -73,6 +73,16 @@ def test_the_coarser_image_says_how_far_matches_may_be_off(submaps: Scene):
     assert inliers.mean() > 0.9 > closer.mean()
 
 
+def test_matches_may_be_off_by_one_and_a_half_coarse_pixels():
+    camera = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
+    points = np.array([[0.0, 0.0, 2.0], [0.1, -0.2, 1.5]])
+    strict = MatchingOptions(tolerance_rad=1e-6)
+    for off_px, expected in ((2.9, True), (3.1, False)):
+        pixels = camera.project(points) + np.array([off_px, 0.0])
+        matched = Matched(points, points, pixels, camera, pixel_size=2.0)
+        assert (matched.inliers(np.eye(4)[None], strict) == expected).all()
+
+
 def test_poses_play_no_part(submaps: Scene):
     first, second = submaps.target.keyframes[1], submaps.source.keyframes[1]
     lost = replace(second, T_map_camera=motion(3, 5.0, 90.0))

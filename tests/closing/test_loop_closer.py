@@ -27,7 +27,6 @@ from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
 from toolkit.loops.options import CandidateOptions, VerificationOptions
 from toolkit.loops.relocalisation import LastPosition, Relocaliser
-from toolkit.loops.verification import rejection_reason
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.pose_graph.noise import LoopNoise, OdometryNoise
@@ -432,26 +431,6 @@ class TestState:
         assert log.size_bytes > size
         closer.restore(*state)
         assert (tmp_path / "loops.jsonl").stat().st_size == size
-
-
-def test_objections_name_what_is_wrong():
-    good = RegistrationResult(
-        np.eye(4), True, 0.9, ResidualScales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"
-    )
-    options = VerificationOptions()
-    assert rejection_reason(good, options) == ""
-    assert rejection_reason(replace(good, class_agreement=float("nan")), options) == ""
-    for change, word in (
-        ({"converged": False, "reason": "went astray"}, "astray"),
-        ({"overlap": 0.1}, "overlap"),
-        ({"inliers": 0.5}, "inliers"),
-        ({"class_agreement": 0.5}, "classes"),
-        ({"residual": ResidualScales(0.02, 0.1)}, "depth"),
-        ({"residual": ResidualScales(0.5, 0.005)}, "intensity"),
-        ({"residual": ResidualScales(float("nan"), float("nan"))}, "depth"),
-        ({"information": np.zeros((6, 6))}, "information"),
-    ):
-        assert word in rejection_reason(replace(good, **change), options)
 
 
 def test_a_described_view_keeps_its_rows_in_step(frames):

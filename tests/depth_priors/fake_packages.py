@@ -16,7 +16,7 @@ import torch
 from toolkit.geometry import se3
 
 # Poses of the images of a set, in the unit of the depth.
-POSES = np.array([se3.exp([0.1 * n, 0.0, 0.02 * n, 0.0, 0.05 * n, 0.0]) for n in range(8)])
+POSES = np.array([se3.exp([0.1 * n, 0.0, 0.02 * n, 0.0, 0.05 * n, 0.0]) for n in range(1, 9)])
 DEPTH_SCALE = 0.5
 
 

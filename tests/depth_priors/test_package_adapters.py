@@ -77,7 +77,16 @@ def test_sets_have_relative_poses_and_one_scale(kind, tmp_path):
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.usefixtures("packages")
 def test_small_sets_are_pairs(kind, count, tmp_path):
-    found = provider(kind, tmp_path).predict([frame(n) for n in range(count)])
+    found = provider(kind, tmp_path).predict([frame(n) for n in range(5, 5 + count)])
+    assert found.indices == tuple(range(5, 5 + count))
+    assert np.allclose(found.T_first_camera, np.linalg.inv(POSES[0]) @ POSES[:count])
+    expected = DEPTH_SCALE * plane(*position(CAMERA))
+    for number, prior in enumerate(found.priors):
+        image = prior.in_frame(CAMERA.size)
+        assert image.known.mean() > 0.8
+        assert np.percentile(np.abs(image.values / expected - 1.0)[image.known], 99) < 0.01
+        # The stand-in's confidence is 3 for the first image of the pair, 4 for the second.
+        assert (prior.confidence.values == 3.0 + number).all()
     assert len(found.priors) == count
 
 

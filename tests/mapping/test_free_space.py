@@ -249,3 +249,16 @@ def test_a_blob_before_a_frame_between_keyframes_is_removed(room: MappedRoom):
         mapper.refine(poses)
         assert int((mapper.gaussians.means == blob).all(dim=1).sum()) == left
     assert len(mapper.gaussians) > 0.9 * count
+
+
+def test_points_belong_to_the_pixel_with_the_nearest_centre():
+    pixels = np.array([[5.4, 10.4], [5.6, 10.4], [5.4, 10.6], [-0.4, 29.4], [39.4, -0.4]])
+    outside = np.array([[-0.6, 3.0], [39.6, 3.0], [3.0, -0.6], [3.0, 29.6]])
+    rays = np.ones((9, 3))
+    rays[:, :2] = (np.concatenate([pixels, outside]) - [CAMERA.cx, CAMERA.cy]) / 40.0
+    # The last three are too near or behind the camera.
+    means = np.concatenate([2.0 * rays, [[0.0, 0.0, z] for z in (0.04, -0.04, -2.0)]])
+    chosen, flat, z_m = DepthView.of(wall()).pixels_of(torch.from_numpy(means).float())
+    assert chosen.tolist() == [0, 1, 2, 3, 4]
+    assert flat.tolist() == [row * 40 + column for column, row in np.rint(pixels).astype(int)]
+    assert z_m.tolist() == [2.0] * 5

@@ -84,7 +84,14 @@ class TestKeyframe:
 
 @pytest.mark.parametrize(
     ("frames", "overlap", "wanted"),
-    [(1, 1.0, False), (4, 0.9, False), (5, 1.0, True), (9, 0.1, True), (1, 0.79, True)],
+    [
+        (1, 1.0, False),
+        (4, 0.9, False),
+        (5, 1.0, True),
+        (9, 0.1, True),
+        (1, 0.79, True),
+        (1, 0.8, False),
+    ],
 )
 def test_a_keyframe_comes_by_time_or_by_overlap(frames, overlap, wanted):
     assert KeyframePolicy(interval=5, min_overlap=0.8).wants(frames, overlap) is wanted

@@ -62,10 +62,10 @@ class TestPath:
         results = fed(slam, room.frames)
         assert not slam.result().lost_frames and not any(r.lost for r in results)
         assert slam.result().frame_indices == list(range(14))
-        assert np.sqrt((errors_m(slam, room) ** 2).mean()) < 0.01
+        assert np.sqrt((errors_m(slam, room) ** 2).mean()) < 0.0016
         assert room.truth.path_length_m > 0.2, "the camera does move"
         length_m = slam.result().trajectory.path_length_m
-        assert length_m == pytest.approx(room.truth.path_length_m, rel=0.1)
+        assert length_m == pytest.approx(room.truth.path_length_m, rel=0.01)
 
     def test_keyframes_placed_by_earlier_ones_come_nearer_the_truth(self, room):
         rms_m = {}
@@ -82,7 +82,7 @@ class TestPath:
         frame, pose = room.frames[7], slam.result().trajectory.T_world_camera[7]
         drawn = render(slam.mapper.gaussians, frame.camera, se3.inverse(pose))
         psnr_db = -10 * np.log10(((drawn.colour.numpy() - frame.rgb) ** 2).mean())
-        assert psnr_db > 24.0
+        assert psnr_db > 34.0
 
     def test_the_first_frame_starts_map_and_path(self, room):
         slam = new_slam()

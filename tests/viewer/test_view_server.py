@@ -17,6 +17,7 @@ from painted_scenes import two_panels
 
 from toolkit.cli.main import main
 from toolkit.errors import SettingsError
+from toolkit.viewer.colouring import COLOUR, appearance
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ViewerScene
@@ -73,12 +74,20 @@ def test_the_page_of_the_server_shows_and_picks(server):
         assert [e for e in watched.errors if KNOWN not in e] == []
 
 
-def test_a_scene_is_replaced(server):
+def test_a_scene_is_replaced(server, monkeypatch):
+    nodes = []
+    add = server.scene.add_gaussian_splats
+    monkeypatch.setattr(
+        server.scene, "add_gaussian_splats", lambda *args: nodes.append(add(*args)) or nodes[-1]
+    )
     scene = two_panels()
     shown = MapServer(server)
     shown.show(scene)
     smaller = ViewerScene("later", scene.splats.select(np.arange(10)), 10, tree=scene.tree)
     shown.show(smaller)
+    (node,) = nodes  # browsers keep their view of a node, which another one would lose
+    assert np.array_equal(node.centers, smaller.splats.means_m)
+    assert np.array_equal(node.rgbs, appearance(smaller, COLOUR, 0).rgb)
 
 
 def test_covariances_of_the_server():
