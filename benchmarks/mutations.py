@@ -86,11 +86,16 @@ def _changed(path: Path, source: str) -> Iterator[None]:
     """Give a module other code for a while."""
     original = path.read_text(encoding="utf-8")
     compiled = Path(importlib.util.cache_from_source(str(path)))
-    for code in (source, original):
+
+    def write(code: str) -> None:
         path.write_text(code, encoding="utf-8")
         compiled.unlink(missing_ok=True)  # Python compares only sizes and whole seconds
-        if code is source:
-            yield
+
+    write(source)
+    try:
+        yield
+    finally:
+        write(original)
 
 
 def _outcome(checkout: Path, tests: list[str], limit_s: float) -> str:
@@ -127,9 +132,11 @@ def measure(options: Options, drawn: list[tuple[Path, Mutant]], folder: Path) ->
     def tested(entry: tuple[Path, Mutant]) -> str:
         name, mutant = entry
         checkout = checkouts.get()
-        with _changed(checkout / name, mutant.source()):
-            verdict = _outcome(checkout, tests, options.limit_s)
-        checkouts.put(checkout)
+        try:
+            with _changed(checkout / name, mutant.source()):
+                verdict = _outcome(checkout, tests, options.limit_s)
+        finally:
+            checkouts.put(checkout)
         print(f"{name}:{mutant.line} {verdict}", file=sys.stderr)
         return verdict
 
