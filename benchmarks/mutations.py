@@ -86,11 +86,16 @@ def _changed(path: Path, source: str) -> Iterator[None]:
     """Give a module other code for a while."""
     original = path.read_text(encoding="utf-8")
     compiled = Path(importlib.util.cache_from_source(str(path)))
-    for code in (source, original):
+
+    def write(code: str) -> None:
         path.write_text(code, encoding="utf-8")
         compiled.unlink(missing_ok=True)  # Python compares only sizes and whole seconds
-        if code is source:
-            yield
+
+    write(source)
+    try:
+        yield
+    finally:
+        write(original)
 
 
 def _outcome(checkout: Path, tests: list[str], limit_s: float) -> str:
@@ -124,17 +129,21 @@ def measure(options: Options, drawn: list[tuple[Path, Mutant]], folder: Path) ->
     if _outcome(folder / "0", tests, options.limit_s) != "survived":
         raise ValueError(f"{tests[0]} fails or exceeds {options.limit_s} s without a change")
 
-    def tested(entry: tuple[Path, Mutant]) -> str:
-        name, mutant = entry
+    def tested(entry: tuple[Path, int, str]) -> str:
+        name, line, source = entry
         checkout = checkouts.get()
-        with _changed(checkout / name, mutant.source()):
-            verdict = _outcome(checkout, tests, options.limit_s)
-        checkouts.put(checkout)
-        print(f"{name}:{mutant.line} {verdict}", file=sys.stderr)
+        try:
+            with _changed(checkout / name, source):
+                verdict = _outcome(checkout, tests, options.limit_s)
+        finally:
+            checkouts.put(checkout)
+        print(f"{name}:{line} {verdict}", file=sys.stderr)
         return verdict
 
+    # Mutants of a module share its tree, so that threads must not write them.
+    entries = [(name, mutant.line, mutant.source()) for name, mutant in drawn]
     with ThreadPoolExecutor(options.jobs) as pool:
-        return list(pool.map(tested, drawn))
+        return list(pool.map(tested, entries))
 
 
 def _copy(checkout: Path) -> Path:

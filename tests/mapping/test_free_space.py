@@ -262,3 +262,13 @@ def test_points_belong_to_the_pixel_with_the_nearest_centre():
     assert chosen.tolist() == [0, 1, 2, 3, 4]
     assert flat.tolist() == [row * 40 + column for column, row in np.rint(pixels).astype(int)]
     assert z_m.tolist() == [2.0] * 5
+
+
+@pytest.mark.parametrize(("supporting", "contradicted"), [(2, True), (4, False)])
+def test_support_counts_a_third_of_a_contradiction(supporting, contradicted):
+    views = [DepthView.of(wall(2.0))] * supporting + [DepthView.of(wall(2.9))]
+    evidence = Evidence.of(points(2.0), views, whole_map=False)
+    assert evidence.support.tolist() == [supporting]
+    assert float(evidence.through) > 0.9
+    options = FreeSpaceOptions(min_through=0.5, min_ratio=0.33)
+    assert evidence.contradicts(options).tolist() == [contradicted]

@@ -10,10 +10,17 @@ import torch
 
 from tests.mapping.conftest import MappedRoom
 from toolkit.frame import Frame
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.hole_filling import _nearest_labels, fill_holes, inferred_depth
+from toolkit.mapping.hole_filling import (
+    _nearest_labels,
+    _outside_free_space,
+    fill_holes,
+    inferred_depth,
+)
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 
@@ -163,3 +170,38 @@ def test_filled_pixels_have_the_nearest_label(labelled: bool):
     assert np.array_equal(np.unique(filled), [3, 7] if labelled else [0])
     if labelled:
         assert (filled[:, :14] == 3).all() and (filled[:, 16:] == 7).all()
+
+
+@pytest.mark.parametrize("shape", [(64, 3), (3, 64), (1, 9), (9, 1)])
+def test_depth_is_continued_through_narrow_images(shape: tuple[int, int]):
+    depth_m = np.zeros(shape, np.float32)
+    depth_m[0, 0] = 2.0
+    np.testing.assert_allclose(inferred_depth(depth_m), 2.0, rtol=1e-5)
+
+
+def test_contradicted_seeds_move_along_their_rays():
+    camera = Camera(40.0, 40.0, 19.5, 14.5, 40, 30)
+    pose = se3.exp(np.array([3.0, -2.0, 1.5, 0.3, -0.5, 0.2]))
+
+    def seen(depth_m: float) -> Keyframe:
+        image = np.full((30, 40), depth_m, np.float32)
+        return Keyframe.from_frame(
+            Frame(0, 0.0, np.zeros((30, 40, 3), np.float32), image, camera), pose
+        )
+
+    rays = camera.rays()[5:25:5, 5:35:5].reshape(-1, 3)
+    means = torch.from_numpy(se3.transform_points(pose, rays)).float()
+    seeds = GaussianCloud.from_values(
+        means,
+        torch.full((len(rays),), 0.02),
+        torch.full((len(rays),), 0.9),
+        torch.zeros(len(rays), 3),
+    )
+    for measured_m in (2.0, 40.0):  # 40 m is behind the last of the factors
+        moved = _outside_free_space(seeds, seen(1.0), [DepthView.of(seen(measured_m))])
+        points = se3.transform_points(se3.inverse(pose), moved.means.double().numpy())
+        depth_m = points[:, 2]
+        assert len(moved) == len(seeds)
+        np.testing.assert_allclose(points / depth_m[:, None], rays, atol=1e-5)
+        assert (depth_m > 0.95 * measured_m).all() and (depth_m < 1.6 * measured_m).all()
+        np.testing.assert_allclose(moved.radii_m.numpy(), 0.02 * depth_m, rtol=1e-4)

@@ -12,8 +12,10 @@ import torch
 from tests.painted_box import box_frames, path
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.moving_objects import _held_s
 from toolkit.mapping.optimisation import Objective
 from toolkit.mapping.options import MapperOptions, MovingObjectOptions
 
@@ -144,3 +146,25 @@ def test_checkpoints_keep_what_is_hidden():
     assert torch.equal(again.transient, keyframe.transient)
     assert torch.equal(again.observed_m, keyframe.observed_m)
     assert torch.equal(again.images.transient, keyframe.transient)
+
+
+@pytest.mark.parametrize(
+    ("depths_m", "longest_s", "expected_s"),
+    [
+        ((2.0, 2.0, 2.0), 9.0, 3.0),
+        ((2.0, 3.0, 2.0), 9.0, 1.0),  # the place was empty two seconds ago
+        ((2.0, 1.0, 2.0), 9.0, 3.0),  # the place was covered
+        ((2.0, 2.0, 2.0), 2.5, 2.0),
+    ],
+)
+def test_surfaces_are_held_since_they_were_last_empty(depths_m, longest_s, expected_s):
+    camera = Camera(40.0, 40.0, 19.5, 14.5, 40, 30)
+    rgb = np.zeros((30, 40, 3), np.float32)
+    frames = [
+        Frame(n, float(n), rgb, np.full((30, 40), z, np.float32), camera)
+        for n, z in enumerate((*depths_m, 2.0))
+    ]
+    *others, newest = [Keyframe.from_frame(frame, np.eye(4)) for frame in frames]
+    # Before and behind the measured surface, within the margin of measurements.
+    means = torch.tensor([[0.0, 0.0, 1.98], [0.1, 0.1, 2.02]])
+    assert _held_s(means, newest, others, longest_s).tolist() == [expected_s] * 2
