@@ -13,7 +13,7 @@ from benchmarks.tables import Metrics
 @pytest.mark.parametrize("row", presets.ROWS.values(), ids=list(presets.ROWS))
 def test_rows_have_the_settings_of_their_preset(row, monkeypatch, tmp_path):
     for recording in presets.RECORDINGS.values():
-        (tmp_path / recording.folder).mkdir()
+        (tmp_path / recording.folder).mkdir(exist_ok=True)
     monkeypatch.setenv("SEMSPLAT_DATA", str(tmp_path))
     monkeypatch.setattr(presets, "room", lambda name: Path(name))
     settings = presets.settings_of(row.sequence, row.preset, 12, 3)

@@ -1,4 +1,4 @@
-"""Clocks: that of the machine, and one for tests that advances only when it is told to."""
+"""Clocks: that of the machine, and one for tests that advances only on request."""
 
 from __future__ import annotations
 

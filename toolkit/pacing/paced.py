@@ -29,7 +29,7 @@ class PacedSlam:
 
     The pose of each frame is estimated first. Optimisation steps are deferred until the next frame
     is awaited. If time is short, keyframes are postponed; as the last resort, frames are dropped.
-    Results depend on the speed of the machine and are not repeatable.
+    Results depend on the speed of the machine and are not reproducible.
 
     Args:
         slam: the system, before its first frame; it must not be given frames by other means.

@@ -34,7 +34,7 @@ class FrameDelay:
 
 
 class DelaySummary(Protocol):
-    """The delays of a run in real time, as its results state them."""
+    """The delays of a run in real time, as in its results."""
 
     @property
     def delays(self) -> Sequence[FrameDelay]:
@@ -90,7 +90,7 @@ class PaceSummary:
             "pace_convention": "delay from a frame's arrival to its pose, without dropped frames; "
             "late frames exceed the bound; deferred steps were taken after the next keyframe; "
             "dropped frames are scored at the last pose before them; these results depend on the "
-            "speed of the machine and are not repeatable",
+            "speed of the machine and are not reproducible",
         }
 
     def csv(self) -> str:

@@ -159,7 +159,7 @@ def _execute(
         if paced is not None:
             _log.info(
                 "Frames arrive at %g per second; the results depend on the speed of this machine "
-                "and are not repeatable.",
+                "and are not reproducible.",
                 settings.pace,
             )
             frames = paced.arriving(frames)

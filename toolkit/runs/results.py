@@ -183,7 +183,7 @@ def write_motion_alone(motion: CameraMotion, folder: RunFolder) -> None:
     """Write the metrics of a run without a map, because its motion could not be determined."""
     lost = {"frames": motion.frames, "frames_lost": motion.frames - len(motion.trajectory)}
     write_metrics(folder.metrics, {**lost, **motion.metrics()})
-    _log.warning("There is no map; %s states the reason.", folder.metrics)
+    _log.warning("There is no map; see %s.", folder.metrics)
 
 
 def tracked_frames(result: SlamResult, settings: RunSettings) -> list[TrackedFrame]:

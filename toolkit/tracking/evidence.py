@@ -1,6 +1,6 @@
 """Evidence for the pose of a frame that does not depend on the alignment that is judged.
 
-Residuals cannot tell a right pose from a wrong one: alignment has minimised them, a wrong minimum
+Residuals cannot distinguish a right pose from a wrong one: alignment has minimised them, a wrong minimum
 in a place of similar shape has moderate ones, and robust scales leave out whatever contradicts.
 The similarity of the frame and the rendered map can be compared between poses, scenes and cameras.
 In all recordings and rooms at strides 1 to 8, the textures of rightly tracked frames correlate by
@@ -15,7 +15,7 @@ import math
 from toolkit.alignment.options import HealthLimits
 from toolkit.alignment.similarity import Similarity
 
-# Fewer textured blocks do not determine a correlation; it then has a neutral value.
+# Fewer textured blocks give no reliable correlation; it then has a neutral value.
 _MIN_BLOCKS, _NEUTRAL = 4, 0.5
 # With fewer textured blocks, it is examined whether the pose is determined at all.
 _FEW_BLOCKS = 12

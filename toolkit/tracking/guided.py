@@ -148,7 +148,7 @@ class GuidedTracker(GivenPoses):
         views = pyramid(view, _LEVELS)
         models = [model_level(level) for level in views]
         frames = pyramid(FrameLevel(frame.camera, own.intensity, view.depth_m), _LEVELS)
-        # The given pose is good enough to tell a sudden change of exposure.
+        # The given pose is good enough to detect a sudden change of exposure.
         unaligned = Alignment(np.eye(4), INITIAL_SCALES, self._exposure)
         start = _exposure(models, frames, unaligned)
         options = GaussNewtonOptions(
