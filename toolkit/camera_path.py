@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 # Time (seconds) over which the velocity is computed, whatever the frame rate. Over a shorter one,
 # it contains more of the errors of the poses, and of the tremor of the hand; older poses do not
-# state the present velocity.
+# give the present velocity.
 _VELOCITY_S = 0.12
 # Number of newest frames that may include these poses, if frames are dropped.
 _MAX_RECENT = 16
