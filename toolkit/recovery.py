@@ -137,7 +137,7 @@ class Recovery:
         self, tracker: PartTracker, frame: Frame, lost: TrackingResult, may_map: bool
     ) -> Located:
         """Start a submap where the poses go on in another part of the trajectory."""
-        T_world_camera = tracker.elsewhere(frame)
+        T_world_camera = tracker.pose_in_other_part(frame)
         if T_world_camera is None:
             return Located(None, lost)
         if not may_map or not has_depth(frame):

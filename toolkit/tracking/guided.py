@@ -75,11 +75,11 @@ class GuidedTracker(GivenPoses):
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the first frame; None if it has no pose or cannot be mapped."""
-        if self.elsewhere(frame) is not None:
+        if self.pose_in_other_part(frame) is not None:
             self._continue_in(self._part_of(frame))
         return super().first_pose(frame)
 
-    def elsewhere(self, frame: Frame) -> NDArray[np.float64] | None:
+    def pose_in_other_part(self, frame: Frame) -> NDArray[np.float64] | None:
         """Pose [4, 4] of a frame in the world frame of a part other than the map's, if any."""
         part = self._part_of(frame)
         return None if part == self._part else self._trajectories[part].at(frame.timestamp_s)

@@ -85,7 +85,7 @@ class LocatingTracker(Tracker, Protocol):
 class PartTracker(Tracker, Protocol):
     """A tracker that knows poses in several parts, whose relative poses are unknown."""
 
-    def elsewhere(self, frame: Frame) -> NDArray[np.float64] | None:
+    def pose_in_other_part(self, frame: Frame) -> NDArray[np.float64] | None:
         """Pose [4, 4] of a frame in the world frame of a part other than the map's, if any."""
         ...
 
