@@ -72,3 +72,25 @@ def test_the_state_is_restored(room, gaussians):
     a, b = (tracker.track(without_depth(darker), gaussians) for tracker in (first, second))
     assert a.T_map_camera.tobytes() == b.T_map_camera.tobytes()
     assert a.exposure == b.exposure
+
+
+def test_a_frame_of_another_part_is_lost_until_the_part_is_entered(room, gaussians):
+    first, second = room.frames[:2]
+    there = se3.exp([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
+    parts = [
+        Trajectory(np.array([frame.timestamp_s]), pose[None])
+        for frame, pose in ((first, np.eye(4)), (second, there))
+    ]
+    tracker = GuidedTracker(parts)
+    assert tracker.first_pose(first) is not None
+    assert tracker.pose_in_other_part(first) is None
+    assert tracker.track(without_depth(second), gaussians).lost
+    np.testing.assert_array_equal(tracker.pose_in_other_part(second), there)
+    tracker.enter(second)
+    resumed = GuidedTracker(parts)
+    resumed.restore(tracker.state())
+    for entered in (tracker, resumed):
+        assert entered.pose_in_other_part(second) is None
+        T = entered.track(second, gaussians).T_map_camera
+        np.testing.assert_allclose(T, np.eye(4), atol=1e-12)
+        assert entered.track(without_depth(first), gaussians).lost
