@@ -119,7 +119,11 @@ class Recovery:
         if found is None and not (out_of_patience and self._may_start(frame, tracker.limits)):
             self._unreliable = frame
             return Located(None, lost)
-        self._start_submap(frame, found, self._path.last_pose(self._atlas))
+        if found is None:
+            place = self._path.last_pose(self._atlas)
+        else:
+            place = found.submap, found.T_submap_camera
+        self._start_submap(frame, found, place)
         _log.warning(
             "Started submap %d at frame %d: %s.",
             self._atlas.active,
@@ -181,21 +185,18 @@ class Recovery:
             self._unreliable = Frame(values["index"], values["timestamp_s"], rgb, depth_m, camera)
 
     def _start_submap(
-        self, frame: Frame, found: Relocalisation | None, otherwise: tuple[int, NDArray[np.float64]]
+        self, frame: Frame, found: Relocalisation | None, place: tuple[int, NDArray[np.float64]]
     ) -> None:
         """Start a submap at a frame.
 
         Args:
-            found: where the frame was relocalised.
-            otherwise: submap and T_submap_camera [4, 4] where it starts if it was not.
+            found: the relocalisation of the frame; None if its pose is not known by one.
+            place: submap and T_submap_camera [4, 4] where it starts.
         """
         atlas = self._atlas
         exposure = IDENTITY if found is None else found.result.exposure
         anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
         self._closer.submap_ending(atlas)
         with self._recorder.timed(Stage.MAPPING):
-            if found is None:
-                atlas.start_at(anchor, *otherwise, inherit=False)
-            else:
-                atlas.start_at(anchor, found.submap, found.T_submap_camera)
+            atlas.start_at(anchor, *place, inherit=found is not None)
         self._closer.submap_recovered(atlas, found)

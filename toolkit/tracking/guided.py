@@ -75,8 +75,7 @@ class GuidedTracker(GivenPoses):
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the first frame; None if it has no pose or cannot be mapped."""
-        if self.pose_in_other_part(frame) is not None:
-            self._continue_in(self._part_of(frame))
+        self._continue_in(self._part_of(frame))
         return super().first_pose(frame)
 
     def pose_in_other_part(self, frame: Frame) -> NDArray[np.float64] | None:
