@@ -17,9 +17,9 @@ import numpy as np
 
 import toolkit
 from toolkit.cli.errors import one_line_errors
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
+from toolkit.synthetic_rooms import tiny_room
 
 
 @dataclass(frozen=True)

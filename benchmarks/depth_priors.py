@@ -27,7 +27,7 @@ from toolkit.monocular.motion import CameraMotion, estimate_motion
 from toolkit.monocular.sequence import MonocularSequence
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 
 SETS = (8, 4)
 _VIEWS = 12

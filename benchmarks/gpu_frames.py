@@ -27,7 +27,6 @@ from benchmarks.gpu_scene import (
 from toolkit.alignment import reference
 from toolkit.alignment.data import INITIAL_SCALES, FrameLevel, ModelLevel
 from toolkit.alignment.levels import finest_level, model_level
-from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.trajectory import absolute_trajectory_error
@@ -46,9 +45,10 @@ from toolkit.semantics.codes import SemanticCode, binary_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.stages import Stage
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order_tracker import FirstOrderTracker
 from toolkit.tracking.options import DenseOptions, FirstOrderOptions
 
 # Siblings at each level: 26 channels one-hot, as many as Replica's tree has.

@@ -14,11 +14,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
+from toolkit.synthetic_rooms import tiny_room
 
 Array = NDArray[np.float64]
 

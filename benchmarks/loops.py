@@ -39,8 +39,8 @@ from toolkit.features.vlad import VladEncoder
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
 from toolkit.loops.options import CandidateOptions
 from toolkit.options import validated
-from toolkit.result import SlamResult
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.result import SlamResult
 
 Array = NDArray[np.float64]
 Values = dict[str, Any]

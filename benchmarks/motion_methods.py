@@ -29,9 +29,9 @@ from toolkit.datasets.registry import describe
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.options import as_plain, validated
-from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings, overridden
+from toolkit.slam.result import SlamResult
 
 RivalName = Literal["open3d", "opencv", "orbslam3"]
 ImageSize = tuple[int, int]

@@ -16,9 +16,9 @@ from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.io.pose_graphs import read_pose_graph
-from toolkit.pose_graph.files import graph_of
-from toolkit.pose_graph.options import SolverOptions
-from toolkit.pose_graph.solver import solve
+from toolkit.loops.pose_graph.files import graph_of
+from toolkit.loops.pose_graph.options import SolverOptions
+from toolkit.loops.pose_graph.solver import solve
 
 # After InitializePose3 and Levenberg-Marquardt, as GTSAM's readG2o reads the files.
 OPTIMA = {
@@ -46,7 +46,7 @@ class Options:
 def main() -> None:
     """Measure one row for each graph; exit with 1 if one misses its optimum."""
     options = tyro.cli(Options)
-    header = current_header((), ("toolkit/pose_graph", "toolkit/io/pose_graphs.py"))
+    header = current_header((), ("toolkit/loops/pose_graph", "toolkit/io/pose_graphs.py"))
     folder = Recording("", "pose_graphs").path
     rows = []
     missed = False

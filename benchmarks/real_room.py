@@ -33,7 +33,7 @@ from toolkit.options import validated
 from toolkit.rendering import render
 from toolkit.runs.results import tracked_frames
 from toolkit.runs.settings import RunSettings
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]

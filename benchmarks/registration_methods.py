@@ -7,22 +7,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from benchmarks.registration_pairs import Pair
-from toolkit.baselines.clouds import CloudRegistration
-from toolkit.baselines.first_order_fine import FirstOrderFineRegistration
-from toolkit.baselines.two_way import TwoWayRegistration
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
-from toolkit.registration.coarse import CoarseRegistration
-from toolkit.registration.fine import FineRegistration
-from toolkit.registration.options import (
+from toolkit.loops.registration.clouds import CloudRegistration
+from toolkit.loops.registration.coarse import CoarseRegistration
+from toolkit.loops.registration.fine import FineRegistration
+from toolkit.loops.registration.first_order_fine import FirstOrderFineRegistration
+from toolkit.loops.registration.options import (
     CloudOptions,
     CoarseOptions,
     FineOptions,
     FirstOrderFineOptions,
 )
-from toolkit.registration.result import Registrar, RegistrationResult
-from toolkit.registration.sgr import SemanticGuidedRegistration, SgrOptions
-from toolkit.registration.views import ViewRenderer
+from toolkit.loops.registration.result import Registrar, RegistrationResult
+from toolkit.loops.registration.sgr import SemanticGuidedRegistration, SgrOptions
+from toolkit.loops.registration.two_way import TwoWayRegistration
+from toolkit.loops.registration.views import ViewRenderer
 
 
 @dataclass(frozen=True)

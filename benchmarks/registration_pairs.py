@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from benchmarks.recordings import RECORDINGS
 from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.synthetic import SensorModel, tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.features.factory import build_describer
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame
@@ -31,6 +29,8 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.submaps.submap import Submap
+from toolkit.synthetic_rooms import SensorModel, tiny_room
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.taxonomy_building.factory import choose_taxonomy
 from toolkit.tracking.depth_filter import denoised
 

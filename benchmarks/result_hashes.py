@@ -4,7 +4,8 @@
     SEMSPLAT_DATA=DATA python -m benchmarks.result_hashes --ring RING --compare before.json
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 450 --sensor-noise
---image-size 160 120`. Each of the sequences (RedKitchen, fr1_rpy, office0 and the ring) runs in
+--image-size 160 120`. Each of the sequences (RedKitchen, fr1_rpy, office0 with and
+without its depth, and the ring) runs in
 a process of its own with two threads, or with OMP_NUM_THREADS. Rounding differs between processors
 and instruction sets, so hashes are compared on one machine only.
 
@@ -79,6 +80,8 @@ def _sequences(ring: Path | None) -> dict[str, list[str]]:
         rows["redkitchen"] = [*_dataset("seven-scenes", kitchen), *small, "--max-frames", "50"]
         rows["fr1_rpy"] = [*_dataset("tum", rpy), *small, "--max-frames", "30"]
         rows["office0"] = [*_dataset("replica", office), "--max-frames", "8"]
+        colour = ["--image-size", "300", "170", "--depth", "none", "--max-frames", "30"]
+        rows["office0-colour"] = [*_dataset("replica", office), *colour]
     if ring is not None:
         rows["ring"] = _dataset("synthetic", str(ring))
     return rows

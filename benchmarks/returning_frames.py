@@ -20,7 +20,7 @@ from toolkit.evaluation.images import psnr_db
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import render
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.placement import KeyframePlacement

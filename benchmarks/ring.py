@@ -44,10 +44,10 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
 from toolkit.geometry import se3
 from toolkit.options import validated
-from toolkit.result import SlamResult
 from toolkit.runs.results import tracked_frames
 from toolkit.runs.settings import RunSettings
-from toolkit.slam import Slam
+from toolkit.slam.result import SlamResult
+from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas
 
 TableName = Literal["summary", "loops", "ablation", "allocation", "registration"]

@@ -22,12 +22,12 @@ from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
-from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.results import RunRecord, write_results
 from toolkit.runs.settings import RunSettings, dump_settings
-from toolkit.slam import Slam
+from toolkit.slam.result import SlamResult
+from toolkit.slam.system import Slam
 from toolkit.stages import Stage
 
 

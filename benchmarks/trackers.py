@@ -17,12 +17,12 @@ from tqdm import tqdm
 from benchmarks.recordings import RECORDINGS
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
-from toolkit.baselines.factory import build_tracker
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
+from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.options import DenseOptions, TrackingOptions
 
 DESCRIPTIONS = {

@@ -24,11 +24,11 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.options import validated
-from toolkit.pose_graph.chi_square import quantile
-from toolkit.result import SlamResult
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.result import SlamResult
 
 Array = NDArray[np.float64]
 

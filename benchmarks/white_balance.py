@@ -26,8 +26,8 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.options import validated
 from toolkit.rendering import render
-from toolkit.result import SlamResult
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.result import SlamResult
 
 COLUMNS = (
     "psnr_clean_db",

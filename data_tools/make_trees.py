@@ -12,9 +12,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.semantics import trees as bundled
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper
 

@@ -12,9 +12,9 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic import SensorModel, tiny_room
 from toolkit.features.vlad import encoder_keypoints, root_sift
 from toolkit.loops.retrieval import faiss
+from toolkit.synthetic_rooms import SensorModel, tiny_room
 
 _SEEDS = range(100, 108)
 _FRAMES = 24

@@ -28,7 +28,11 @@ OPTIONS_PAGE = "reference/options.md"
 API_PAGE = "reference/python-api.md"
 # Classes and functions of the API page, beyond the names that `import toolkit` offers.
 API = {
-    "Run SLAM": ("toolkit.slam.Slam", "toolkit.result.SlamResult", "toolkit.result.FrameResult"),
+    "Run SLAM": (
+        "toolkit.slam.system.Slam",
+        "toolkit.slam.result.SlamResult",
+        "toolkit.slam.result.FrameResult",
+    ),
     "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.record.PaceSummary"),
     "Live cameras and observers": (
         "toolkit.live.execution.run_live",

@@ -77,8 +77,8 @@ def tiny_run(tiny_recording: Path) -> Path:
 def submaps_run(tmp_path_factory) -> Path:
     """The folder of a finished run of several submaps. Read only: copy it to change it."""
     from toolkit.cli.main import main
-    from toolkit.datasets.synthetic import tiny_room
-    from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
+    from toolkit.synthetic_rooms import tiny_room
+    from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
     folder = tmp_path_factory.mktemp("submaps")
     frames, truth = tiny_room(14, 96, 72)

@@ -10,8 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -24,6 +22,8 @@ from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.submap import Submap
+from toolkit.synthetic_rooms import tiny_room
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 QUICK = MapperOptions(first_iterations=4, iterations=6, max_iterations=6)
 

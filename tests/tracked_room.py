@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.options import SeedingOptions
@@ -18,6 +17,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import RenderOptions, backend, render, render_surface
+from toolkit.synthetic_rooms import tiny_room
 
 
 @dataclass(frozen=True)

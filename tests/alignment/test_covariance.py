@@ -13,8 +13,8 @@ from toolkit.alignment.data import FrameLevel
 from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import keyframe_level, model_level
 from toolkit.alignment.options import JointOptions
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.keyframe import Keyframe
+from toolkit.synthetic_rooms import tiny_room
 
 OPTIONS = JointOptions(levels=1)
 

@@ -15,11 +15,11 @@ from toolkit.alignment import matching
 from toolkit.alignment.matching import Matched, match_features, measure_offset, rigid_fits
 from toolkit.alignment.options import MatchingOptions
 from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
+from toolkit.synthetic_rooms import tiny_room
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)

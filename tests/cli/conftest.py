@@ -12,11 +12,11 @@ from labelled_run import make_labelled_run
 from room_runs import RoomRuns, make_room_runs
 
 from toolkit.datasets.options import DatasetOptions
-from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 
 @pytest.fixture(scope="session")

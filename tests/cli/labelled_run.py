@@ -9,12 +9,12 @@ from box_scene import CAMERA, T_WORLD_MAP, frames_at
 from labelled_room import T_MAP_ROOM, TAXONOMY, gaussians_at, labelled, room_parts
 
 from toolkit.datasets.options import DatasetOptions
-from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 PLACES = ((0.6, 2.2, 1.7), (3.3, 2.4, 1.6), (2.0, 2.7, 1.9))
 TARGET = (2.1, 1.2, 0.5)

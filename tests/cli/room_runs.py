@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.cli.main import main
-from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.geometry import se3
+from toolkit.synthetic_rooms import tiny_room
+from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 QUICK = [
     *("--mapping.first-iterations", "8"),

@@ -12,7 +12,6 @@ from room_runs import walk
 from test_register import other_tree, without_descriptors, without_submaps
 
 from toolkit.cli.main import main
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.geometry import se3
 from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
@@ -20,6 +19,7 @@ from toolkit.io.trajectories import read_tum
 from toolkit.loops.log import read_loop_log
 from toolkit.runs import session as program
 from toolkit.runs.finished import load_run
+from toolkit.synthetic_rooms import tiny_room
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,11 @@ import torch
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
-from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.io.splats import read_splats
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
+from toolkit.synthetic_rooms import tiny_room
+from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 QUICK = [
     *("--mapping.first-iterations", "6"),

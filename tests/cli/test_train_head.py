@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from toolkit.cli.main import main
-from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
-from toolkit.datasets.synthetic.writer import prepare_folder, write_sequence
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters.linear_head import LinearHead
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 transformers = pytest.importorskip("transformers")
 

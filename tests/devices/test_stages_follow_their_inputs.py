@@ -10,7 +10,6 @@ import torch
 from painted_box import box_frames, path
 from torch import Tensor
 
-from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.keyframe import Keyframe
@@ -18,6 +17,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import map_device
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order_tracker import FirstOrderTracker
 from toolkit.tracking.options import DenseOptions, FirstOrderOptions
 
 SIZE = (96, 72)

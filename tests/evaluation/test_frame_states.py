@@ -13,7 +13,7 @@ from toolkit.evaluation.frame_states import (
     summary_lines,
 )
 from toolkit.evaluation.state_strip import state_strip
-from toolkit.result import Loss
+from toolkit.slam.result import Loss
 
 
 def sequence(text: str, reasons: dict[int, str] | None = None) -> list[FrameState]:

@@ -13,8 +13,8 @@ from benchmarks.motion_cases import CASES, CaseDataset
 from benchmarks.motion_methods import OpenCvOdometry, frame_to_frame, largest_first, semsplat
 from benchmarks.silent_errors import motion_metrics
 from toolkit.datasets.registry import describe
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.geometry import se3
+from toolkit.synthetic_rooms import tiny_room
 
 
 def test_rows_name_sequences_and_cases_that_exist():

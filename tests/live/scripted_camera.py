@@ -7,10 +7,10 @@ import time
 from collections.abc import Iterator, Sequence
 
 from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.live.camera import CapturedFrame
+from toolkit.synthetic_rooms import tiny_room
 
 
 class ScriptedCamera:

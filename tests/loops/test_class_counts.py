@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.closing.factory import ClosingContext, build_loop_closer
-from toolkit.closing.options import LoopClosureOptions
-from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.loops.class_counts import GaussianClassCounter, PixelClassCounter
+from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.options import LandmarkOptions
 from toolkit.losses.semantic import SemanticLoss
 from toolkit.mapping.mapper import Mapper
@@ -25,6 +23,8 @@ from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
+from toolkit.synthetic_rooms import tiny_room
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 NAMES = ["wall", "chair", "table", "lamp"]
 CAMERA = Camera(40.0, 40.0, 19.5, 14.5, 40, 30)

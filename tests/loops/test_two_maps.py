@@ -9,6 +9,7 @@ from toolkit.alignment.data import ResidualScales
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.loops.options import VerificationOptions
+from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.two_maps import (
     MapRegistration,
     SubmapPair,
@@ -16,7 +17,6 @@ from toolkit.loops.two_maps import (
     register_submaps,
     select_registration,
 )
-from toolkit.registration.result import RegistrationResult, failed
 from toolkit.submaps.submap import Submap
 
 

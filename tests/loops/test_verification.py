@@ -9,8 +9,8 @@ import pytest
 
 from toolkit.alignment.data import ResidualScales
 from toolkit.loops.options import VerificationOptions
+from toolkit.loops.registration.result import RegistrationResult
 from toolkit.loops.verification import rejection_reason
-from toolkit.registration.result import RegistrationResult
 
 GOOD = RegistrationResult(
     np.eye(4), True, 0.9, ResidualScales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.synthetic_rooms import tiny_room
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ import pytest
 import torch
 from mapped_room import fed, same_bits
 
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss
@@ -21,6 +20,7 @@ from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 TREE = Taxonomy(
     {

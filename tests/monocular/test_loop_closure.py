@@ -12,8 +12,8 @@ from toolkit.alignment.levels import intensity_of
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.loop_closure import close_loops
 from toolkit.monocular.revisits import NEAR, find_keypoints, find_revisits
-from toolkit.visual_odometry.odometry import VisualOdometry
-from toolkit.visual_odometry.sparse_map import SparseMap
+from toolkit.monocular.visual_odometry.odometry import VisualOdometry
+from toolkit.monocular.visual_odometry.sparse_map import SparseMap
 
 OUT = 12
 TRUTH = np.concatenate([walk(OUT), walk(OUT)[::-1]])

@@ -17,7 +17,7 @@ from toolkit.pacing.clock import MonotonicClock, SimulatedClock
 from toolkit.pacing.paced import outcome_of
 from toolkit.pacing.record import FrameDelay, PaceRecord, PaceSummary, count_of
 from toolkit.pacing.schedule import ArrivalSchedule
-from toolkit.result import FrameResult
+from toolkit.slam.result import FrameResult
 from toolkit.tracking.result import Health, not_tracked
 
 ROWS = (

@@ -12,11 +12,11 @@ import pytest
 import toolkit
 from toolkit.cli.main import main
 from toolkit.datasets.options import DatasetOptions
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.errors import DatasetError
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.folder import read_cloud
+from toolkit.synthetic_rooms import tiny_room
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 

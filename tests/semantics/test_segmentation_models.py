@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from toolkit.errors import DatasetError, DependencyError, FormatError
+from toolkit.features.pretrained import loading as pretrained
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.pretrained import loading as pretrained
 from toolkit.semantics.segmenters.head_training import (
     HeadTrainingOptions,
     _fit,

@@ -8,7 +8,6 @@ import xml.etree.ElementTree as ET
 import cv2
 import pytest
 
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import FormatError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
@@ -19,6 +18,7 @@ from toolkit.semantics.trees import (
     taxonomy_for,
     taxonomy_named,
 )
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 SIZES = {"geometric": 5, "nyu40": 40, "replica": 101, "scannet20": 20}
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -18,10 +16,12 @@ from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.options import validated
-from toolkit.preparation import FrameSources
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.options import SemanticsOptions
-from toolkit.slam import FrameResult, Slam
+from toolkit.slam.frame_preparation import FrameSources
+from toolkit.slam.system import FrameResult, Slam
+from toolkit.synthetic_rooms import tiny_room
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.taxonomy_building.factory import build_labeller
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.placement import KeyframePlacement

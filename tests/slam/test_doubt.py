@@ -9,12 +9,12 @@ import pytest
 from slam_room import FEW, another_place, fed, first_steps
 
 from toolkit.alignment.options import HealthLimits
-from toolkit.closing.factory import ClosingContext, build_loop_closer
-from toolkit.closing.options import LoopClosureOptions
+from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.options import validated
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.dense import DenseTracker
 

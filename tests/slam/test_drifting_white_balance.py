@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.slam.slam_room import FEW, first_steps
-from toolkit.camera_path import CameraPath
 from toolkit.evaluation.images import psnr_db
 from toolkit.exposure import NEUTRAL
 from toolkit.frame import Frame
@@ -18,8 +17,9 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import WhiteBalanceOptions
 from toolkit.rendering import render
-from toolkit.result import SlamResult
-from toolkit.slam import Slam
+from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.result import SlamResult
+from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
 
 FRAMES = first_steps(20).frames

@@ -17,7 +17,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.intermediate_frames import IntermediateFrames
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.tracking.given import GivenPoses
 
 # Only the first and the last of three frames become keyframes. The fourfold number of iterations is

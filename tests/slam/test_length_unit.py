@@ -14,19 +14,19 @@ import yaml
 
 from toolkit.cli.main import main
 from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.frustum import Frustum
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
-from toolkit.length_unit import LengthUnit
 from toolkit.options import validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.execution import run
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.length_unit import LengthUnit
+from toolkit.synthetic_rooms import tiny_room
 
 FRAMES, SIZE = 8, (80, 60)
 

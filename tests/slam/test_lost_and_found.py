@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from slam_room import FEW, another_place, blind_frames, fed, fingerprint, first_steps
 
-from toolkit.closing.factory import ClosingContext, build_loop_closer
-from toolkit.closing.options import LoopClosureOptions
 from toolkit.exposure import IDENTITY
 from toolkit.geometry import se3
+from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.options import validated
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.options import AllocationOptions

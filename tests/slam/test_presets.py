@@ -8,13 +8,13 @@ from typing import get_args
 import pytest
 import yaml
 
-from toolkit.datasets.synthetic import tiny_room
-from toolkit.datasets.synthetic.vocabulary import CLASS_IDS
 from toolkit.errors import SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import PRESETS, PresetName, RunSettings, load_settings
+from toolkit.synthetic_rooms import tiny_room
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 NAMES = get_args(PresetName)
 

@@ -18,7 +18,7 @@ from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.pacing.clock import SimulatedClock
 from toolkit.pacing.options import PacingOptions
 from toolkit.pacing.paced import PacedSlam
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.placement import KeyframePlacement
 

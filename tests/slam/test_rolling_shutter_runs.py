@@ -11,7 +11,7 @@ from slam_room import SlamRoom, blind_frames, fed, fingerprint, new_slam
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.frame import Frame
 from toolkit.geometry import se3
-from toolkit.preparation import FrameSources
+from toolkit.slam.frame_preparation import FrameSources
 from toolkit.tracking.initial_velocity import initial_velocity
 from toolkit.tracking.rolling_shutter import as_exposed, velocity_between
 

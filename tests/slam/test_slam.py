@@ -14,8 +14,6 @@ import pytest
 from slam_room import FEW, SlamRoom, fed, fingerprint, new_semantic_slam, new_slam
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from toolkit.baselines.first_order_tracker import FirstOrderTracker
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame, NullRecorder
 from toolkit.geometry import se3
@@ -23,9 +21,11 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import render
 from toolkit.runs.folder import RunFolder
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas
+from toolkit.synthetic_rooms import tiny_room
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order_tracker import FirstOrderTracker
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.options import FirstOrderOptions
 

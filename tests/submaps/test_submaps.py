@@ -10,7 +10,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -21,7 +20,7 @@ from toolkit.rendering import render
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.trees import shipped_taxonomy
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation, path_length_m
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.factory import allocation_options
@@ -30,6 +29,7 @@ from toolkit.submaps.overlap import view_overlap
 from toolkit.submaps.saved import SavedSubmaps
 from toolkit.submaps.store import SubmapStore
 from toolkit.submaps.submap import Submap
+from toolkit.synthetic_rooms import tiny_room
 from toolkit.tracking.given import GivenPoses
 
 FEW = MapperOptions(iterations=3, first_iterations=10, final_iterations=2)

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import FormatError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_parsing import folded
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper

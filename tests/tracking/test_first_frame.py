@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from tracked_room import Room, blind_frame, dead_sensor_frame
 
-from toolkit.baselines.first_order_tracker import FirstOrderTracker
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order_tracker import FirstOrderTracker
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.tracker import Tracker

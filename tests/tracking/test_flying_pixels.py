@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.datasets.synthetic.imperfections import with_flying_pixels
 from toolkit.native import available_instruction_sets, load_variant
+from toolkit.synthetic_rooms.imperfections import with_flying_pixels
 from toolkit.tracking import flying_pixels
 from toolkit.tracking.depth_filter import denoised
 from toolkit.tracking.flying_pixels import without_flying_pixels

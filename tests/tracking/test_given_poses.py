@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.datasets.synthetic import tiny_room
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.synthetic_rooms import tiny_room
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.guided import GuidedTracker
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from toolkit.batch.plan import Resources
 from toolkit.batch.process import RunJob, RunOutcome, execute_run
-from toolkit.cluster.session import ProcessKilledError, RayCluster, TaskResources
+from toolkit.batch.ray_cluster import ProcessKilledError, RayCluster, TaskResources
 
 
 class OnRay:

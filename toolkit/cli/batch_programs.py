@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from toolkit.cluster.options import RayOptions
+from toolkit.batch.options import RayOptions
 from toolkit.options import PositiveFloat, PositiveInt
 
 

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from tqdm import tqdm
 
 from toolkit.cli.programs import MakeRoomOptions
-from toolkit.datasets.synthetic import RoomSettings, SensorModel, make_room
 from toolkit.frame import Frame
+from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room
 
 
 def main(options: MakeRoomOptions) -> int:

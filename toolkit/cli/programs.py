@@ -22,6 +22,7 @@ from toolkit.cli.map_programs import (
 )
 from toolkit.datasets.options import BagTopics, DatasetKind
 from toolkit.loops.options import VerificationOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.options import (
     Fraction,
     NonNegativeFloat,
@@ -30,7 +31,6 @@ from toolkit.options import (
     PositiveInt,
     Range,
 )
-from toolkit.registration.options import RegistrationOptions
 
 ImageSize = tuple[PositiveInt, PositiveInt]
 

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from toolkit.batch.refining.pipeline import refine_map
+from toolkit.batch.refining.tasks import InThisProcess, Tasks
 from toolkit.cli.batch_programs import RefineOptions
 from toolkit.io.atomic import cannot_write
 from toolkit.io.storage import is_url
 from toolkit.runs.lock import locked
-from toolkit.runs.refining.pipeline import refine_map
-from toolkit.runs.refining.tasks import InThisProcess, Tasks
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -62,7 +62,7 @@ def _tasks(options: RefineOptions) -> Iterator[Tasks]:
     if not options.use_ray:
         yield InThisProcess()
         return
-    from toolkit.cluster.session import RayCluster, TaskResources, ray_cluster
+    from toolkit.batch.ray_cluster import RayCluster, TaskResources, ray_cluster
 
     class _OnRay:
         def __init__(self, cluster: RayCluster) -> None:

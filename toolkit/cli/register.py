@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from toolkit.baselines.factory import build_registrar, needs_describer
 from toolkit.cli.programs import RegisterOptions
 from toolkit.errors import SettingsError, ToolkitError
 from toolkit.features.factory import build_differentiable_describer
@@ -20,6 +19,7 @@ from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
+from toolkit.loops.registration.factory import build_registrar, build_view_renderer, needs_describer
 from toolkit.loops.two_maps import (
     MapRegistration,
     Selection,
@@ -27,7 +27,6 @@ from toolkit.loops.two_maps import (
     register_submaps,
     select_registration,
 )
-from toolkit.registration.factory import build_view_renderer
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import label_conflict, merge, shared_semantics
 from toolkit.submaps.saved import SavedSubmaps

@@ -86,7 +86,7 @@ def progress_observers(program: RunArguments) -> list[ProgressObserver]:
     """
     if program.record is None:
         return []
-    from toolkit.recording.rerun_recorder import RerunRecorder
+    from toolkit.viewer.rerun_recorder import RerunRecorder
 
     return [RerunRecorder(program.record)]
 

@@ -10,7 +10,7 @@ from itertools import groupby
 from typing import Literal
 
 from toolkit.evaluation.metrics import Metrics
-from toolkit.result import Loss, SlamResult
+from toolkit.slam.result import Loss, SlamResult
 
 State = Literal["tracked", "doubtful", "lost", "dropped"]
 # Ranges of a line of the summary; the others are counted.

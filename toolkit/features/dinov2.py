@@ -10,7 +10,7 @@ from torch import Tensor
 
 from toolkit.errors import FormatError
 from toolkit.features.encoder import check_images, unit_length
-from toolkit.pretrained.vision_transformer import VisionTransformer
+from toolkit.features.pretrained.vision_transformer import VisionTransformer
 
 # G's threshold of 0.20, interpreted as the squared distance that FAISS returns: a cosine of 0.90.
 _THRESHOLD = math.sqrt(0.20)

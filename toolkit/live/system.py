@@ -13,8 +13,8 @@ from toolkit.live.feed import LiveFeed
 from toolkit.live.record import LiveSummary
 from toolkit.pacing.paced import PacedSlam, outcome_of
 from toolkit.pacing.record import FrameDelay
-from toolkit.result import FrameResult
-from toolkit.slam import Slam
+from toolkit.slam.result import FrameResult
+from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas
 
 

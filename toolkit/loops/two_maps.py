@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 from toolkit.loops.options import VerificationOptions
+from toolkit.loops.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.loops.verification import rejection_reason
-from toolkit.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]

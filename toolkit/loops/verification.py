@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from toolkit.loops.options import VerificationOptions
-from toolkit.registration.result import RegistrationResult
+from toolkit.loops.registration.result import RegistrationResult
 
 
 def rejection_reason(result: RegistrationResult, options: VerificationOptions) -> str:

@@ -20,7 +20,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.motion import CameraMotion, MetricScale, grey_image, swept_keyframe
-from toolkit.visual_odometry.two_view import rays, triangulate
+from toolkit.monocular.visual_odometry.two_view import rays, triangulate
 
 Array = NDArray[np.float64]
 

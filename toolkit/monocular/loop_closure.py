@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
+from toolkit.loops.pose_graph.similarity import SimilarityEdge, solve_similarities
 from toolkit.monocular.revisits import (
     Matches,
     Revisit,
@@ -26,9 +27,8 @@ from toolkit.monocular.revisits import (
     reprojection_px,
     triangulated,
 )
-from toolkit.pose_graph.similarity import SimilarityEdge, solve_similarities
-from toolkit.visual_odometry.scale_drift import scale_sigma
-from toolkit.visual_odometry.sparse_map import MAX_ERROR_PX, PointTracks, SparseMap
+from toolkit.monocular.visual_odometry.scale_drift import scale_sigma
+from toolkit.monocular.visual_odometry.sparse_map import MAX_ERROR_PX, PointTracks, SparseMap
 
 Array = NDArray[np.float64]
 

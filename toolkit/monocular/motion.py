@@ -18,9 +18,9 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.loop_closure import LoopClosure, close_loops
 from toolkit.monocular.segments import SegmentedOdometry, connected, largest
-from toolkit.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State
-from toolkit.visual_odometry.scale_drift import scale_matters, scale_sigma
-from toolkit.visual_odometry.sparse_map import SparseMap
+from toolkit.monocular.visual_odometry.odometry import FIRST_IMAGES, OdometryOptions, State
+from toolkit.monocular.visual_odometry.scale_drift import scale_matters, scale_sigma
+from toolkit.monocular.visual_odometry.sparse_map import SparseMap
 
 # Percentiles of a keyframe's landmark depths that count as near and far.
 _NEAR_PERCENT, _FAR_PERCENT = 2.0, 98.0

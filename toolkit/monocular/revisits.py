@@ -17,9 +17,9 @@ from toolkit.features.keypoints import (
 )
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.visual_odometry.landmarks import View
-from toolkit.visual_odometry.sparse_map import MAX_ERROR_PX
-from toolkit.visual_odometry.two_view import depth_equations, parallax_rad, rays
+from toolkit.monocular.visual_odometry.landmarks import View
+from toolkit.monocular.visual_odometry.sparse_map import MAX_ERROR_PX
+from toolkit.monocular.visual_odometry.two_view import depth_equations, parallax_rad, rays
 
 Array = NDArray[np.float64]
 Matches = NDArray[np.int64]

@@ -18,9 +18,14 @@ from toolkit.monocular.revisits import (
     find_keypoints,
     verified,
 )
-from toolkit.visual_odometry.landmarks import View
-from toolkit.visual_odometry.odometry import OdometryOptions, OdometryResult, State, VisualOdometry
-from toolkit.visual_odometry.sparse_map import SparseMap
+from toolkit.monocular.visual_odometry.landmarks import View
+from toolkit.monocular.visual_odometry.odometry import (
+    OdometryOptions,
+    OdometryResult,
+    State,
+    VisualOdometry,
+)
+from toolkit.monocular.visual_odometry.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 GreyImage = Callable[[int], NDArray[np.uint8]]

@@ -17,8 +17,8 @@ from toolkit.pacing.options import PacingOptions
 from toolkit.pacing.policy import DurationEstimate, PacePolicy
 from toolkit.pacing.record import FrameDelay, Outcome, PaceRecord, PaceSummary
 from toolkit.pacing.schedule import ArrivalSchedule
-from toolkit.result import FrameResult
-from toolkit.slam import Slam
+from toolkit.slam.result import FrameResult
+from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas
 
 _log = logging.getLogger(__name__)

@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolkit.closing.factory import ClosingContext
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.loops.closing.factory import ClosingContext
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
-from toolkit.preparation import FrameSources
 from toolkit.rendering import map_device
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.front_ends import FrontEndParts, build_front_end
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.labeller import Labeller
-from toolkit.slam import Slam
+from toolkit.slam.frame_preparation import FrameSources
+from toolkit.slam.system import Slam
 from toolkit.submaps.factory import build_atlas
 from toolkit.taxonomy_building.factory import build_labeller
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.result import FrameResult
 from toolkit.runs.folder import RunFolder
+from toolkit.slam.result import FrameResult
 from toolkit.submaps.atlas import Atlas
 
 

@@ -12,7 +12,6 @@ from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.findings import quick_findings
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.prefetch import prefetched
-from toolkit.datasets.synthetic import RoomSettings, make_room
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
@@ -45,8 +44,9 @@ from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.stages import Stage
+from toolkit.synthetic_rooms import RoomSettings, make_room
 
 _log = logging.getLogger(__name__)
 

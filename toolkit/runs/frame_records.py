@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from toolkit.evaluation.frame_states import FrameState, PartSummary, State
 from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.result import Loss, SlamResult
+from toolkit.slam.result import Loss, SlamResult
 
 
 def frame_records(

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.baselines.factory import build_tracker
-from toolkit.closing.factory import ClosingContext, build_loop_closer
-from toolkit.closing.given_parts import GivenParts
-from toolkit.closing.interface import LoopClosing
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.errors import DatasetError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.length_unit import METRE, LengthUnit
+from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.loops.closing.given_parts import GivenParts
+from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.log import LoopLog
 from toolkit.monocular.sequence import MonocularSequence
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import SemanticCode
+from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.guided import GuidedTracker
 from toolkit.tracking.initial_velocity import initial_velocity

@@ -8,9 +8,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.io.splats import SplatLabels
 from toolkit.refinement.fusion import FusedMap
-from toolkit.result import SlamResult
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.decoding import Decoding
+from toolkit.slam.result import SlamResult
 
 
 def labelled_parts(

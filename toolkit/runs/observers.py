@@ -10,9 +10,9 @@ from typing import Protocol
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.result import FrameResult, SlamResult
 from toolkit.runs.folder import RunFolder
-from toolkit.slam import Slam
+from toolkit.slam.result import FrameResult, SlamResult
+from toolkit.slam.system import Slam
 
 _log = logging.getLogger(__name__)
 

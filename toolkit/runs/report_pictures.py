@@ -19,8 +19,8 @@ from toolkit.evaluation.submap_graph import (
 )
 from toolkit.geometry.frustum import Frustum, far_depth_m, observed_points
 from toolkit.loops.log import read_loop_log
-from toolkit.result import SlamResult, SubmapSummary
 from toolkit.semantics.palette import Palette
+from toolkit.slam.result import SlamResult, SubmapSummary
 
 # Pairs of each kind in the loop gallery.
 _LOOP_PAIRS = 4

@@ -44,7 +44,6 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
 from toolkit.pacing.record import DelaySummary
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
-from toolkit.result import SlamResult
 from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import (
     alignment_kind,
@@ -61,6 +60,7 @@ from toolkit.runs.separate_parts import separate_part_metrics, write_separate_pa
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.result import SlamResult
 from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from toolkit.errors import SettingsError
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.settings import RunSettings
-from toolkit.slam import Slam
+from toolkit.slam.system import Slam
 from toolkit.submaps.submap import Submap
 
 _log = logging.getLogger(__name__)

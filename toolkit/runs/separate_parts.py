@@ -10,10 +10,10 @@ from toolkit.evaluation.trajectory import AlignmentKind, absolute_trajectory_err
 from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.refinement.fusion import FusedMap
-from toolkit.result import SlamResult
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.result import SlamResult
 
 # Fewer poses can be aligned with any others.
 _MIN_POSES = 3

@@ -12,14 +12,14 @@ from pathlib import Path
 from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.result import SlamResult
 from toolkit.runs.checkpoint_writer import CheckpointWriter, System
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import Observers, RunProgress
 from toolkit.runs.results import held_out
 from toolkit.runs.settings import RunSettings
-from toolkit.slam import Slam
+from toolkit.slam.result import SlamResult
+from toolkit.slam.system import Slam
 from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal, get_args
 
 import yaml
 
-from toolkit.closing.options import LoopClosureOptions
 from toolkit.datasets.options import DatasetOptions
 from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.io.user_files import read_text
+from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.mapping.options import MapperOptions
 from toolkit.monocular.options import ScaleOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated

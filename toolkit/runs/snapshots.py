@@ -24,10 +24,10 @@ from toolkit.gaussians.cloud import PARAMETERS
 from toolkit.io.arrays import write_array_tree
 from toolkit.io.images import small_image
 from toolkit.keyframe import Keyframe
-from toolkit.result import FrameResult, SlamResult
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
 from toolkit.runs.observers import RunProgress
-from toolkit.slam import Slam
+from toolkit.slam.result import FrameResult, SlamResult
+from toolkit.slam.system import Slam
 
 _log = logging.getLogger(__name__)
 

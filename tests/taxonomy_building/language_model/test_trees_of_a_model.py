@@ -9,9 +9,9 @@ import pytest
 from fake_endpoint import Behaviour, Response, fails, honest
 from test_language_model import CLASSES, INJECTIONS, LIES
 
-from toolkit.datasets.synthetic.vocabulary import CLASS_NAMES
 from toolkit.errors import SettingsError
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.taxonomy_building.language_model.chat import ChatModel, NoModelError
 from toolkit.taxonomy_building.language_model.exchanges import (

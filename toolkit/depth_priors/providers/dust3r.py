@@ -24,8 +24,8 @@ from toolkit.depth_priors.provider import (
 )
 from toolkit.depth_priors.providers.packages import image_of, import_package, resized, weights_of
 from toolkit.depth_priors.providers.weights import sha256_of
+from toolkit.features.pretrained.loading import device_of
 from toolkit.frame import Frame
-from toolkit.pretrained.loading import device_of
 
 _LICENCE = "CC BY-NC-SA 4.0 (non-commercial)"
 _CLASSES = {

@@ -23,8 +23,8 @@ from toolkit.depth_priors.provider import (
 )
 from toolkit.depth_priors.providers.packages import image_of, import_package, weights_of
 from toolkit.depth_priors.providers.weights import sha256_of
+from toolkit.features.pretrained.loading import device_of
 from toolkit.frame import Frame
-from toolkit.pretrained.loading import device_of
 
 _SOURCE = "https://github.com/microsoft/MoGe"
 _FILE = "model.pt"

@@ -23,8 +23,13 @@ from toolkit.depth_priors.provider import (
 )
 from toolkit.depth_priors.providers.weights import sha256_of
 from toolkit.errors import FormatError
+from toolkit.features.pretrained.loading import (
+    check_folder,
+    device_of,
+    load_image_processor,
+    load_model,
+)
 from toolkit.frame import Frame
-from toolkit.pretrained.loading import check_folder, device_of, load_image_processor, load_model
 
 # What the output of an architecture means. For both kinds of Depth Anything, it is in the
 # configuration. Depth Pro is in `_DEPTH_PRO`.

@@ -30,8 +30,8 @@ from toolkit.depth_priors.providers.packages import (
     weights_of,
 )
 from toolkit.depth_priors.providers.weights import sha256_of
+from toolkit.features.pretrained.loading import device_of
 from toolkit.frame import Frame
-from toolkit.pretrained.loading import device_of
 
 _SOURCE = "https://github.com/facebookresearch/vggt"
 _WIDTH, _PATCH = 518, 14

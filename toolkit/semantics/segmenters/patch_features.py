@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.pretrained.vision_transformer import VisionTransformer
+from toolkit.features.pretrained.vision_transformer import VisionTransformer
 
 
 class PatchEncoder:

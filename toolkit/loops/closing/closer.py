@@ -1,0 +1,379 @@
+"""Loop closure from candidates to corrections (G-III.C): verify, optimise the graph, move anchors.
+
+Loops are closed when a submap ends, and once more at the end of the run. Inside a submap, edges
+are estimated from the images of two keyframes, and keyframes are moved together with the Gaussians
+they seeded. Between submaps, edges are estimated by registration, and only anchors are moved.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.frame import NullRecorder, Recorder
+from toolkit.geometry import se3
+from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
+from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.keyframe_loops import KeyframeLoops
+from toolkit.loops.closing.options import ClosingOptions
+from toolkit.loops.closing.parts import ClosingParts
+from toolkit.loops.closing.records import correction_values, motion_values, verdict
+from toolkit.loops.closing.submap_loops import SubmapLoops
+from toolkit.loops.closing.uncertainty import PathPose, frame_covariances, measured_links
+from toolkit.loops.detection import LoopDetector
+from toolkit.loops.log import LoopLog
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.correction import (
+    PoseCorrection,
+    submap_graph,
+)
+from toolkit.loops.pose_graph.graph import PoseEdge, connected_parts
+from toolkit.loops.relocalisation import Relocalisation, Relocaliser
+from toolkit.stages import Stage
+from toolkit.submaps.atlas import Atlas
+
+Array = NDArray[np.float64]
+
+# Number of similar keyframes that a doubtful frame is matched with.
+_SIMILAR = 4
+
+_log = logging.getLogger(__name__)
+
+
+class LoopCloser:
+    """Finds loops during a run and corrects the atlas; see `LoopClosing`.
+
+    Args:
+        log: receives each candidate and each decision; None disables it.
+    """
+
+    def __init__(
+        self,
+        detector: LoopDetector,
+        parts: ClosingParts,
+        options: ClosingOptions | None = None,
+        log: LoopLog | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.options = options or ClosingOptions()
+        self.loops: list[PoseEdge] = []
+        self._detector, self._parts, self._log = detector, parts, log
+        self._recorder = recorder or NullRecorder()
+        self._links: list[PoseEdge] = []
+        self._pending: list[LoopCandidate] = []
+        self._deferred = False
+        self._between = SubmapLoops(parts, self.options, self._record)
+
+    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
+        """Keyframes of the active submap that look most similar to a view; see `LoopClosing`."""
+        keyframes = {keyframe.index: keyframe for keyframe in atlas.mapper.keyframes}
+        found = self._detector.most_similar(view, _SIMILAR)
+        return [keyframes[s.frame] for s in found if s.frame in keyframes]
+
+    def map_loaded(self, atlas: Atlas) -> None:
+        """Add the keyframes and the anchors of a loaded map, which is treated as rigid."""
+        self._detector.add_saved_submaps(atlas.submap(number) for number in range(atlas.saved))
+        for first, second in pairwise(range(atlas.saved)):
+            T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
+            self._links.append(PoseEdge(first, second, T, _RIGID))
+
+    def defer(self) -> None:
+        """Close loops between submaps in `finish` only, because registration takes long."""
+        self._deferred = True
+
+    def keyframe_added(self, atlas: Atlas) -> None:
+        """Search for loops at the newest keyframe of the active submap."""
+        with self._recorder.timed(Stage.LOOP_DETECTION):
+            considered = self._detector.observe(atlas)
+        if self._detector.searched:
+            query = atlas.mapper.keyframes[-1].index
+            self._record("search", {"query": query, "considered": len(considered)})
+        for candidate in considered:
+            self._record("candidate", candidate.record())
+        self._pending += [c for c in considered if c.accepted]
+
+    def submap_ending(self, atlas: Atlas) -> Array | None:
+        """Close the loops inside the active submap; see `LoopClosing`."""
+        keyframes = atlas.mapper.keyframes
+        if not keyframes:
+            return None
+        T_map_camera = keyframes[-1].T_map_camera
+        if not self.close_within(atlas):
+            return None
+        return atlas.mapper.keyframes[-1].T_map_camera @ se3.inverse(T_map_camera)
+
+    def submap_started(self, atlas: Atlas, information: Array) -> None:
+        """Add the odometry edge to the new submap, and close the loops of the previous submap."""
+        self.add_odometry(atlas, information)
+        self._submap_ended(atlas)
+
+    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
+        """Connect a submap that started at a lost frame, and close the previous submap's loops."""
+        self._connect(atlas, found)
+        self._submap_ended(atlas)
+        self.keyframe_added(atlas)
+
+    def _submap_ended(self, atlas: Atlas) -> None:
+        """Close the loops of the submap before the active one, unless this is deferred."""
+        if not self._deferred:
+            self.close_between(atlas, atlas.active - 1)
+
+    def finish(self, atlas: Atlas) -> None:
+        """Close all remaining loops, and register overlapping submaps once more."""
+        # Before refinement, which changes the map that frames and submaps are registered against.
+        self.submap_ending(atlas)
+        for number in sorted({c.query_submap for c in self._pending} | {atlas.active}):
+            self.close_between(atlas, number)
+        self.register_overlaps(atlas)
+
+    def close_within(self, atlas: Atlas) -> bool:
+        """Close the loops inside the active submap; return whether its keyframes moved."""
+        number = atlas.active
+        candidates = [c for c in self._pending if c.query_submap == c.match_submap == number]
+        self._pending = [c for c in self._pending if c not in candidates]
+        if not candidates or not self.options.within:
+            return False
+        with self._recorder.timed(Stage.LOOPS_WITHIN):
+            return KeyframeLoops(self._parts, self.options, self._record).close(atlas, candidates)
+
+    def add_odometry(self, atlas: Atlas, information: Array) -> None:
+        """Add the odometry edge from the previous submap's anchor to the active submap's anchor.
+
+        Args:
+            information: [6, 6] of the boundary keyframe, from the tracker.
+        """
+        new = atlas.active
+        boundary = next(iter(atlas.keyframe_poses(new)))
+        poses = atlas.keyframe_poses(new - 1)
+        path = [T for index, T in poses.items() if index <= boundary]
+        edge = self._parts.noise.along(new - 1, new, path, information)
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
+
+    def _connect(self, atlas: Atlas, found: Relocalisation | None) -> None:
+        """Add the edges of a submap that started at a lost frame.
+
+        Its odometry is interrupted, so its pose relative to the previous submap is uncertain. If
+        the frame was relocalised in a submap, the relocalisation becomes a loop edge.
+        """
+        new = atlas.active
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self._links.append(PoseEdge(new - 1, new, T, _UNKNOWN_POSE))
+        if found is None:
+            return
+        result = found.result
+        edge = self._parts.loop_noise.edge(
+            found.submap, new, result.T_map_camera, result.information
+        )
+        self.loops.append(edge)
+        values = {"first": found.submap, "second": new, "visible": result.visible_fraction}
+        self._record("found", values | _found_motion(atlas, found))
+
+    @property
+    def relocaliser(self) -> Relocaliser:
+        """Relocalises lost frames."""
+        return self._parts.relocaliser
+
+    def close_between(self, atlas: Atlas, number: int) -> bool:
+        """Close the loops of one submap with older submaps; return whether anchors moved."""
+        candidates = [c for c in self._pending if c.query_submap == number != c.match_submap]
+        self._pending = [c for c in self._pending if c not in candidates]
+        if not candidates or not self.options.between:
+            return False
+        with self._recorder.timed(Stage.LOOPS_BETWEEN):
+            found = False
+            # After a relocalisation, two submaps have a loop edge before they are registered.
+            existing = {(loop.first, loop.second): loop for loop in self.loops}
+            for other in sorted({c.match_submap for c in candidates}):
+                pairs = [c for c in candidates if c.match_submap == other]
+                new = self._between.close(atlas, (other, number), pairs, self._links)
+                edge = existing.get((other, number))
+                if new is None and edge is not None:
+                    self._between.confirm(atlas, edge, pairs)
+                if new is not None:
+                    self.loops.append(new)
+                    found = True
+            return found and self._correct_between(atlas)
+
+    def register_overlaps(self, atlas: Atlas) -> bool:
+        """Register all overlapping finished submaps again (stage 2 of G).
+
+        The papers render the joined map at each keyframe and move the anchors by gradient descent.
+        Registration of each overlapping pair optimises the same alignment with second-order steps,
+        and its results can be weighted and rejected.
+
+        Returns:
+            Whether anchors moved.
+        """
+        if not self.loops or not self.options.between:
+            return False
+        with self._recorder.timed(Stage.ANCHOR_REGISTRATION):
+            existing = {(loop.first, loop.second): loop for loop in self.loops}
+            registered = []
+            for first, second in self._between.overlapping(atlas, set(existing), self.parts(atlas)):
+                edge = self._between.register(atlas, first, second, self._links)
+                edge = edge or existing.get((first, second))
+                registered += [] if edge is None else [edge]
+            self.loops = registered
+            moved = self._correct_between(atlas)
+            return self._register_neighbours(atlas) or moved
+
+    def _register_neighbours(self, atlas: Atlas) -> bool:
+        """Register neighbours without a loop edge once more, starting at their corrected poses.
+
+        Without an edge of their own, the drift between two neighbours would only be distributed
+        over the graph.
+        """
+        connected = {(loop.first, loop.second) for loop in self.loops}
+        missing = [pair for pair in self._between.neighbours(atlas) if pair not in connected]
+        edges = [self._between.register_neighbours(atlas, *pair, self._links) for pair in missing]
+        new = [edge for edge in edges if edge is not None]
+        self.loops += new
+        return bool(new) and self._correct_between(atlas)
+
+    def _correct_between(self, atlas: Atlas) -> bool:
+        """Optimise the anchors over all consistent loops; return whether anchors moved."""
+        parts = self._parts
+        agreement = consistent_loops(OdometryChain(self._links), self.loops, parts.consistency)
+        for index, loop in enumerate(self.loops):
+            if index not in agreement.kept:
+                reason = agreement.reason(index)
+                values = {"first": loop.first, "second": loop.second}
+                self._record("consistency", values | verdict(reason))
+        self.loops = [self.loops[k] for k in agreement.kept]
+        if not self.loops:
+            return False
+        poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
+        graph = submap_graph(poses, self._links, self.loops)
+        solution = parts.optimiser.optimise(graph)
+        retracted = [graph.edges[k] for k in solution.retracted]
+        for edge in retracted:
+            values = {"first": edge.first, "second": edge.second}
+            self._record("retracted", values | verdict("contradicts the rest of the graph"))
+        self.loops = [loop for loop in self.loops if not any(loop is e for e in retracted)]
+        correction = PoseCorrection.of(graph, solution)
+        for number, T in correction.T_new.items():
+            if number >= atlas.saved:
+                atlas.move(number, T)
+        self._record(
+            "correction between",
+            {"loops": len(self.loops), **correction_values(correction)},
+        )
+        _log.info(
+            "Closed %d loops between submaps: anchors moved by up to %.1f cm.",
+            len(self.loops),
+            100 * correction.largest_m,
+        )
+        return True
+
+    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
+        """Submaps with known relative poses; see `LoopClosing`."""
+        known = [link for link in self._links if not _is_unknown(link)]
+        return connected_parts(range(len(atlas)), [*known, *self.loops])
+
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
+        """Covariances of frame poses; see `frame_covariances`."""
+        measured = measured_links(self._links, path, self._parts.noise)
+        links = [
+            before if _is_fixed(before) else link
+            for before, link in zip(self._links, measured, strict=True)
+        ]
+        anchors: dict[int, Array] = {}
+        for part in self.parts(atlas):
+            anchors |= self._anchor_covariances(atlas, part, links)
+        ordered = [anchors[number] for number in range(len(atlas))]
+        return frame_covariances(ordered, path, self._parts.noise)
+
+    def _anchor_covariances(
+        self, atlas: Atlas, part: tuple[int, ...], links: Sequence[PoseEdge]
+    ) -> dict[int, Array]:
+        """Covariance [6, 6] of each anchor of a part relative to the first one, by number."""
+        links, loops = (
+            [edge for edge in edges if edge.first in part and edge.second in part]
+            for edges in (links, self.loops)
+        )
+        first, *others = part
+        anchors = {first: np.zeros((6, 6))}
+        if others and not loops:
+            chain = OdometryChain(links)
+            anchors |= {number: chain.covariance(first, number) for number in others}
+        elif others:
+            poses = {number: atlas.T_world_submap(number) for number in part}
+            graph = submap_graph(poses, links, loops)
+            solution = self._parts.optimiser.optimise(graph)
+            assert solution.covariances is not None
+            anchors = dict(zip(graph.nodes, solution.covariances, strict=True))
+        return anchors
+
+    def _record(self, kind: str, values: dict[str, Any]) -> None:
+        if self._log is not None:
+            self._log.write({"kind": kind, **values})
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values for `restore`."""
+        arrays = {f"detector/{name}": array for name, array in self._detector.state().items()}
+        ends = []
+        for name, edges in (("loops", self.loops), ("links", self._links)):
+            T = np.array([edge.T_first_second for edge in edges]).reshape(-1, 4, 4)
+            information = np.array([edge.information for edge in edges]).reshape(-1, 6, 6)
+            arrays |= {f"{name}/T": T, f"{name}/information": information}
+            ends.append([[edge.first, edge.second] for edge in edges])
+        values = {
+            "ends": ends,
+            "suspected": [asdict(candidate) for candidate in self._pending],
+            "log_bytes": None if self._log is None else self._log.size_bytes,
+        }
+        return arrays, values
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`, and truncate the log to its size at that time."""
+        self._detector.restore(arrays_below(arrays, "detector/"))
+        restored = []
+        for name, ends in zip(("loops", "links"), values["ends"], strict=True):
+            make = PoseEdge.loop if name == "loops" else PoseEdge
+            rows = zip(ends, arrays[f"{name}/T"], arrays[f"{name}/information"], strict=True)
+            restored.append([make(first, second, T, info) for (first, second), T, info in rows])
+        self.loops, self._links = restored
+        self._pending = [LoopCandidate(**candidate) for candidate in values["suspected"]]
+        if self._log is not None and values["log_bytes"] is not None:
+            self._log.truncate(values["log_bytes"])
+
+
+def _found_motion(atlas: Atlas, found: Relocalisation) -> dict[str, Any]:
+    """The pose of a relocalised frame, the newest submap's anchor, relative to a keyframe.
+
+    That is the nearest one of the submap in which the frame was relocalised.
+    """
+    poses = atlas.keyframe_poses(found.submap)
+    if not poses:
+        return {}
+    T_query = found.T_submap_camera
+    match = min(poses, key=lambda index: np.linalg.norm(poses[index][:3, 3] - T_query[:3, 3]))
+    query = next(iter(atlas.keyframe_poses(atlas.active)))
+    motion = motion_values(se3.inverse(poses[match]) @ T_query)
+    return {"query": query, "match": match} | motion
+
+
+# Information of an unknown pose: standard deviations of 10 m and 3 rad.
+_UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
+
+
+def _is_unknown(link: PoseEdge) -> bool:
+    """Whether a link only bounds the pose of a submap that started at a lost frame."""
+    return np.array_equal(link.information, _UNKNOWN_POSE)
+
+
+# Information between the submaps of a loaded map, whose relative poses are fixed.
+_RIGID = np.eye(6) * 1e9
+
+
+def _is_fixed(link: PoseEdge) -> bool:
+    """Whether tracking did not measure an edge: its pose is unknown, or that of a loaded map."""
+    return any(np.array_equal(link.information, fixed) for fixed in (_UNKNOWN_POSE, _RIGID))

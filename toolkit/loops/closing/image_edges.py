@@ -1,0 +1,140 @@
+"""Loop edges between submaps from the images of two keyframes.
+
+Registration compares maps, which a short overlap or wrong depth may not suffice for. The images of
+two keyframes that are verified in both directions give an edge of their own, and contradict
+registrations of the wrong place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.matching import Offset
+from toolkit.geometry import se3
+from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.options import ClosingOptions
+from toolkit.loops.closing.parts import ClosingParts
+from toolkit.loops.closing.records import Record, pair_values, verdict
+from toolkit.loops.closing.uncertainty import NEGLIGIBLE_NOISE
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.graph import PoseEdge, information_of
+from toolkit.loops.pose_graph.noise import path_between
+from toolkit.submaps.atlas import Atlas
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageEdges:
+    """What the images of candidate pairs say about the relative pose of two submaps.
+
+    Attributes:
+        matched: number of candidate pairs with enough feature matches.
+        edges: edges of the verified pairs that agree with the odometry, most matches first.
+        T_second_query: [4, 4] pose of each edge's query in the second submap.
+    """
+
+    matched: int
+    edges: list[PoseEdge]
+    T_second_query: list[Array]
+
+    def contradiction(self, T_first_second: Array, options: ClosingOptions) -> str:
+        """Why a relative pose of the submaps contradicts all edges; empty if one agrees."""
+        differences = [
+            se3.inverse(edge.T_first_second @ T) @ T_first_second @ T
+            for edge, T in zip(self.edges, self.T_second_query, strict=True)
+        ]
+        if not differences:
+            return ""
+        metres = [float(np.linalg.norm(T[:3, 3])) for T in differences]
+        radians = [float(se3.rotation_angle_rad(T[:3, :3])) for T in differences]
+        limits = (options.max_image_difference_m, options.max_image_difference_rad)
+        if any(m <= limits[0] and r <= limits[1] for m, r in zip(metres, radians, strict=True)):
+            return ""
+        nearest = int(np.argmin(metres))
+        degrees = np.degrees(radians[nearest])
+        return f"the images differ by {100 * metres[nearest]:.1f} cm and {degrees:.1f} degrees"
+
+
+class ImageLoops:
+    """Estimates edges between submaps from the images of candidate pairs."""
+
+    def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
+        self._parts, self._options, self._record = parts, options, record
+
+    def edges(
+        self,
+        atlas: Atlas,
+        submaps: tuple[int, int],
+        candidates: Sequence[LoopCandidate],
+        odometry: Sequence[PoseEdge],
+    ) -> ImageEdges:
+        """At most one edge for each query among the candidate pairs of two submaps.
+
+        Args:
+            submaps: numbers of the older submap, of the matches, and of the queries' submap.
+
+        Raises:
+            ToolkitError: a submap cannot be read.
+        """
+        first, second = (
+            {keyframe.index: keyframe for keyframe in atlas.submap(number).keyframes}
+            for number in submaps
+        )
+        matcher = self._parts.matcher
+        matched = 0
+        found: list[tuple[int, PoseEdge, Array]] = []
+        for query in dict.fromkeys(candidate.query for candidate in candidates):
+            pairs = [(first[c.match], second[query]) for c in candidates if c.query == query]
+            promising = matcher.most_matches(pairs)
+            matched += len(promising)
+            for number, rough in promising:
+                match, own = pairs[number]
+                result = matcher.verified(match, own, rough)
+                values = dict(zip(("first", "second"), submaps, strict=True))
+                values |= {"query": query, "match": match.index}
+                reason, edge = result.reason, None
+                if result.offset is not None and not reason:
+                    edge = self._edge(atlas, submaps, (match.index, query), result.offset)
+                    reason = consistent_loops(
+                        OdometryChain(odometry), [edge], self._parts.consistency
+                    ).reason(0)
+                self._record("images", values | pair_values(result) | verdict(reason))
+                if edge is not None and not reason:
+                    found.append((result.matches, edge, own.T_map_camera))
+                    break
+        found.sort(key=lambda entry: -entry[0])
+        return ImageEdges(matched, [edge for _, edge, _ in found], [T for _, _, T in found])
+
+    def _edge(
+        self, atlas: Atlas, submaps: tuple[int, int], frames: tuple[int, int], offset: Offset
+    ) -> PoseEdge:
+        """The edge between submaps from the offset Z of two of their keyframes.
+
+        T_first_second = A Z B^-1 with the poses A and B of the keyframes in their submaps, whose
+        errors are those of the odometry from the anchors.
+        """
+        A, B = (
+            atlas.keyframe_poses(number)[frame]
+            for number, frame in zip(submaps, frames, strict=True)
+        )
+        drift_a, drift_b = (
+            self._drift(atlas, number, frame) for number, frame in zip(submaps, frames, strict=True)
+        )
+        Z = offset.T_first_second
+        # Perturbations at A are moved to the query's camera; those at B have the opposite sign.
+        to_query, to_second = se3.adjoint(se3.inverse(Z)), se3.adjoint(B)
+        covariance = self._parts.loop_noise.alignment(offset.information)
+        covariance = covariance + drift_b + to_query @ drift_a @ to_query.T
+        covariance = to_second @ covariance @ to_second.T
+        T = se3.orthonormalise(A @ Z @ se3.inverse(B))
+        return PoseEdge.loop(*submaps, T, information_of(covariance))
+
+    def _drift(self, atlas: Atlas, number: int, frame: int) -> Array:
+        """Covariance [6, 6] of a keyframe's pose in its submap."""
+        path = [T for index, T in atlas.keyframe_poses(number).items() if index <= frame]
+        return self._parts.noise.covariance(NEGLIGIBLE_NOISE, *path_between(path))

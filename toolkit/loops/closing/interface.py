@@ -1,0 +1,149 @@
+"""Interface between the SLAM system and loop closure, and its implementation without loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.keyframe import Keyframe
+from toolkit.loops.closing.uncertainty import PathPose
+from toolkit.loops.pose_graph.graph import PoseEdge
+from toolkit.loops.relocalisation import Relocalisation, Relocaliser
+from toolkit.submaps.atlas import Atlas
+
+Array = NDArray[np.float64]
+
+
+class LoopClosing(Protocol):
+    """Receives the events of a run, in chronological order."""
+
+    @property
+    def loops(self) -> Sequence[PoseEdge]:
+        """The accepted loop edges between submaps."""
+        ...
+
+    @property
+    def relocaliser(self) -> Relocaliser | None:
+        """Relocalises lost frames; None without relocalisation."""
+        ...
+
+    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
+        """Keyframes of the active submap that look most similar to a view, most similar first."""
+        ...
+
+    def map_loaded(self, atlas: Atlas) -> None:
+        """The atlas has loaded the map of an earlier run."""
+        ...
+
+    def defer(self) -> None:
+        """Close loops between submaps in `finish` only, because registration takes long."""
+        ...
+
+    def keyframe_added(self, atlas: Atlas) -> None:
+        """The active submap has a new keyframe."""
+        ...
+
+    def submap_ending(self, atlas: Atlas) -> Array | None:
+        """The active submap is about to end.
+
+        Returns:
+            The motion T_new_old [4, 4] of its newest keyframe; None if the keyframe did not move.
+        """
+        ...
+
+    def submap_started(self, atlas: Atlas, information: Array) -> None:
+        """A submap has started at the newest keyframe of the previous submap.
+
+        Args:
+            information: [6, 6] information matrix of that keyframe, from the tracker.
+        """
+        ...
+
+    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
+        """A submap has started at a lost frame.
+
+        Args:
+            found: the relocalisation of the frame; None if it failed.
+        """
+        ...
+
+    def finish(self, atlas: Atlas) -> None:
+        """The sequence has ended; the submaps are not refined yet."""
+        ...
+
+    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
+        """Parts of the map: the ascending numbers of submaps whose relative poses are known.
+
+        Submaps are connected by odometry, and by the loops accepted so far. A submap that started
+        where relocalisation had failed is a part of its own until a loop connects it.
+
+        Returns:
+            The parts in the order of their first submaps.
+        """
+        ...
+
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
+        """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown.
+
+        Anchors are uncertain relative to the first submap of their part.
+        """
+        ...
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values for `restore`."""
+        ...
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        ...
+
+
+class NoLoopClosing:
+    """Does not close loops and does not relocalise frames."""
+
+    loops: Sequence[PoseEdge] = ()
+    relocaliser: Relocaliser | None = None
+
+    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
+        """Nothing is known about similarity."""
+        return []
+
+    def map_loaded(self, atlas: Atlas) -> None:
+        """Do nothing."""
+
+    def defer(self) -> None:
+        """Do nothing."""
+
+    def keyframe_added(self, atlas: Atlas) -> None:
+        """Do nothing."""
+
+    def submap_ending(self, atlas: Atlas) -> Array | None:
+        """Move nothing."""
+        return None
+
+    def submap_started(self, atlas: Atlas, information: Array) -> None:
+        """Do nothing."""
+
+    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
+        """Do nothing."""
+
+    def finish(self, atlas: Atlas) -> None:
+        """Do nothing."""
+
+    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
+        """All submaps are one part: without relocalisation, none starts at an unknown pose."""
+        return [tuple(range(len(atlas)))]
+
+    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
+        """Covariances are unknown."""
+        return None
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """There is no state."""
+        return {}, {}
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """There is no state."""

@@ -1,0 +1,157 @@
+"""Relative pose of two keyframes that may show the same place, verified from their images alone.
+
+A cheap test comes first: feature matches with depth, of which enough must agree with one motion.
+What passes is aligned densely in both directions. The directions use different models, occlusions
+and noise, so that a result of the wrong place is hardly ever confirmed by the other one. Errors
+that both directions share, such as depth that was measured earlier than colour in a fast turn, are
+found by the correlation of the images (`pair_evidence`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.matching import KeypointCache, Offset, match_features, refine_offset
+from toolkit.alignment.options import MatchingOptions
+from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
+from toolkit.loops.closing.options import PairOptions
+from toolkit.loops.closing.pair_evidence import EvidenceCollector, PairEvidence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RoughMotion:
+    """Motion between two keyframes from their feature matches.
+
+    Attributes:
+        T_first_second: [4, 4].
+        matches: number of matches that agree with it.
+    """
+
+    T_first_second: Array
+    matches: int
+
+
+@dataclass(frozen=True)
+class VerifiedPair:
+    """The relative pose of two keyframes, or the reason why it is not reliable.
+
+    Attributes:
+        matches: number of feature matches that agree with one motion; 0 if none was found.
+        offset: relative pose; None if it was not estimated.
+        reason: why it is rejected; empty if it is verified.
+        evidence: similarity of the images; None if the alignment itself was rejected.
+    """
+
+    matches: int
+    offset: Offset | None
+    reason: str
+    evidence: PairEvidence | None = None
+
+
+class PairMatcher:
+    """Verifies pairs of keyframes; keeps the keypoints of those it used last.
+
+    Args:
+        matching: feature matching and dense alignment.
+        options: requirements.
+    """
+
+    def __init__(self, matching: MatchingOptions, options: PairOptions) -> None:
+        self._matching = replace(matching, min_matches=options.min_matches)
+        self._options = options
+        self._keypoints = KeypointCache()
+        self._evidence = EvidenceCollector()
+
+    def rough(self, first: Keyframe, second: Keyframe) -> RoughMotion | None:
+        """The motion from feature matches alone; None if too few agree."""
+        matched = match_features(first, second, self._matching, self._keypoints)
+        if matched is None or len(matched.first) < self._matching.min_matches:
+            return None
+        motion = matched.motion(self._matching, np.random.default_rng(0))
+        return None if motion is None else RoughMotion(*motion)
+
+    def most_matches(
+        self, pairs: Iterable[tuple[Keyframe, Keyframe]]
+    ) -> list[tuple[int, RoughMotion]]:
+        """Positions and motions of the pairs that pass the cheap test, most matches first."""
+        rough = [(number, self.rough(*pair)) for number, pair in enumerate(pairs)]
+        passed = [(number, motion) for number, motion in rough if motion is not None]
+        return sorted(passed, key=lambda entry: -entry[1].matches)
+
+    def verified(self, first: Keyframe, second: Keyframe, rough: RoughMotion) -> VerifiedPair:
+        """Align two keyframes densely in both directions."""
+        forward = self._refined(first, second, rough.T_first_second, rough)
+        if forward is None:
+            return VerifiedPair(rough.matches, None, "dense alignment of the images failed")
+        backward = self._refined(second, first, se3.inverse(rough.T_first_second), rough)
+        if backward is None:
+            reason = "dense alignment of the images failed in the other direction"
+            return VerifiedPair(rough.matches, forward, reason)
+        offset, reason = _mean(forward, backward), self._rejection(forward, backward)
+        if reason:
+            return VerifiedPair(rough.matches, offset, reason)
+        evidence = self._evidence.of(first, second, offset.T_first_second, rough.T_first_second)
+        return VerifiedPair(rough.matches, offset, self._contradiction(evidence), evidence)
+
+    def _refined(
+        self, first: Keyframe, second: Keyframe, start: Array, rough: RoughMotion
+    ) -> Offset | None:
+        return refine_offset(first, second, start, rough.matches, self._matching)
+
+    def _rejection(self, forward: Offset, backward: Offset) -> str:
+        """Why an offset is not reliable; empty if it is."""
+        options = self._options
+        difference = se3.log(forward.T_first_second @ backward.T_first_second)
+        metres, radians = np.linalg.norm(difference[:3]), np.linalg.norm(difference[3:])
+        if metres > options.max_disagreement_m or radians > options.max_disagreement_rad:
+            degrees = np.degrees(radians)
+            return f"the directions differ by {100 * metres:.1f} cm and {degrees:.1f} degrees"
+        visible = max(forward.visible, backward.visible)
+        if visible < options.min_visible:
+            return f"only {100 * visible:.0f} % of the view is shared"
+        sigma_m = translation_sigma_m(forward.information)
+        if not sigma_m < options.max_sigma_m:
+            return f"the position is uncertain by {100 * sigma_m:.1f} cm"
+        return ""
+
+    def _contradiction(self, evidence: PairEvidence) -> str:
+        """Why the images contradict an offset; empty if they do not."""
+        correlation, lost = evidence.correlation, evidence.lost_correlation
+        if correlation < self._options.min_correlation:
+            return f"the aligned images correlate by {correlation:.2f} only"
+        if lost > self._options.max_lost_correlation:
+            before = correlation + lost
+            return (
+                f"colour and depth disagree: the images correlate by {before:.2f} at the pose of "
+                f"their features, and by {correlation:.2f} after dense alignment"
+            )
+        displacement = evidence.displacement_rad
+        if displacement > self._options.max_displacement_rad:
+            degrees = np.degrees(displacement)
+            return f"parts of the images are displaced by {degrees:.2f} degrees, as if bent"
+        return ""
+
+
+def translation_sigma_m(information: Array) -> float:
+    """Largest standard deviation of the translation; infinite if it is unknown."""
+    values, vectors = np.linalg.eigh(information)
+    if not values[0] > 0:
+        return float("inf")
+    covariance = (vectors / values) @ vectors.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+
+
+def _mean(forward: Offset, backward: Offset) -> Offset:
+    """The pose halfway between both directions, whose biases are opposite."""
+    difference = se3.log(forward.T_first_second @ backward.T_first_second)
+    # forward^-1 backward^-1 = exp(-d) conjugated; half of it from the left.
+    T = se3.exp(-0.5 * difference) @ forward.T_first_second
+    visible = max(forward.visible, backward.visible)
+    return replace(forward, T_first_second=se3.orthonormalise(T), visible=visible)

@@ -1,0 +1,39 @@
+"""The components of loop closure and their options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from toolkit.loops.closing.pair_matching import PairMatcher
+from toolkit.loops.options import VerificationOptions
+from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.loops.pose_graph.options import ConsistencyOptions
+from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.loops.registration.result import Registrar
+from toolkit.loops.relocalisation import Relocaliser
+
+
+@dataclass(frozen=True)
+class ClosingParts:
+    """Components of loop closure.
+
+    Attributes:
+        registrar: registers submaps.
+        nearby: registers submaps whose relative pose is approximately known.
+        matcher: verifies pairs of keyframes from their images.
+        relocaliser: relocalises lost frames.
+        verification, consistency: conditions that a loop edge must satisfy.
+        noise: noise of odometry edges.
+        loop_noise: noise of loop edges.
+        optimiser: optimises pose graphs.
+    """
+
+    registrar: Registrar
+    nearby: Registrar
+    matcher: PairMatcher
+    relocaliser: Relocaliser
+    verification: VerificationOptions
+    consistency: ConsistencyOptions
+    noise: OdometryNoise
+    loop_noise: LoopNoise
+    optimiser: PoseGraphOptimiser

@@ -1,0 +1,218 @@
+"""Loops between submaps: choice of the pairs to register, and verification of the results."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import ToolkitError
+from toolkit.geometry import se3
+from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
+from toolkit.loops.closing.options import ClosingOptions
+from toolkit.loops.closing.parts import ClosingParts
+from toolkit.loops.closing.records import Record, motion_values, registration_values, verdict
+from toolkit.loops.closing.visibility import Visibility
+from toolkit.loops.options import VerificationOptions
+from toolkit.loops.pose_graph.chi_square import quantile
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.graph import PoseEdge
+from toolkit.loops.registration.result import Registrar, RegistrationResult, register_pair
+from toolkit.loops.verification import rejection_reason
+from toolkit.submaps.atlas import Atlas
+
+# Neighbours overlap at least in the views around their boundary.
+_NEIGHBOUR_VERIFICATION = VerificationOptions(min_overlap=0.15)
+
+
+@dataclass(frozen=True, eq=False)
+class _Registration:
+    """A registration of two submaps: its edge, its result and the relative pose before it."""
+
+    edge: PoseEdge
+    result: RegistrationResult
+    T_before: NDArray[np.float64]
+
+
+class SubmapLoops:
+    """Estimates loop edges between submaps, and records why registrations are rejected."""
+
+    def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
+        self._parts, self._options, self._record = parts, options, record
+        self._images = ImageLoops(parts, options, record)
+
+    def overlapping(
+        self,
+        atlas: Atlas,
+        loops: set[tuple[int, int]],
+        parts: Sequence[Sequence[int]],
+    ) -> list[tuple[int, int]]:
+        """Pairs of submaps with a loop edge, or with overlapping keyframe views.
+
+        The latter are chosen in order of decreasing overlap, as long as one of the two submaps has
+        fewer than `max_partners` partners.
+
+        Args:
+            loops: pairs with a loop edge.
+            parts: submaps with known relative poses; those of others overlap by chance only.
+        """
+        views = {number: Visibility.of(atlas.submap(number)) for number in atlas.readable()}
+        part = {number: k for k, numbers in enumerate(parts) for number in numbers}
+        # The relative poses of loaded submaps are fixed.
+        pairs = [(a, b) for a in views for b in views if a < b and b >= atlas.saved]
+        pairs = [(a, b) for a, b in pairs if part[a] == part[b]]
+        chosen = [pair for pair in pairs if pair in loops]
+        partners = Counter(number for pair in chosen for number in pair)
+        overlaps = {(a, b): views[a].overlap(views[b]) for a, b in pairs if (a, b) not in loops}
+        for pair in sorted(overlaps, key=lambda pair: (-overlaps[pair], pair)):
+            fewest = min(partners[number] for number in pair)
+            if overlaps[pair] >= self._options.min_visible and fewest < self._options.max_partners:
+                chosen.append(pair)
+                partners.update(pair)
+        return sorted(chosen)
+
+    def neighbours(self, atlas: Atlas) -> list[tuple[int, int]]:
+        """Pairs of consecutive submaps that share the keyframe at their boundary."""
+        pairs = [(a, b) for a, b in pairwise(atlas.readable()) if b >= atlas.saved]
+        return [
+            (first, second)
+            for first, second in pairs
+            if next(iter(atlas.keyframe_poses(second))) in atlas.keyframe_poses(first)
+        ]
+
+    def register(
+        self,
+        atlas: Atlas,
+        first: int,
+        second: int,
+        odometry: Sequence[PoseEdge],
+        images: ImageEdges | None = None,
+    ) -> PoseEdge | None:
+        """Register two submaps; return their loop edge, or None if it cannot be verified.
+
+        Similar keyframes can be of different places (perceptual aliasing). If the odometry
+        contradicts the result, the submaps are registered again from their current poses.
+
+        Args:
+            images: edges of the candidate pairs' images, which the result must not contradict.
+        """
+        for registrar in (self._parts.registrar, self._parts.nearby):
+            registration = self._registered(registrar, atlas, first, second)
+            if registration is None:
+                return None
+            contradiction = self._contradiction(odometry, registration.edge)
+            if images is not None and not contradiction:
+                T = registration.edge.T_first_second
+                contradiction = images.contradiction(T, self._options)
+            rejection = rejection_reason(registration.result, self._parts.verification)
+            if self._accept(registration, rejection or contradiction):
+                return registration.edge
+            if not contradiction:
+                return None
+        return None
+
+    def close(
+        self,
+        atlas: Atlas,
+        submaps: tuple[int, int],
+        pairs: Sequence[LoopCandidate],
+        odometry: Sequence[PoseEdge],
+    ) -> PoseEdge | None:
+        """The loop edge of two submaps with candidate pairs of keyframes; None without one.
+
+        Submaps are registered only if the images of some pair match. If the registration is
+        rejected, verified images give the edge.
+        """
+        values = {"first": submaps[0], "second": submaps[1]}
+        try:
+            images = self._images.edges(atlas, submaps, pairs, odometry)
+        except ToolkitError as error:
+            self._record("between", values | verdict(str(error)))
+            return None
+        if images.matched == 0:
+            reason = f"the images of none of {len(pairs)} candidate pairs match"
+            self._record("between", values | verdict(reason))
+            return None
+        edge = self.register(atlas, *submaps, odometry, images)
+        if edge is not None and self.confirm(atlas, edge, pairs):
+            return edge
+        return images.edges[0] if images.edges else None
+
+    def register_neighbours(
+        self, atlas: Atlas, first: int, second: int, odometry: Sequence[PoseEdge]
+    ) -> PoseEdge | None:
+        """Register neighbours whose relative pose is approximately known; None if rejected.
+
+        Perceptual aliasing is impossible, so a smaller overlap suffices. If the registration
+        agrees with the current poses, the odometry between them is the more accurate measurement.
+        """
+        registration = self._registered(self._parts.nearby, atlas, first, second)
+        if registration is None:
+            return None
+        edge = registration.edge
+        reason = rejection_reason(registration.result, _NEIGHBOUR_VERIFICATION)
+        reason = reason or self._contradiction(odometry, edge)
+        chi2 = edge.chi2(np.eye(4), registration.T_before)
+        if not reason and chi2 <= quantile(self._options.drift_confidence, 6):
+            reason = "the registration agrees with the current poses"
+        return edge if self._accept(registration, reason) else None
+
+    def _registered(
+        self, registrar: Registrar, atlas: Atlas, first: int, second: int
+    ) -> _Registration | None:
+        """Register two submaps from their current poses; None if one of them cannot be read."""
+        T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
+        try:
+            result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
+        except ToolkitError as error:
+            # The run must continue if the file of a submap is missing or damaged.
+            self._record("between", {"first": first, "second": second} | verdict(str(error)))
+            return None
+        noise = self._parts.loop_noise
+        edge = noise.edge(first, second, result.T_target_source, result.information)
+        return _Registration(edge, result, T)
+
+    def _contradiction(self, odometry: Sequence[PoseEdge], edge: PoseEdge) -> str:
+        """Why a loop is inconsistent with the odometry; empty if it is consistent."""
+        chain = OdometryChain(odometry)
+        return consistent_loops(chain, [edge], self._parts.consistency).reason(0)
+
+    def _accept(self, registration: _Registration, reason: str) -> bool:
+        """Record a registration and the reason for rejecting it; return whether it is accepted."""
+        values = {"first": registration.edge.first, "second": registration.edge.second}
+        values |= registration_values(registration.result, registration.T_before)
+        self._record("between", values | verdict(reason))
+        return not reason
+
+    def confirm(self, atlas: Atlas, edge: PoseEdge, pairs: Sequence[LoopCandidate]) -> bool:
+        """Check whether a candidate pair of keyframes overlaps after the registration.
+
+        Submaps that overlap can be registered even if no candidate pair shows the same place; a
+        successful registration alone does not confirm the candidates.
+        """
+        matches = {k.index: k for k in atlas.submap(edge.first).keyframes}
+        queries = {k.index: k for k in atlas.submap(edge.second).keyframes}
+        confirmed = 0
+        for pair in pairs:
+            query, match = queries[pair.query], matches[pair.match]
+            points = se3.transform_points(edge.T_first_second, query.points_in_map())
+            shared = float(match.reaches(points).mean()) if len(points) else 0.0
+            T_first_query = edge.T_first_second @ query.T_map_camera
+            enough = shared >= self._options.min_shared
+            reason = "" if enough else f"only {100 * shared:.0f} % of the view is shared"
+            values = {
+                "first": edge.first,
+                "second": edge.second,
+                "query": pair.query,
+                "match": pair.match,
+                "shared": shared,
+                **motion_values(se3.inverse(match.T_map_camera) @ T_first_query),
+            }
+            self._record("verified", values | verdict(reason))
+            confirmed += enough
+        return confirmed > 0

@@ -1,1 +1,0 @@
-"""Recordings of a run's progress, for viewers."""

@@ -1,0 +1,326 @@
+"""Poses of the tracked frames relative to keyframes, so that they move with the map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.exposure import IDENTITY, NEUTRAL, Balance, Exposure
+from toolkit.frame import Frame, FrameStamp
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.loops.closing.uncertainty import PathPose
+from toolkit.loops.pose_graph.noise import pixel_covariance
+from toolkit.loops.relocalisation import LastPosition
+from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.health import has_depth
+from toolkit.tracking.result import TrackingResult, exposure_of
+from toolkit.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
+
+Array = NDArray[np.float64]
+
+# Time (seconds) over which the velocity is computed, whatever the frame rate. Over a shorter one,
+# it contains more of the errors of the poses, and of the tremor of the hand; older poses do not
+# give the present velocity.
+_VELOCITY_S = 0.12
+# Number of newest frames that may include these poses, if frames are dropped.
+_MAX_RECENT = 16
+# Standard deviation of directions of a pose that tracking did not determine, metres and radians.
+_UNSEEN = 1.0
+
+
+@dataclass(frozen=True)
+class _TrackedFrame:
+    """A tracked frame and its reference keyframe.
+
+    Attributes:
+        keyframe: frame index of the reference keyframe, which belongs to `submap`.
+        doubt: why the pose may be wrong; empty if it is reliable.
+        steps: number of optimisation steps on the frame, if it became a keyframe.
+    """
+
+    index: int
+    timestamp_s: float
+    submap: int
+    keyframe: int
+    exposure: Exposure
+    doubt: str = ""
+    steps: int = 0
+
+
+class CameraPath:
+    """The tracked and the lost frames of a run, in order.
+
+    Attributes:
+        lost_frames: reason by index of the frames without a pose, in order.
+        unreliable_in_a_row: number of doubtful and lost frames with depth since the last other one.
+        dropped_frames: indices of the frames that were not processed; those dropped while the
+            camera was lost are lost frames as well.
+    """
+
+    def __init__(self) -> None:
+        self.lost_frames: dict[int, str] = {}
+        self.unreliable_in_a_row = 0
+        self.dropped_frames: list[int] = []
+        self._frames: list[_TrackedFrame] = []
+        self._T_keyframe_camera: list[Array] = []
+        self._pixel_covariances: list[Array] = []
+
+    def add(
+        self,
+        frame: Frame,
+        atlas: Atlas,
+        T_submap_camera: Array,
+        tracking: TrackingResult | None,
+        steps: int = 0,
+    ) -> None:
+        """Add a frame of the active submap, relative to its newest keyframe.
+
+        Args:
+            T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
+            steps: number of optimisation steps on a keyframe.
+        """
+        last = atlas.mapper.keyframes[-1]
+        # The map follows the exposures of its keyframes, not those of tracking.
+        exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
+        doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
+        self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
+        self._frames.append(
+            _TrackedFrame(
+                frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt, steps
+            )
+        )
+        self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
+        self._pixel_covariances.append(_pixel_covariance(frame, tracking))
+
+    def add_lost(self, frame: Frame, reason: str, tried: bool = True) -> None:
+        """Add a frame without a pose, and why it has none.
+
+        Args:
+            tried: whether the camera could have been located in this frame.
+        """
+        self.lost_frames[frame.index] = reason
+        self.unreliable_in_a_row += tried and has_depth(frame)
+
+    def disorder(self, frame: FrameStamp) -> str:
+        """Why a frame cannot follow the newest frame with a pose in time; empty if it can."""
+        if not np.isfinite(frame.timestamp_s):
+            return "its time is not finite"
+        if self._frames and frame.timestamp_s <= self._frames[-1].timestamp_s:
+            return (
+                f"its time, {frame.timestamp_s:.3f} s, is not after that of frame "
+                f"{self._frames[-1].index}"
+            )
+        return ""
+
+    def add_dropped(self, frame: FrameStamp) -> bool:
+        """Add a frame that was not processed, at the pose of the frame before it.
+
+        While the camera is lost, the frame is lost as well, but it does not count as an attempt to
+        locate the camera.
+
+        Returns:
+            Whether the frame has a pose.
+        """
+        self.dropped_frames.append(frame.index)
+        disorder = self.disorder(frame)
+        if self._is_lost or disorder:
+            self.lost_frames[frame.index] = disorder or "dropped while the camera was lost"
+            return False
+        newest = self._frames[-1]
+        last = replace(newest, index=frame.index, timestamp_s=frame.timestamp_s, steps=0)
+        self._frames.append(last)
+        self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
+        self._pixel_covariances.append(self._pixel_covariances[-1])
+        return True
+
+    @property
+    def _is_lost(self) -> bool:
+        """Whether the newest frame has no pose, or there is none yet."""
+        if not self._frames:
+            return True
+        return max(self.lost_frames, default=-1) > self._frames[-1].index
+
+    @property
+    def indices(self) -> list[int]:
+        """Indices of the frames."""
+        return [f.index for f in self._frames]
+
+    @property
+    def last_reliable_s(self) -> float | None:
+        """Time of the newest frame that is neither doubtful nor lost; None without any."""
+        return next((f.timestamp_s for f in reversed(self._frames) if not f.doubt), None)
+
+    @property
+    def doubtful_frames(self) -> dict[int, str]:
+        """Reason by index of the frames whose pose may be wrong, in order."""
+        return {f.index: f.doubt for f in self._frames if f.doubt}
+
+    @property
+    def steps(self) -> dict[int, int]:
+        """Number of optimisation steps by index of the keyframes."""
+        return {f.index: f.steps for f in self._frames if f.steps}
+
+    @property
+    def submaps(self) -> list[int]:
+        """Number of the submap that each frame was tracked in."""
+        return [f.submap for f in self._frames]
+
+    @property
+    def keyframes(self) -> list[int]:
+        """Frame index of the reference keyframe of each frame."""
+        return [f.keyframe for f in self._frames]
+
+    @property
+    def T_keyframe_camera(self) -> Array:
+        """Poses [M, 4, 4] of the frames relative to their reference keyframes."""
+        return np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
+
+    def last_pose(self, atlas: Atlas) -> tuple[int, Array]:
+        """Submap and pose [4, 4] of the newest frame; without frames, the active anchor."""
+        if not self._frames:
+            return atlas.active, np.eye(4)
+        last = self._frames[-1]
+        T_submap_keyframe = atlas.keyframe_poses(last.submap)[last.keyframe]
+        return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
+
+    def velocity(
+        self, atlas: Atlas, frame: FrameStamp, T_submap_camera: Array | None = None
+    ) -> Array | None:
+        """Velocity [6] (m/s, rad/s) of the camera in its own frame.
+
+        Args:
+            frame: the next frame.
+            T_submap_camera: [4, 4] its pose in the active submap. Without it, the velocity is the
+                mean over the last poses; with it, that from the last pose to it.
+
+        Returns:
+            None without two recent poses since a frame was lost, and where the motion or the times
+            are irregular.
+        """
+        first_allowed = max(self.lost_frames, default=-1) + 1
+        dropped = set(self.dropped_frames[-_MAX_RECENT:])
+        recent = [
+            (f, T)
+            for f, T in zip(
+                self._frames[-_MAX_RECENT:], self._T_keyframe_camera[-_MAX_RECENT:], strict=True
+            )
+            if f.index >= first_allowed and not f.doubt and f.index not in dropped
+        ]
+        if not recent or frame.timestamp_s - recent[-1][0].timestamp_s > MAX_GAP_S:
+            return None
+        newest_s = recent[-1][0].timestamp_s
+        recent = [(f, T) for f, T in recent if newest_s - f.timestamp_s <= _VELOCITY_S]
+        poses = [
+            atlas.T_world_submap(f.submap) @ atlas.keyframe_poses(f.submap)[f.keyframe] @ T
+            for f, T in recent
+        ]
+        times_s = [f.timestamp_s for f, _ in recent]
+        known = steady_velocity(poses, times_s)
+        if known is None or T_submap_camera is None:
+            return known
+        poses.append(atlas.T_world_submap(atlas.active) @ T_submap_camera)
+        return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
+
+    def last_position(self, atlas: Atlas) -> LastPosition | None:
+        """Time and position in the world frame of the newest frame; None without frames."""
+        if not self._frames:
+            return None
+        number, T_submap_camera = self.last_pose(atlas)
+        T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
+        return LastPosition(self._frames[-1].timestamp_s, T_world_camera[:3, 3])
+
+    def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
+        """T_submap_camera [4, 4] of each frame, in its own submap."""
+        known = {f.submap: atlas.keyframe_poses(f.submap) for f in self._frames}
+        return [
+            known[f.submap][f.keyframe] @ T
+            for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
+        ]
+
+    def measured_poses(self, atlas: Atlas) -> list[PathPose]:
+        """Pose of each frame in its own submap, and how well tracking determined it."""
+        return [
+            PathPose(f.submap, T, f.keyframe == f.index, covariance)
+            for f, T, covariance in zip(
+                self._frames, self.poses_in_submaps(atlas), self._pixel_covariances, strict=True
+            )
+        ]
+
+    def exposures(self, atlas: Atlas, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
+        """Exposure of each frame against the map.
+
+        The white balance of frames between two keyframes is interpolated.
+
+        Args:
+            of_submaps: exposures of submaps against the fused map; the identity where missing.
+        """
+        known = {f.submap: atlas.keyframe_balances(f.submap) for f in self._frames}
+        return [
+            of_submaps.get(f.submap, IDENTITY).after(
+                f.exposure.with_balance(_interpolated(known[f.submap], f.index))
+            )
+            for f in self._frames
+        ]
+
+    def trajectory(self, atlas: Atlas) -> Trajectory:
+        """Poses of the frames in the world frame."""
+        anchors = [atlas.T_world_submap(number) for number in range(len(atlas))]
+        poses = [
+            se3.orthonormalise(anchors[f.submap] @ T)
+            for f, T in zip(self._frames, self.poses_in_submaps(atlas), strict=True)
+        ]
+        times = np.array([f.timestamp_s for f in self._frames])
+        return Trajectory(times, np.array(poses).reshape(-1, 4, 4))
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        arrays = {
+            "T_keyframe_camera": self.T_keyframe_camera,
+            "pixel_covariances": np.array(self._pixel_covariances).reshape(-1, 6, 6),
+        }
+        return arrays, {
+            "tracked": [asdict(f) for f in self._frames],
+            "lost_frames": list(self.lost_frames.items()),
+            "unreliable_in_a_row": self.unreliable_in_a_row,
+            "dropped_frames": self.dropped_frames,
+        }
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        self._frames = [
+            _TrackedFrame(**{**f, "exposure": Exposure.from_values(f["exposure"])})
+            for f in values["tracked"]
+        ]
+        self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
+        unknown = np.zeros((len(self._frames), 6, 6))
+        self._pixel_covariances = list(np.array(arrays.get("pixel_covariances", unknown)))
+        self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
+        self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
+        self.dropped_frames = [int(i) for i in values["dropped_frames"]]
+
+
+def _pixel_covariance(frame: Frame, tracking: TrackingResult | None) -> Array:
+    """Covariance [6, 6] of a frame's pose from one pixel; 0 for the first frame of a part."""
+    if tracking is None or tracking.lost:
+        return np.zeros((6, 6))
+    pixels = frame.camera.width * frame.camera.height
+    return pixel_covariance(tracking.information, pixels, _UNSEEN)
+
+
+def _interpolated(balances: Mapping[int, Balance], index: int) -> Balance:
+    """White balance of a frame, between those of keyframes by ascending frame index."""
+    if index in balances:
+        return balances[index]
+    if all(balance == NEUTRAL for balance in balances.values()):
+        return NEUTRAL
+    indices = list(balances)
+    red, green, blue = (
+        float(np.exp(np.interp(index, indices, channel)))
+        for channel in np.log(list(balances.values())).T
+    )
+    return (red, green, blue)

@@ -1,0 +1,161 @@
+"""Preparation of frames: rectified, denoised, labelled, and with the depth of their priors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
+from toolkit.frame import Frame, Recorder
+from toolkit.semantics.labeller import Labeller
+from toolkit.slam.camera_path import CameraPath
+from toolkit.stages import Stage
+from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.depth_filter import DepthFilter
+from toolkit.tracking.rolling_shutter import rectified
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameSources:
+    """What frames are prepared with.
+
+    Attributes:
+        labeller: segments frames; None for a map without semantics.
+        denoise: filter the depth of each frame according to its noise.
+        correction: gives frames that may become keyframes the depth of their priors, aligned with
+            the map; None if depth is measured.
+        start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling shutter
+            has bent; None if it is not known.
+    """
+
+    labeller: Labeller | None = None
+    denoise: bool = True
+    correction: DepthCorrection | None = None
+    start_velocity: Array | None = None
+
+
+class FramePreparation:
+    """Prepares frames before they are tracked, before they may be mapped, and as keyframes.
+
+    Args:
+        tracks_labels: whether frames must have labels before they are tracked.
+    """
+
+    def __init__(
+        self,
+        sources: FrameSources,
+        atlas: Atlas,
+        path: CameraPath,
+        recorder: Recorder,
+        tracks_labels: bool,
+    ) -> None:
+        self._sources, self._atlas, self._path = sources, atlas, path
+        self._recorder = recorder
+        self._filter = DepthFilter() if sources.denoise else None
+        labeller = sources.labeller
+        # All frames are labelled before they are tracked, not only keyframes.
+        self._labels_first = labeller is not None and (labeller.every_frame or tracks_labels)
+
+    @property
+    def labeller(self) -> Labeller | None:
+        """Segments frames; None for a map without semantics."""
+        return self._sources.labeller
+
+    @property
+    def correction(self) -> DepthCorrection | None:
+        """Aligns depth priors with the map; None if depth is measured."""
+        return self._sources.correction
+
+    def ahead(self, frame: Frame) -> Frame:
+        """A later frame after the work that depends on no other frame; from any thread."""
+        return frame if self._filter is None else self._filter.prepare(frame)
+
+    def before_tracking(self, frame: Frame) -> Frame:
+        """The next frame as it is tracked: rectified by the camera's last motion, and denoised."""
+        if frame.readout_s > 0.0:
+            with self._recorder.timed(Stage.RECTIFICATION):
+                frame = rectified(frame, self._last_velocity(frame))
+        frame = self._denoised(frame)
+        if self._labels_first:
+            frame = self._segmented(frame, None)
+        if self.correction is None or self._atlas.mapper.keyframes:
+            return frame
+        # The first map follows from the prior alone.
+        with self._recorder.timed(Stage.DEPTH_PRIOR):
+            started = self.correction.start(frame)
+        return self._denoised(started, measured=False)
+
+    def for_mapping(self, frame: Frame, T_map_camera: Array) -> Frame:
+        """A tracked frame as it may be mapped: with the depth of its prior, aligned with the map.
+
+        Args:
+            T_map_camera: [4, 4] pose of the frame.
+        """
+        mapper = self._atlas.mapper
+        if self.correction is None or not mapper.keyframes:
+            return frame
+        if not mapper.wants_view(frame.index, T_map_camera):
+            return frame
+        with self._recorder.timed(Stage.DEPTH_PRIOR):
+            view = mapper.render(mapper.gaussians, frame.camera, T_map_camera)
+            corrected = self.correction.correct(frame, RenderedDepth.of(view))
+        return self._denoised(corrected, measured=False)
+
+    def as_keyframe(self, observed: Frame, frame: Frame, T_map_camera: Array) -> Frame:
+        """A frame that becomes a keyframe: rectified by its own velocity, and labelled.
+
+        The velocity of the frames before it differs from its own by the tremor of a hand.
+
+        Args:
+            observed: the frame as it was recorded.
+            frame: the same after `for_mapping`.
+        """
+        velocity = None
+        if observed.readout_s > 0.0:
+            velocity = self._path.velocity(self._atlas, observed, T_map_camera)
+        if velocity is not None:
+            with self._recorder.timed(Stage.RECTIFICATION):
+                again = rectified(observed, velocity)
+            images = self._denoised(again)
+            frame = replace(images, labels=frame.labels if self._labels_first else images.labels)
+        return self.labelled(frame, T_map_camera)
+
+    def labelled(self, frame: Frame, T_map_camera: Array | None = None) -> Frame:
+        """A frame that is mapped, with labels if the map has semantics."""
+        if self.labeller is None or self._labels_first:
+            return frame
+        return self._segmented(frame, T_map_camera)
+
+    def _last_velocity(self, frame: Frame) -> Array | None:
+        velocity = self._path.velocity(self._atlas, frame)
+        if velocity is None and len(self._path.indices) < 2 and not self._path.lost_frames:
+            return self._sources.start_velocity
+        return velocity
+
+    def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
+        if self._filter is None:
+            return frame
+        with self._recorder.timed(Stage.DENOISING):
+            return self._filter.of(frame, measured)
+
+    def _segmented(self, frame: Frame, T_map_camera: Array | None) -> Frame:
+        assert self.labeller is not None
+        # Segmenters use the world frame, which does not depend on submaps.
+        T_world_map = self._atlas.T_world_submap(self._atlas.active)
+        T_world_camera = None if T_map_camera is None else T_world_map @ T_map_camera
+        with self._recorder.timed(Stage.LABELLING):
+            return self.labeller.label(frame, T_world_camera)
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        return {} if self.labeller is None else self.labeller.segmenter.state()
+
+    def restore(self, state: Mapping[str, NDArray]) -> None:
+        """Restore an earlier `state`."""
+        if self.labeller is not None:
+            self.labeller.segmenter.restore(dict(state))

@@ -1,0 +1,462 @@
+"""The SLAM pipeline: track each frame, map keyframes, close loops, and refine at the end."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.depth_priors.correction import DepthCorrection
+from toolkit.exposure import IDENTITY, NEUTRAL
+from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
+from toolkit.gaussians.scene import InMemoryScene
+from toolkit.geometry import se3
+from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
+from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.loops.pose_graph.graph import PoseEdge
+from toolkit.mapping.deferred import DeferredSteps
+from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
+from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.refinement.fusion import FusedMap, fuse
+from toolkit.refinement.parts import T_part_world, by_size, separate
+from toolkit.refinement.within import refine_submaps
+from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.frame_preparation import FramePreparation, FrameSources
+from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.slam.recovery import Located, Recovery
+from toolkit.slam.result import (
+    FrameResult,
+    SlamResult,
+    SubmapSummary,
+    TrackedFrames,
+    separate_parts,
+)
+from toolkit.stages import Stage
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.submap import Submap
+from toolkit.threads import single_threaded_blas
+from toolkit.tracking.health import is_black
+from toolkit.tracking.placement import KeyframePlacement
+from toolkit.tracking.proposals import FeatureProposals
+from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
+from toolkit.tracking.tracker import LocatingTracker, Tracker
+
+_log = logging.getLogger(__name__)
+
+_Part = Recovery | Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
+
+
+class Slam:
+    """RGB-D Gaussian SLAM: call `process_frame` for each frame in order, then `finish`."""
+
+    def __init__(  # noqa: PLR0913 - all parts of the system meet here
+        self,
+        tracker: Tracker,
+        mapper: Mapper,
+        recorder: Recorder | None = None,
+        sources: FrameSources | None = None,
+        atlas: Atlas | None = None,
+        closer: LoopClosing | None = None,
+        placement: KeyframePlacement | None = None,
+        unit: LengthUnit | None = METRE,
+    ) -> None:
+        """Assemble the system.
+
+        Args:
+            tracker: estimates the pose of each frame against the map.
+            mapper: holds and optimises the active submap.
+            recorder: receives times and counts.
+            sources: what frames are prepared with; by default, they are denoised.
+            atlas: holds all submaps; a single submap by default.
+            closer: closes loops and relocalises the camera; by default neither is done.
+            placement: refines the poses of new keyframes against earlier keyframes.
+            unit: in which the parts of the system work; frames and results are in metres. None
+                for the one that suits the first frame with depth.
+        """
+        self.tracker = tracker
+        self.mapper = mapper
+        self.atlas = Atlas(mapper) if atlas is None else atlas
+        self._recorder = recorder or NullRecorder()
+        self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
+        self._placement, self._unit = placement, unit
+        self._features = FeatureProposals()
+        self._path = CameraPath()
+        self._between = IntermediateFrames()
+        self._preparation = FramePreparation(
+            sources or FrameSources(), self.atlas, self._path, self._recorder, tracker.wants_labels
+        )
+        self._recovery = Recovery(
+            tracker,
+            self.atlas,
+            self._path,
+            self._closer,
+            self._preparation.labelled,
+            self._recorder,
+        )
+        self._fused: list[FusedMap | None] = []
+
+    @property
+    def unit(self) -> LengthUnit:
+        """The unit of length in which the parts of the system work."""
+        return METRE if self._unit is None else self._unit
+
+    @property
+    def loops(self) -> Sequence[PoseEdge]:
+        """The accepted loop edges between submaps so far."""
+        return self._closer.loops
+
+    @property
+    def parts(self) -> list[tuple[int, ...]]:
+        """Parts of the map so far: numbers of submaps with known relative poses, as in results."""
+        path = self._path
+        doubtful = path.doubtful_frames
+        reliable = [index not in doubtful for index in path.indices]
+        return by_size(self._closer.parts(self.atlas), path.submaps, reliable, self.atlas.saved)
+
+    @property
+    def camera_path(self) -> CameraPath:
+        """The poses of the frames so far, relative to keyframes."""
+        return self._path
+
+    def load_map(self, submaps: Iterable[Submap]) -> None:
+        """Load the map of an earlier run, before the first frame; it is extended but not changed.
+
+        The world frame is that of the earlier run. Frames are lost until one is relocalised in the
+        loaded map, or until relocalisation has failed for `patience` frames and a new submap
+        starts.
+
+        Args:
+            submaps: as in `Atlas.load_map`, with descriptors of the same encoder as in this run.
+
+        Raises:
+            ValueError: loop closure is disabled, or the tracker cannot locate frames.
+        """
+        if self._closer.relocaliser is None or not isinstance(self.tracker, LocatingTracker):
+            raise ValueError("loading a map requires loop closure and a tracker that can locate")
+        self._unit = self.unit  # later frames must not choose another one
+        self.atlas.load_map(map(self.unit.submap, submaps))
+        self._closer.map_loaded(self.atlas)
+
+    def prepare(self, frame: Frame) -> None:
+        """Do work for a later frame that does not depend on the map; results do not change.
+
+        Another thread may call this while earlier frames are processed (`prefetched`).
+        """
+        if self.mapper.device.type == "cpu" or frame.readout_s > 0.0 or not self.unit.is_metre:
+            return  # tracking and mapping need all cores; rectification, the frames before
+        self.tracker.prepare(self._preparation.ahead(frame), self.mapper.device)
+
+    @single_threaded_blas()
+    def process_frame(self, frame: Frame, may_map: bool = True) -> FrameResult:
+        """Track one frame, and map it if it becomes a keyframe.
+
+        Args:
+            frame: the next frame of the sequence.
+            may_map: False for a held-out view, which does not change the map.
+
+        Returns:
+            The pose of the frame; without one if its time is not after that of the frame before.
+        """
+        if self._unit is None:
+            self._unit = LengthUnit.of_frame(frame)
+        return self.unit.frame_result_in_metres(self._processed(self.unit.frame(frame), may_map))
+
+    def _processed(self, frame: Frame, may_map: bool) -> FrameResult:
+        """Track and map a frame, in the unit of the system."""
+        if disorder := self._path.disorder(frame):
+            self._path.add_lost(frame, disorder, tried=False)
+            return FrameResult(frame.index, None, not_tracked(disorder))
+        observed, frame = frame, self._preparation.before_tracking(frame)
+        located = self._locate(frame, may_map)
+        T_map_camera, tracking = located.T_map_camera, located.tracking
+        if T_map_camera is None:
+            self._path.add_lost(frame, "" if tracking is None else tracking.reason)
+            return FrameResult(frame.index, None, tracking)
+
+        mapping = None
+        may_map &= not located.doubtful and not is_black(frame)
+        if may_map:
+            frame = self._preparation.for_mapping(frame, T_map_camera)
+        if may_map and self.mapper.wants(frame, T_map_camera):
+            frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
+            mapping = self._add_keyframe(frame, T_map_camera, tracking)
+            self._start_submap_if_due(tracking)
+            T_map_camera = self.mapper.keyframes[-1].T_map_camera
+        elif may_map and self.mapper.options.fill_holes:
+            last, exposure = self.mapper.keyframes[-1], exposure_of(tracking)
+            self._between.add(frame, last, T_map_camera, exposure)
+
+        steps = 0 if mapping is None else mapping.steps
+        self._path.add(frame, self.atlas, T_map_camera, tracking, steps)
+        T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
+        is_keyframe = self.mapper.keyframes[-1].index == frame.index
+        return FrameResult(
+            frame.index,
+            T_map_camera,
+            tracking,
+            mapping,
+            T_world_camera,
+            is_keyframe,
+            submap=self.atlas.active,
+        )
+
+    def drop_frame(self, frame: FrameStamp) -> FrameResult:
+        """Record a frame without processing it; its pose is that of the frame before.
+
+        While the camera is lost, the frame is lost as well.
+        """
+        if not self._path.add_dropped(frame):
+            return FrameResult(frame.index, None, None, dropped=True)
+        number, T_map_camera = self._path.last_pose(self.atlas)
+        T_world_camera = self.atlas.T_world_submap(number) @ T_map_camera
+        result = FrameResult(
+            frame.index,
+            T_map_camera,
+            None,
+            T_world_camera=T_world_camera,
+            dropped=True,
+            submap=number,
+        )
+        return self.unit.frame_result_in_metres(result)
+
+    def defer_work(self) -> DeferredSteps:
+        """Defer work that poses do not depend on.
+
+        Most optimisation steps are taken by `take_deferred_step`, intermediate frames are mapped
+        by `map_intermediate_frame`, and loops between submaps are closed by `finish`.
+
+        Returns:
+            The deferred steps.
+        """
+        self.mapper.deferred = DeferredSteps()
+        self._closer.defer()
+        return self.mapper.deferred
+
+    @single_threaded_blas()
+    def take_deferred_step(self) -> None:
+        """Take one of the deferred optimisation steps, if there are any."""
+        with self._recorder.timed(Stage.MAPPING):
+            self.mapper.take_deferred_step()
+
+    @single_threaded_blas()
+    def map_intermediate_frame(self) -> bool:
+        """Map the first intermediate frame that waits; return False if none does."""
+        between = self._between.take()
+        if between is None:
+            return False
+        keyframes = self.mapper.keyframes_from(between.keyframe)
+        if not keyframes:
+            return True  # of another submap
+        T_map_camera = keyframes[0].T_map_camera @ between.T_keyframe_camera
+        with self._recorder.timed(Stage.MAPPING):
+            mask = self.mapper.unmapped_pixels(between.frame, T_map_camera, keyframes)
+        if mask.mean() >= MIN_OUTSIDE:
+            frame = self._preparation.labelled(between.at_map_exposure(), T_map_camera)
+            with self._recorder.timed(Stage.MAPPING):
+                self.mapper.seed_pixels(frame, T_map_camera, mask, keyframes[0])
+        return True
+
+    @single_threaded_blas()
+    def finish(self) -> SlamResult:
+        """Close the remaining loops, refine every submap over its keyframes, and fuse each part."""
+        if self.mapper.keyframes:
+            self._between.select(self.mapper.keyframes[-1])
+            self._map_intermediate_frames()
+            with self._recorder.timed(Stage.REFINEMENT):
+                self._closer.finish(self.atlas)
+                parts = self.parts
+                separate(self.atlas, parts)
+                refine_submaps(self.atlas, self._poses_beside)
+                self._fused = [fuse(self.atlas, part) for part in parts]
+        return self.result()
+
+    def _poses_beside(self, number: int) -> NDArray[np.float64]:
+        """Poses [P, 4, 4] of the frames in the same part of the map as a submap."""
+        part, path = next(part for part in self.parts if number in part), self._path
+        inside = np.isin(path.submaps, part)
+        inside &= ~np.isin(path.indices, list(path.doubtful_frames))
+        return self._path.trajectory(self.atlas).T_world_camera[inside]
+
+    def result(self) -> SlamResult:
+        """The current state of the run."""
+        atlas, path, parts = self.atlas, self._path, self.parts
+        labeller = self._preparation.labeller
+        maps, covariances, exposures = self._fused, None, {}
+        if maps:
+            exposures = {n: e for one in maps if one is not None for n, e in one.exposures.items()}
+            covariances = self._closer.covariances(atlas, path.measured_poses(atlas))
+        T_part = {number: T_part_world(atlas, part) for part in parts for number in part}
+        submaps = [
+            SubmapSummary(
+                number,
+                T_part[number] @ atlas.T_world_submap(number),
+                list(atlas.keyframe_poses(number)),
+                readable=number not in atlas.unreadable,
+                exposure=exposures.get(number, IDENTITY),
+            )
+            for number in range(len(atlas))
+        ]
+        own = submaps[atlas.saved :]
+        frames = TrackedFrames(
+            path.trajectory(atlas),
+            path.indices,
+            path.submaps,
+            path.exposures(atlas, exposures),
+            covariances,
+        )
+        doubtful = path.doubtful_frames
+        by_part = [frames.of(part, T_part[part[0]], doubtful) for part in parts]
+        main, fused = by_part[0], maps[0] if maps else None
+        result = SlamResult(
+            trajectory=main.trajectory,
+            frame_indices=main.indices,
+            exposures=main.exposures,
+            lost_frames=dict(path.lost_frames),
+            keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
+            submaps=submaps,
+            allocation=list(atlas.verdicts),
+            loops=list(self._closer.loops),
+            map=InMemoryScene(self.mapper.content.gaussians) if fused is None else fused,
+            semantics=self.mapper.semantics,
+            taxonomy=None if labeller is None else labeller.taxonomy,
+            covariances=main.covariances,
+            dropped_frames=list(path.dropped_frames),
+            doubtful_frames=doubtful,
+            keyframe_steps=path.steps,
+            frame_submaps=main.submaps,
+            parts=parts,
+            other_parts=separate_parts(parts, by_part, maps, path),
+        )
+        return self.unit.result_in_metres(result)
+
+    def store_in_metres(self) -> None:
+        """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
+        if self.unit.is_metre:
+            return
+        for number in range(self.atlas.saved, len(self.atlas)):
+            if number not in self.atlas.unreadable:
+                self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
+
+    def _locate(self, frame: Frame, may_map: bool) -> Located:
+        """Estimate the pose of a frame in the active submap."""
+        if not self.atlas.has_active_submap:
+            lost = not_tracked("the camera has not been relocalised in the loaded map")
+            return self._recovery.recover(frame, lost, may_map)
+        if not self.mapper.keyframes:
+            if not may_map:
+                return Located(None, not_tracked("it is held out, and the map has not started"))
+            first = self.tracker.first_pose(frame)
+            unusable = not_tracked(
+                "the map cannot start with it: no pose, black, or too little depth"
+            )
+            return Located(first, None if first is not None else unusable)
+        with self._recorder.timed(Stage.TRACKING):
+            gaussians = self.mapper.gaussians
+            tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
+        if tracking.lost or tracking.doubtful:
+            found = self._recovery.recover(frame, tracking, may_map)
+            if tracking.lost or found.T_map_camera is not None:
+                return found
+        return Located(tracking.T_map_camera, tracking)
+
+    def _proposals(self, frame: Frame) -> Iterator[NDArray[np.float64]]:
+        """Initial poses T_map_camera [4, 4] of a frame from its features."""
+        keyframes = self.mapper.keyframes
+        similar = partial(self._closer.similar_keyframes, self.atlas)
+        return self._features.poses(frame, keyframes, similar)
+
+    def _balanced(self, frame: Frame) -> Frame:
+        """The frame at the white balance of the last keyframe, which is near its own."""
+        balance = self.mapper.keyframes[-1].exposure.balance
+        if balance == NEUTRAL:
+            return frame
+        return replace(frame, rgb=IDENTITY.with_balance(balance).apply(frame.rgb))
+
+    def _add_keyframe(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
+    ) -> MappingResult:
+        """Create a keyframe, refine its pose, and extend the map with it."""
+        exposure = exposure_of(tracking)
+        if self.mapper.keyframes:
+            # Until the mapper estimates that of the new keyframe.
+            exposure = exposure.with_balance(self.mapper.keyframes[-1].exposure.balance)
+        keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
+        if self._preparation.correction is not None:
+            keyframe.prior_m = keyframe.depth_m
+        self._refine_pose(keyframe)
+        if self.mapper.keyframes:
+            self._between.select(self.mapper.keyframes[-1], keyframe)
+        with self._recorder.timed(Stage.MAPPING):
+            mapping = self.mapper.add_keyframe(keyframe)
+        if self.mapper.deferred is None:
+            self._map_intermediate_frames()
+        self._closer.keyframe_added(self.atlas)
+        return mapping
+
+    def _map_intermediate_frames(self) -> None:
+        while self.map_intermediate_frame():
+            pass
+
+    def _refine_pose(self, keyframe: Keyframe) -> None:
+        """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
+        if self._placement is None or not self.mapper.keyframes:
+            return
+        T_tracked = keyframe.T_map_camera
+        with self._recorder.timed(Stage.PLACING):
+            keyframe.T_map_camera = self._placement.place(self.mapper.keyframes, keyframe)
+        self.tracker.change_frame(keyframe.T_map_camera @ se3.inverse(T_tracked))
+
+    def _start_submap_if_due(self, tracking: TrackingResult | None) -> None:
+        """Start the next submap at the newest keyframe if allocation asks for it."""
+        verdict = self.atlas.judge()
+        if verdict is None or not verdict.starts_submap:
+            return
+        T_new_old = self._closer.submap_ending(self.atlas)
+        if T_new_old is not None:
+            self.tracker.change_frame(T_new_old)
+        with self._recorder.timed(Stage.MAPPING):
+            self.tracker.change_frame(self.atlas.start_next())
+        _log.info(
+            "Started submap %d at frame %d: %s.", self.atlas.active, verdict.index, verdict.reason
+        )
+        information = np.zeros((6, 6)) if tracking is None else tracking.information
+        self._closer.submap_started(self.atlas, information)
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues to identical results."""
+        arrays = {f"tracker/{k}": a for k, a in self.tracker.state().items()}
+        arrays |= {f"segmenter/{k}": a for k, a in self._preparation.state().items()}
+        values: dict[str, Any] = {"units_per_metre": self._unit and self._unit.per_metre}
+        for name, part in self._parts().items():
+            part_arrays, values[name] = part.state()
+            arrays |= {f"{name}/{k}": a for k, a in part_arrays.items()}
+        return arrays, values
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        if self._unit is None and values.get("units_per_metre"):
+            self._unit = LengthUnit(float(values["units_per_metre"]))
+        for name, part in self._parts().items():
+            # Checkpoints of earlier versions have no "recovery".
+            part.restore(arrays_below(arrays, f"{name}/"), values.get(name, {}))
+        self.tracker.restore(arrays_below(arrays, "tracker/"))
+        self._preparation.restore(arrays_below(arrays, "segmenter/"))
+
+    def _parts(self) -> dict[str, _Part]:
+        """Components whose state consists of arrays and JSON values, in the order of restoring."""
+        parts: dict[str, _Part] = {
+            "mapper": self.mapper,
+            "atlas": self.atlas,
+            "closer": self._closer,
+            "path": self._path,
+            "between": self._between,
+            "recovery": self._recovery,
+        }
+        correction = self._preparation.correction
+        return parts if correction is None else parts | {"correction": correction}

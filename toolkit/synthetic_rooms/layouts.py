@@ -1,0 +1,286 @@
+"""Floor plans and the camera paths through them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.synthetic_rooms.furnishing import furnish, path_reach_m
+from toolkit.synthetic_rooms.furniture import Workshop
+from toolkit.synthetic_rooms.parts import Part, moved
+from toolkit.synthetic_rooms.patches import placement
+from toolkit.synthetic_rooms.paths import WayPoint
+from toolkit.synthetic_rooms.ray_casting import Scene
+from toolkit.synthetic_rooms.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
+from toolkit.synthetic_rooms.textures import weakened
+
+_EYE_M = 1.45
+_WALL_M = 2 * WALL_HALF_M
+_CORRIDOR_DEPTH_M = 1.9
+_NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
+_ORBIT_RADIUS_M, _ORBIT_HEIGHT_M, _TABLE_TOP_M = 1.05, 1.15, 0.55
+_ORBIT_POINTS, _ORBIT_STEP_RAD = 20, math.radians(20)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Rooms and the camera path through them.
+
+    Attributes:
+        rooms: floor plans.
+        room_seeds: random seed of the content of each room; rooms with the same seed, size and
+            openings are identical.
+        way_points: waypoints of the camera path.
+    """
+
+    rooms: tuple[RoomPlan, ...]
+    room_seeds: tuple[int, ...]
+    way_points: tuple[WayPoint, ...]
+
+
+def single_room() -> Layout:
+    """One furnished room, 5.4 x 4.6 m, in which the camera moves along a loop."""
+    openings = (Opening("north", 4.2, "window"), Opening("south", 4.4, "door"))
+    plan = RoomPlan((0.0, 0.0), (5.4, 4.6), openings, "studio")
+    return Layout((plan,), (0,), tuple(_look_around(plan, 0.0, math.radians(368))))
+
+
+def ring_of_rooms() -> Layout:
+    """Four rooms connected in a ring; the camera returns to the first one."""
+    size = (4.0, 4.0)
+    pitch = (size[0] + _WALL_M) / 2
+    middle = size[0] / 2
+    # Counter-clockwise from the south-west; the second opening leads to the next room.
+    plans = [
+        RoomPlan((sx * pitch, sy * pitch), size, openings, style)
+        for sx, sy, style, openings in (
+            (-1, -1, "living", _ring_openings("north", "east", "south", middle)),
+            (1, -1, "office", _ring_openings("west", "north", "east", middle)),
+            (1, 1, "bedroom", _ring_openings("south", "west", "north", middle)),
+            (-1, 1, "dining", _ring_openings("east", "south", "west", middle)),
+        )
+    ]
+    # Rotating by the larger angle shows each room completely.
+    turn = math.radians(-270)
+    way_points: list[WayPoint] = []
+    for number in (0, 1, 2, 3, 0):
+        plan = plans[number]
+        entry, leave = plan.openings[0], plan.openings[1]
+        way_points += _visit(
+            plan, entry if way_points else None, leave, _heading(plan, entry, inward=True), turn
+        )
+    return Layout(tuple(plans), (0, 1, 2, 3), tuple(way_points[:-2]))
+
+
+def _ring_openings(entry: str, leave: str, window: str, middle: float) -> tuple[Opening, ...]:
+    return (
+        Opening(entry, middle, "passage"),  # type: ignore[arg-type]
+        Opening(leave, middle, "passage"),  # type: ignore[arg-type]
+        Opening(window, middle, "window"),  # type: ignore[arg-type]
+    )
+
+
+def rooms_with_corridor() -> Layout:
+    """Three different rooms north of a corridor, visited one after the other."""
+    return _corridor_layout(("office", "bedroom", "dining"), (1, 2, 3), (0, 1, 2))
+
+
+def hall_of_rooms() -> Layout:
+    """Twelve different rooms on four corridors in a row (four times `rooms_with_corridor`)."""
+    styles = ("office", "bedroom", "dining", "living")
+    return _corridor_layout(styles * 3, tuple(range(21, 33)), tuple(range(12)))
+
+
+def twin_rooms() -> Layout:
+    """Two identical rooms and a third one on a corridor, to test for perceptual aliasing.
+
+    The camera returns to the first of the two, so there is a true and a false loop candidate.
+    """
+    return _corridor_layout(("office", "living", "office"), (1, 2, 1), (0, 1, 2, 0))
+
+
+def orbit_of_objects() -> Layout:
+    """Objects on a table in the middle of a room, around which the camera moves a little more than
+    once while it looks at them, as in the film of an object."""
+    openings = (Opening("north", 4.2, "window"), Opening("south", 4.4, "door"))
+    plan = RoomPlan((0.0, 0.0), (5.4, 5.4), openings, "display")
+    points = []
+    for number in range(_ORBIT_POINTS):
+        angle = _ORBIT_STEP_RAD * number
+        radius = _ORBIT_RADIUS_M + 0.08 * math.sin(3.0 * number)
+        height = _ORBIT_HEIGHT_M + 0.12 * math.sin(1.1 * number)
+        target = 0.05 * math.sin(number), 0.05 * math.cos(2.0 * number), _TABLE_TOP_M
+        points.append(
+            WayPoint((radius * math.cos(angle), radius * math.sin(angle), height), target)
+        )
+    return Layout((plan,), (0,), tuple(points))
+
+
+def still_camera() -> Layout:
+    """The default room from one place: the hand shakes by a centimetre and a few degrees."""
+    room = single_room()
+    points = []
+    for number in range(12):
+        shift = 0.003 * math.sin(2.0 * number), 0.003 * math.sin(3.1 * number + 1.0)
+        aim = 0.1 * math.sin(1.7 * number), 0.1 * math.sin(0.9 * number + 0.5)
+        points.append(
+            WayPoint((0.7 + shift[0], 0.2 + shift[1], _EYE_M), (-1.3, aim[0], 0.85 + aim[1]))
+        )
+    return replace(room, way_points=tuple(points))
+
+
+def _corridor_layout(
+    styles: tuple[str, ...], room_seeds: tuple[int, ...], visits: tuple[int, ...]
+) -> Layout:
+    """Create rooms in a row along x; three at a time share a corridor in the south."""
+    size = (4.2, 4.0)
+    pitch = size[0] + _WALL_M
+    door = size[0] / 2
+    openings = (Opening("south", door, "passage"), Opening("north", 2.2, "window"))
+    rooms = [
+        RoomPlan((number * pitch, 0.0), size, openings, style)
+        for number, style in enumerate(styles)
+    ]
+    corridors = [
+        _corridor(rooms[first : first + 3], first > 0, first + 3 < len(rooms))
+        for first in range(0, len(rooms), 3)
+    ]
+    way_points: list[WayPoint] = []
+    for place, number in enumerate(visits):
+        room = rooms[number]
+        entry, north = room.openings[0], math.pi / 2
+        way_points += _visit(room, entry if way_points else None, entry, north, math.pi)
+        if place + 1 < len(visits):
+            way_points += _walk_corridor(corridors[0], room, rooms[visits[place + 1]])
+    bare = tuple(range(9, 9 + len(corridors)))
+    return Layout((*rooms, *corridors), (*room_seeds, *bare), tuple(way_points))
+
+
+def _corridor(rooms: list[RoomPlan], west: bool, east: bool) -> RoomPlan:
+    """Create the corridor south of a row of rooms, open to the corridors in the west and east."""
+    width, depth = rooms[0].size_m
+    left, right = rooms[0].centre_m[0], rooms[-1].centre_m[0]
+    centre = ((left + right) / 2, -(depth + _CORRIDOR_DEPTH_M) / 2 - _WALL_M)
+    openings = [Opening("north", room.centre_m[0] - left + width / 2, "passage") for room in rooms]
+    # On the camera path. Positions are measured from a wall's left end as seen from inside, which
+    # is the southern end in the west.
+    if west:
+        openings.append(Opening("west", _CORRIDOR_DEPTH_M / 2 + _NORTH_OFFSET_M, "passage"))
+    if east:
+        openings.append(Opening("east", _CORRIDOR_DEPTH_M / 2 - _NORTH_OFFSET_M, "passage"))
+    size = (right - left + width, _CORRIDOR_DEPTH_M)
+    return RoomPlan(centre, size, tuple(openings), "corridor")
+
+
+def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[WayPoint]:
+    """Return the waypoints in the corridor from one room's door to the next."""
+    y = corridor.centre_m[1] + _NORTH_OFFSET_M
+    x0, x1 = start.centre_m[0], end.centre_m[0]
+    east = x1 > x0
+    ahead, door = (0.0, 0.6) if east else (math.pi, math.pi - 0.6)
+    step = 0.35 if east else -0.35
+    stands = np.linspace(x0 + step, x1 - step, 4)
+    return [_looking((x, y), ahead if abs(x1 - x) > 0.6 else door) for x in stands]
+
+
+def _visit(
+    plan: RoomPlan, entry: Opening | None, leave: Opening, heading_rad: float, turn_rad: float
+) -> list[WayPoint]:
+    """Return the waypoints through the entry, around the room and out of another door."""
+    way_points: list[WayPoint] = []
+    if entry is not None:
+        sill, _ = plan.door_way(entry)
+        way_points.append(_looking(sill, heading_rad))
+    way_points += _look_around(plan, heading_rad, turn_rad)
+    sill, outward = plan.door_way(leave)
+    out = heading_rad + turn_rad
+    return [*way_points, _looking(sill - 0.8 * outward, out), _looking(sill, out)]
+
+
+def _heading(plan: RoomPlan, door: Opening, inward: bool) -> float:
+    _, outward = plan.door_way(door)
+    x, y = -outward if inward else outward
+    return math.atan2(y, x)
+
+
+def _looking(stand: NDArray | tuple[float, float], heading_rad: float) -> WayPoint:
+    """Return a waypoint that looks straight ahead and slightly down."""
+    x, y = stand
+    ahead = (x + 2 * math.cos(heading_rad), y + 2 * math.sin(heading_rad), _EYE_M - 0.25)
+    return WayPoint((float(x), float(y), _EYE_M), ahead)
+
+
+def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayPoint]:
+    """Return a loop around the centre of a room that looks across at the opposite walls."""
+    count = max(2, round(abs(turn_rad) / math.radians(30))) + 1
+    centre, reach = np.array(plan.centre_m), path_reach_m(plan)
+    wall = np.array(plan.size_m) / 2
+    points = []
+    for number, angle in enumerate(np.linspace(start_rad, start_rad + turn_rad, count)):
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        # From the far side of the loop, the camera sees the largest part of the wall.
+        x, y = centre - reach * direction
+        target_x, target_y = centre + wall * direction
+        height = _EYE_M + 0.1 * math.sin(2.3 * number)
+        look = 0.85 + 0.25 * math.sin(1.7 * number)
+        points.append(WayPoint((x, y, height), (target_x, target_y, look)))
+    return points
+
+
+def build_parts(layout: Layout, seed: int) -> list[Part]:
+    """Create all surfaces of a layout."""
+    parts: list[Part] = []
+    for plan, look in zip(layout.rooms, layout.room_seeds, strict=True):
+        # Built at the origin, so that identical rooms are bit-identical before they are placed.
+        shop = Workshop(np.random.default_rng([seed, 1, look]))
+        at_origin = replace(plan, centre_m=(0.0, 0.0))
+        room = room_shell(at_origin, shop) + furnish(at_origin, shop)
+        parts += moved(room, placement(*plan.centre_m))
+    return parts
+
+
+def lamp_places(layout: Layout) -> NDArray[np.float64]:
+    """Return the centres [L, 3] of the ceiling lamps, metres; long rooms have several."""
+    lamps = []
+    for plan in layout.rooms:
+        (x, y), (width, _) = plan.centre_m, plan.size_m
+        count = max(1, round(width / 5.0))
+        for number in range(count):
+            along = x + width * ((number + 0.5) / count - 0.5)
+            lamps.append([along, y, plan.height_m - 0.15])
+    return np.array(lamps)
+
+
+def build_scene(layout: Layout, seed: int, texel_m: float, texture: str = "normal") -> Scene:
+    """Build the textured and lit scene of a layout.
+
+    Args:
+        layout: rooms and camera path.
+        seed: of furniture and textures.
+        texel_m: edge of a texel, metres.
+        texture: a key of TEXTURES.
+    """
+    contrast = TEXTURES[texture]
+    parts = build_parts(layout, seed)
+    if contrast < 1.0:
+        parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
+    return Scene(parts, lamp_places(layout), texel_m)
+
+
+# The fraction of each texture's contrast that is kept.
+TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1}
+
+
+LAYOUTS: dict[str, Callable[[], Layout]] = {
+    "room": single_room,
+    "rooms": rooms_with_corridor,
+    "ring": ring_of_rooms,
+    "twins": twin_rooms,
+    "hall": hall_of_rooms,
+    "orbit": orbit_of_objects,
+    "still": still_camera,
+}

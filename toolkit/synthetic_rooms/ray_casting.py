@@ -1,0 +1,170 @@
+"""Rendering of colour, depth and labels of synthetic scenes with Open3D's ray casting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.synthetic_rooms.atlas import paint_atlas
+from toolkit.synthetic_rooms.lighting import vertex_light
+from toolkit.synthetic_rooms.parts import Part
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+
+# Models the lens and demosaicking of a real camera. Images have the local contrast of real ones
+# (4.3 grey levels between neighbouring pixels at 320x240, as in 7-Scenes) and no aliasing.
+LENS_BLUR_PIXELS = 0.6
+_MISS = np.uint32(0xFFFFFFFF)
+
+
+@dataclass(frozen=True)
+class View:
+    """Images of an ideal camera.
+
+    Attributes:
+        rgb: [H, W, 3] float32 in [0, 1], averaged over each pixel.
+        depth_m: [H, W] float32 z-depth at pixel centres, 0 where no surface is hit.
+        labels: [H, W] int32 class ids at pixel centres, 0 where no surface is hit.
+        cosine: [H, W] float32 cosine of the angle between ray and normal at pixel centres.
+        walker: [H, W] bool, pixels that show a walker at least in part; None without one.
+    """
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    labels: NDArray[np.int32]
+    cosine: NDArray[np.float32]
+    walker: NDArray[np.bool_] | None = None
+
+
+class Scene:
+    """Textured, lit and labelled surfaces for rendering.
+
+    Args:
+        parts: all surfaces in the world, metres, z up.
+        lamps_m: [L, 3] ceiling lamps, metres.
+        texel_m: edge of a texture element, metres.
+    """
+
+    def __init__(self, parts: list[Part], lamps_m: NDArray[np.float64], texel_m: float) -> None:
+        patches = [patch for part in parts for patch in part.patches]
+        owners = [part for part in parts for _ in part.patches]
+        counts = [patch.points.shape[0] * patch.points.shape[1] for patch in patches]
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        triangles = [patch.triangles() for patch in patches]
+        self.vertices_m = np.concatenate([p.points.reshape(-1, 3) for p in patches])
+        self.triangles = np.concatenate(
+            [corners + start for corners, start in zip(triangles, starts, strict=True)]
+        )
+        self.triangle_labels = np.repeat(
+            np.array([CLASS_IDS[part.class_name] for part in owners], dtype=np.int32),
+            [len(corners) for corners in triangles],
+        )
+        self.casting: Any = open3d().t.geometry.RaycastingScene()
+        self.casting.add_triangles(
+            open3d().core.Tensor.from_numpy(self.vertices_m.astype(np.float32)),
+            open3d().core.Tensor.from_numpy(self.triangles.astype(np.uint32)),
+        )
+        self.atlas, texels = paint_atlas(parts, texel_m)
+        light = vertex_light(patches, lamps_m, self.casting)
+        light = [np.maximum(values, part.glow) for values, part in zip(light, owners, strict=True)]
+        self._vertex_looks = np.concatenate(
+            [
+                np.concatenate([xy, shade[..., None]], axis=-1).reshape(-1, 3)
+                for xy, shade in zip(texels, light, strict=True)
+            ]
+        ).astype(np.float32)
+        self._triangle_looks = _barycentric_form(self._vertex_looks[self.triangles])
+
+    def distance_m(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Compute the distances [N] from points [N, 3] to the nearest surface, metres."""
+        query = open3d().core.Tensor.from_numpy(np.asarray(points, dtype=np.float32))
+        return np.asarray(self.casting.compute_distance(query, nthreads=1).numpy())
+
+    def vertex_colours(self) -> NDArray[np.float32]:
+        """Compute vertex colours [V, 3] in [0, 1] for the mesh file."""
+        looks = self._vertex_looks
+        colours = self.atlas.sample(looks[:, :2], np.full(len(looks), 3.0, dtype=np.float32))
+        return np.clip(colours * looks[:, 2:] / 255.0, 0.0, 1.0)
+
+    def render(self, camera: Camera, T_world_camera: NDArray, samples: int = 2) -> View:
+        """Render a view.
+
+        Args:
+            camera: intrinsics and image size.
+            T_world_camera: [4, 4] pose.
+            samples: number of rays along each side of a pixel for colour.
+        """
+        shape = (camera.height, camera.width)
+        hits = self._cast(camera, T_world_camera)
+        hit = hits.triangle != _MISS
+        triangle = np.where(hit, hits.triangle, 0)
+        return View(
+            rgb=self._colour(camera, T_world_camera, samples),
+            depth_m=np.where(hit, hits.depth_m, 0.0).astype(np.float32).reshape(shape),
+            labels=np.where(hit, self.triangle_labels[triangle], 0).reshape(shape),
+            cosine=np.where(hit, hits.cosine, 0.0).astype(np.float32).reshape(shape),
+        )
+
+    def render_depth(self, camera: Camera, T_world_camera: NDArray) -> NDArray[np.float32]:
+        """Render only the z-depth [H, W] in metres, 0 where no surface is hit."""
+        hits = self._cast(camera, T_world_camera)
+        depth_m = np.where(hits.triangle != _MISS, hits.depth_m, 0.0)
+        return depth_m.astype(np.float32).reshape(camera.height, camera.width)
+
+    def _colour(self, camera: Camera, T_world_camera: NDArray, samples: int) -> NDArray:
+        fine = camera.scaled(samples, samples, camera.width * samples, camera.height * samples)
+        hits = self._cast(fine, T_world_camera)
+        hit = hits.triangle != _MISS
+        looks = self._triangle_looks.take(np.where(hit, hits.triangle, 0), axis=0)
+        u, v = hits.barycentric[:, :1], hits.barycentric[:, 1:]
+        here = looks[:, :3] + u * looks[:, 3:6] + v * looks[:, 6:]
+        # The texture is averaged over the footprint of the ray. At grazing angles the footprint is
+        # elongated, and the geometric mean of its sides is used.
+        spacing_m = np.where(hit, hits.depth_m, 0.0) / fine.focal
+        stretch = np.sqrt(np.maximum(hits.cosine, 0.05))
+        level = np.log2(np.maximum(spacing_m / stretch / self.atlas.texel_m, 1e-3))
+        colour = self.atlas.sample(here[:, :2], level.astype(np.float32))
+        colour *= (here[:, 2] * hit / 255.0)[:, None]
+        image = colour.reshape(fine.height, fine.width, 3)
+        image = cv2.GaussianBlur(image, (0, 0), LENS_BLUR_PIXELS * samples)
+        image = cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)
+        return np.clip(image, 0.0, 1.0).astype(np.float32)
+
+    def _cast(self, camera: Camera, T_world_camera: NDArray) -> _Hits:
+        """Cast one ray through each pixel centre.
+
+        The directions have z = 1 in camera coordinates, so that hit distances are z-depths.
+        """
+        T = np.asarray(T_world_camera, dtype=np.float64)
+        directions = camera.rays().reshape(-1, 3) @ T[:3, :3].T
+        rays = np.empty((len(directions), 6), dtype=np.float32)
+        rays[:, :3] = T[:3, 3]
+        rays[:, 3:] = directions
+        answer = self.casting.cast_rays(open3d().core.Tensor.from_numpy(rays), nthreads=1)
+        ahead = rays[:, 3:]
+        toward = np.einsum("ij,ij->i", answer["primitive_normals"].numpy(), ahead)
+        return _Hits(
+            triangle=answer["primitive_ids"].numpy(),
+            barycentric=answer["primitive_uvs"].numpy(),
+            depth_m=answer["t_hit"].numpy(),
+            cosine=np.abs(toward) / np.sqrt(np.einsum("ij,ij->i", ahead, ahead)),
+        )
+
+
+@dataclass(frozen=True)
+class _Hits:
+    triangle: NDArray[np.uint32]
+    barycentric: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+
+
+def _barycentric_form(corners: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return per triangle the value at the first corner and its change along both edges [M, 9]."""
+    first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
+    return np.concatenate([first, second - first, third - first], axis=1)

@@ -1,0 +1,204 @@
+"""Creation of synthetic rooms as a dataset folder or as frames in memory."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import SettingsError
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.synthetic_rooms import writer
+from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, build_scene
+from toolkit.synthetic_rooms.paths import hand_held_path
+from toolkit.synthetic_rooms.ray_casting import Scene, View
+from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
+from toolkit.synthetic_rooms.unseen import poses_off_the_path
+from toolkit.synthetic_rooms.walker import Walker
+
+RATE_HZ = 30.0
+# Focal length per image width: a horizontal field of view of 64 degrees.
+_FOCAL = 0.8
+# Number of frames of the default room at walking pace; other layouts compute it from the path.
+_ROOM_FRAMES = 300
+# Identifiers of random streams; 1 is used for furniture.
+_SWAY, _SENSOR, _UNSEEN, _WALKER = 2, 3, 4, 5
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RoomSettings:
+    """Settings of a synthetic room.
+
+    Attributes:
+        layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
+            close a loop), "twins" (two of three rooms are identical), "orbit" (around objects on
+            a table) or "still" (from one place).
+        seed: random seed of furniture, textures, camera sway and noise, >= 0.
+        frames: number of frames, distributed over the path; None for walking pace (300 for the
+            default room, about 2000 for the others).
+        share: fraction of the path to use, in (0, 1].
+        width, height: image size in pixels, at least 16.
+        sensor: simulated effects of a real camera, or None for ideal images.
+        unseen: number of test views off the path, which are always ideal and without a walker.
+        walker: whether a person walks through the view for a part of the sequence.
+        texture: "normal", or "weak": all surfaces are nearly uniform.
+        fov_deg: horizontal field of view in degrees, from 10 to 120; None for that of common
+            RGB-D cameras, 64.
+    """
+
+    layout: str = "room"
+    seed: int = 0
+    frames: int | None = None
+    share: float = 1.0
+    width: int = 320
+    height: int = 240
+    sensor: SensorModel | None = field(default=None)
+    unseen: int = 20
+    walker: bool = False
+    texture: str = "normal"
+    fov_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.layout not in LAYOUTS:
+            raise SettingsError(f"layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}")
+        if not 0.0 < self.share <= 1.0:
+            raise SettingsError(f"share must lie in (0, 1], got {self.share}")
+        if self.frames is not None and self.frames < 1:
+            raise SettingsError(f"frames must be at least 1, got {self.frames}")
+        if min(self.width, self.height) < 16:
+            raise SettingsError(
+                f"image size must be at least 16x16, got {self.width}x{self.height}"
+            )
+        if self.seed < 0 or self.unseen < 0:
+            raise SettingsError("seed and unseen must not be negative")
+        if self.texture not in TEXTURES:
+            raise SettingsError(
+                f"texture must be one of {', '.join(TEXTURES)}, got {self.texture!r}"
+            )
+        if self.fov_deg is not None and not 10.0 <= self.fov_deg <= 120.0:
+            raise SettingsError(f"fov_deg must lie in [10, 120], got {self.fov_deg}")
+
+    @property
+    def camera(self) -> Camera:
+        """Camera with the horizontal field of view of the settings."""
+        focal = _FOCAL * self.width
+        if self.fov_deg is not None:
+            focal = 0.5 * self.width / math.tan(0.5 * math.radians(self.fov_deg))
+        centre = (self.width - 1) / 2, (self.height - 1) / 2
+        return Camera(focal, focal, *centre, self.width, self.height)
+
+    def stream(self, purpose: int) -> np.random.Generator:
+        """Return the random generator of one purpose, independent of the others."""
+        return np.random.default_rng([self.seed, purpose])
+
+
+def make_room(
+    path: Path | str,
+    settings: RoomSettings | None = None,
+    progress: Callable[[Iterable[Frame], int], Iterable[Frame]] | None = None,
+) -> None:
+    """Write a room in Replica's layout, with labels, mesh and unseen views.
+
+    Args:
+        path: a new or empty folder, or the folder of an existing synthetic room.
+        settings: settings of the room; by default those of the default room.
+        progress: wraps the iterable of frames, given their number, to show progress.
+
+    Raises:
+        DatasetError: the folder contains other files or cannot be written.
+        DependencyError: Open3D cannot be loaded.
+    """
+    settings = settings or RoomSettings()
+    path = Path(path)
+    camera = settings.camera  # raises before a folder is made if the images are too large
+    writer.prepare_folder(path)
+    layout = LAYOUTS[settings.layout]()
+    scene = build_scene(layout, settings.seed, _texel_m(settings), settings.texture)
+    poses = _poses(layout, settings)
+    _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
+    views = _views(scene, settings, poses)
+    if settings.walker:
+        views = writer.with_walker_masks(path, views)
+    frames: Iterable[Frame] = _frames(views, camera)
+    if progress is not None:
+        frames = progress(frames, len(poses))
+    writer.write_sequence(path, frames, camera, poses)
+    ideal = poses_off_the_path(scene, camera, poses, settings.unseen, settings.stream(_UNSEEN))
+    writer.write_sequence(path / "unseen", _ideal_frames(scene, camera, ideal), camera, ideal)
+    writer.write_mesh(path / "mesh.ply", scene)
+    writer.write_json(path / writer.MARKER, asdict(settings))
+
+
+def tiny_room(
+    frames: int = 10,
+    width: int = 80,
+    height: int = 60,
+    seed: int = 0,
+    sensor: SensorModel | None = None,
+) -> tuple[list[Frame], Trajectory]:
+    """Create the first frames of the default room in memory, at walking pace.
+
+    Returns:
+        The frames, and the true poses at their timestamps.
+    """
+    share = min(1.0, frames / _ROOM_FRAMES)
+    settings = RoomSettings("room", seed, frames, share, width, height, sensor)
+    layout = LAYOUTS[settings.layout]()
+    poses = _poses(layout, settings)
+    scene = _shared_scene(settings.layout, seed, _texel_m(settings))
+    made = list(_frames(_views(scene, settings, poses), settings.camera))
+    return made, Trajectory(np.arange(frames) / RATE_HZ, poses)
+
+
+def _texel_m(settings: RoomSettings) -> float:
+    """Return a texel size of about one pixel at a distance of one metre.
+
+    It does not depend on the field of view: the atlas of a narrow one would be too large.
+    """
+    return max(1.0 / (_FOCAL * settings.width), 0.0015)
+
+
+@functools.lru_cache(maxsize=2)
+def _shared_scene(layout_name: str, seed: int, texel_m: float) -> Scene:
+    """Build the scene of a tiny room; cached, because scenes are small and often reused."""
+    return build_scene(LAYOUTS[layout_name](), seed, texel_m)
+
+
+def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
+    frames = settings.frames
+    if frames is None and settings.layout == "room":
+        frames = max(2, round(settings.share * _ROOM_FRAMES))
+    return hand_held_path(layout.way_points, frames, settings.share, settings.stream(_SWAY))
+
+
+def _views(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[View]:
+    """Yield what the camera sees along the path."""
+    camera, sensor, walker = settings.camera, None, None
+    if settings.walker:
+        walker = Walker(scene, poses, _texel_m(settings), settings.stream(_WALKER))
+    if settings.sensor is not None:
+        sensor = Sensor(settings.sensor, camera, poses, settings.stream(_SENSOR))
+    for index, T_world_camera in enumerate(poses):
+        view = scene.render(camera, T_world_camera)
+        if walker is not None:
+            view = walker.add_to(index, view, camera, T_world_camera)
+        yield view if sensor is None else sensor.observe(index, view)
+
+
+def _frames(views: Iterable[View], camera: Camera) -> Iterator[Frame]:
+    for index, view in enumerate(views):
+        yield Frame(index, index / RATE_HZ, view.rgb, view.depth_m, camera, view.labels)
+
+
+def _ideal_frames(scene: Scene, camera: Camera, poses: NDArray) -> Iterator[Frame]:
+    return _frames((scene.render(camera, T) for T in poses), camera)

@@ -1,0 +1,128 @@
+"""Writing of synthetic sequences in Replica's layout (NICE-SLAM) with labels and mesh.
+
+Colour images are PNG files, because JPEG artefacts would limit the PSNR to about 40 dB.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import DatasetError
+from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
+from toolkit.geometry.open3d_bridge import open3d
+from toolkit.synthetic_rooms.ray_casting import Scene, View
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+
+DEPTH_SCALE = 6553.5
+MARKER = "room.json"
+WALKER = "walker"
+
+
+def prepare_folder(path: Path) -> None:
+    """Create the folder and delete the files of an earlier room in it.
+
+    Raises:
+        DatasetError: the folder contains files that are not of a synthetic room.
+    """
+    if path.exists() and not path.is_dir():
+        raise DatasetError(f"{path} is a file; give a folder for the room")
+    if path.is_dir() and any(path.iterdir()) and not (path / MARKER).is_file():
+        raise DatasetError(f"{path} is not empty and not a synthetic room; give another folder")
+    try:
+        for folder in (path, path / "unseen"):
+            for name in ("results", "labels"):
+                (folder / name).mkdir(parents=True, exist_ok=True)
+                _remove_images(folder / name)
+        _remove_images(path / WALKER)
+        # Empty until the room is complete, so that an interrupted room can be recreated.
+        (path / MARKER).write_text("")
+    except OSError as error:
+        raise DatasetError(
+            f"cannot write {path}: {error.strerror}; choose another folder"
+        ) from error
+
+
+def _remove_images(folder: Path) -> None:
+    for old in folder.glob("*.png"):
+        old.unlink()
+
+
+def with_walker_masks(path: Path, views: Iterable[View]) -> Iterator[View]:
+    """Write the walker's mask of each view that passes: 255 where it is visible, 0 elsewhere."""
+    for index, view in enumerate(views):
+        if view.walker is not None:
+            name = path / WALKER / f"walker{index:06d}.png"
+            try:
+                name.parent.mkdir(exist_ok=True)
+            except OSError as error:
+                raise DatasetError(f"cannot write {name.parent}: {error.strerror}") from error
+            _write_png(name, 255 * view.walker.astype(np.uint8))
+        yield view
+
+
+def write_sequence(
+    path: Path, frames: Iterable[Frame], camera: Camera, T_world_camera: NDArray
+) -> None:
+    """Write images, poses [N, 4, 4], intrinsics and class names into a prepared folder."""
+    for frame in frames:
+        stem = f"{frame.index:06d}.png"
+        bgr = np.round(frame.rgb[..., ::-1] * 255.0).astype(np.uint8)
+        depth = np.clip(np.round(frame.depth_m * DEPTH_SCALE), 0, 65535).astype(np.uint16)
+        _write_png(path / "results" / f"frame{stem}", bgr)
+        _write_png(path / "results" / f"depth{stem}", depth)
+        if frame.labels is not None:
+            _write_png(path / "labels" / f"label{stem}", frame.labels.astype(np.uint8))
+    rows = np.asarray(T_world_camera).reshape(-1, 16)
+    lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
+    _write_text(path / "traj.txt", "\n".join(lines) + "\n")
+    write_json(path / "cam_params.json", {"camera": _intrinsics(camera)})
+    classes = {str(number): name for name, number in CLASS_IDS.items()}
+    write_json(path / "labels" / "classes.json", {"void": 0, "classes": classes})
+
+
+def write_mesh(path: Path, scene: Scene) -> None:
+    """Write the ground-truth mesh with vertex colours as PLY."""
+    o3d = open3d()
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(scene.vertices_m),
+        o3d.utility.Vector3iVector(scene.triangles.astype(np.int32)),
+    )
+    mesh.vertex_colors = o3d.utility.Vector3dVector(scene.vertex_colours().astype(np.float64))
+    if not o3d.io.write_triangle_mesh(str(path), mesh):
+        raise DatasetError(f"cannot write {path}; check free space and permission")
+
+
+def _intrinsics(camera: Camera) -> dict[str, float]:
+    return {
+        "w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy,
+        "cx": camera.cx, "cy": camera.cy, "scale": DEPTH_SCALE,
+    }  # fmt: skip
+
+
+def _write_png(path: Path, image: NDArray) -> None:
+    try:
+        written = cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    except cv2.error:
+        written = False
+    if not written:
+        raise DatasetError(f"cannot write {path}; check free space and permission")
+
+
+def write_json(path: Path, content: dict) -> None:
+    _write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise DatasetError(
+            f"cannot write {path}: {error.strerror}; choose another folder"
+        ) from error

@@ -1,0 +1,26 @@
+"""Build the tracker of an option: ours, or the baseline of H-10."""
+
+from __future__ import annotations
+
+from toolkit.frame import Recorder
+from toolkit.semantics.codes import SemanticCode
+from toolkit.tracking.dense import DenseTracker
+from toolkit.tracking.first_order_tracker import FirstOrderTracker
+from toolkit.tracking.options import TrackingOptions
+from toolkit.tracking.tracker import Tracker
+
+
+def build_tracker(
+    options: TrackingOptions,
+    backend_name: str = "auto",
+    recorder: Recorder | None = None,
+    code: SemanticCode | None = None,
+) -> Tracker:
+    """Build the tracker selected by the options.
+
+    Args:
+        code: semantic code of the map's features.
+    """
+    if options.kind == "first-order":
+        return FirstOrderTracker(options.first_order, options.health, backend_name, recorder, code)
+    return DenseTracker(options.dense, options.health, backend_name, recorder)
