@@ -24,7 +24,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.native.constants import NEAR_M
 from toolkit.rendering import backend
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.cuda.backend import CudaBackend, Tuning
+from toolkit.rendering.cuda.backend import CudaRenderer, Tuning
 from toolkit.rendering.gsplat import GsplatBackend, load_gsplat
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -260,7 +260,7 @@ def tunings_table(plan: Plan) -> None:
         for channels in plan.channels:
             cloud = surface_cloud(camera, count, channels - 4).to(plan.device)
             for name, tuning in tunings.items():
-                steps = _steps(OurContest(CudaBackend(tuning), cloud, camera))
+                steps = _steps(OurContest(CudaRenderer(tuning), cloud, camera))
                 row(count, channels, name, *_times(steps, plan))
 
 

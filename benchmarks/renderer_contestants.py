@@ -16,7 +16,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native import load_variant
 from toolkit.rendering.backend import ForwardPass
-from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.native import NativeRenderer
 
 # Compiler targets of a rival for the instruction sets of ours.
 TARGETS = {"base": "x86-64", "avx2": "haswell", "avx512": "native"}
@@ -82,7 +82,7 @@ class Ours:
     """The native backend on one cloud and camera."""
 
     def __init__(self, cloud: GaussianCloud, camera: Camera, instruction_set: str):
-        self._backend = NativeBackend(load_variant(instruction_set))
+        self._backend = NativeRenderer(load_variant(instruction_set))
         self._cloud, self._camera = cloud, camera
         self._drawn: ForwardPass | None = None
         self._gradients = torch.empty(0)

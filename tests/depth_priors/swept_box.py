@@ -8,7 +8,7 @@ from moving_camera import film, walk
 
 from toolkit.alignment.levels import intensity_of
 from toolkit.depth_priors import consensus, fattening, plane_sweep
-from toolkit.depth_priors.problem import Image, PosedImage
+from toolkit.depth_priors.problem import Image, NeighbourView
 from toolkit.geometry import se3
 from toolkit.native import load_variant
 
@@ -24,8 +24,8 @@ def T_from_to(number: int, other: int) -> np.ndarray:
     return se3.inverse(POSES[other]) @ POSES[number]
 
 
-def posed(images: list[Image], number: int, *others: int) -> list[PosedImage]:
-    return [PosedImage(images[n], T_from_to(number, n)) for n in others]
+def posed(images: list[Image], number: int, *others: int) -> list[NeighbourView]:
+    return [NeighbourView(images[n], T_from_to(number, n)) for n in others]
 
 
 def relative_error(inverse_depth: Image, number: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from swept_box import CAMERA, TRUE, posed, use_kernels
 
 from toolkit.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
-from toolkit.depth_priors.problem import Consensus, PosedImage
+from toolkit.depth_priors.problem import Consensus, NeighbourView
 from toolkit.geometry import se3
 from toolkit.native import available_instruction_sets
 
@@ -76,7 +76,7 @@ def test_a_point_behind_what_others_see_is_only_hidden():
 def test_parallax_is_the_motion_of_a_pixel():
     """A camera that moved 0.1 to the side sees points of depth 2 move by f 0.1 / 2."""
     depth = np.full_like(TRUE[0], 0.5)
-    moved = PosedImage(depth, se3.exp([-0.1, 0, 0, 0, 0, 0]))
+    moved = NeighbourView(depth, se3.exp([-0.1, 0, 0, 0, 0, 0]))
     found = find_consensus(CAMERA, depth, [moved])
     seen = found.agreeing > 0
     assert seen.mean() > 0.8
@@ -88,13 +88,13 @@ def test_unknown_depth_stays_unknown():
     found = find_consensus(CAMERA, empty, posed(TRUE, 0, 1))
     assert not found.inverse_depth.any()
     assert not found.agreeing.any()
-    found = find_consensus(CAMERA, TRUE[0], [PosedImage(empty, np.eye(4))])
+    found = find_consensus(CAMERA, TRUE[0], [NeighbourView(empty, np.eye(4))])
     np.testing.assert_array_equal(found.inverse_depth, TRUE[0])
     assert not found.agreeing.any()
 
 
 def test_tolerance_decides():
-    wrong = [PosedImage(np.asarray(1.05 * TRUE[2], np.float32), np.eye(4))]
+    wrong = [NeighbourView(np.asarray(1.05 * TRUE[2], np.float32), np.eye(4))]
     assert not find_consensus(CAMERA, TRUE[2], wrong).agreeing.any()
     loose = find_consensus(CAMERA, TRUE[2], wrong, AgreementOptions(tolerance=0.1))
     assert (loose.agreeing > 0).mean() > 0.9

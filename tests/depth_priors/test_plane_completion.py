@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.depth_priors.plane_completion import CompletedDepth, complete
+from toolkit.depth_priors.plane_completion import FilledHoles, complete
 
 HEIGHT, WIDTH = 90, 120
 Y, X = np.mgrid[:HEIGHT, :WIDTH]
@@ -19,7 +19,7 @@ def hole(rows: slice, columns: slice, surface: np.ndarray = WALL) -> np.ndarray:
     return depth
 
 
-def completed(intensity: np.ndarray, inverse_depth: np.ndarray) -> CompletedDepth:
+def completed(intensity: np.ndarray, inverse_depth: np.ndarray) -> FilledHoles:
     return complete(intensity, inverse_depth, np.random.default_rng(0))
 
 

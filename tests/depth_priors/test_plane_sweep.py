@@ -7,7 +7,7 @@ import pytest
 from swept_box import CAMERA, IMAGES, NEAR, TRUE, posed, relative_error, use_kernels
 
 from toolkit.depth_priors.plane_sweep import double_depth, plane_sweep
-from toolkit.depth_priors.problem import Planes, PosedImage, SweptPlanes
+from toolkit.depth_priors.problem import NeighbourView, Planes, SweptPlanes
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import available_instruction_sets
@@ -54,14 +54,14 @@ def test_kernels_agree_with_the_reference(name, size, monkeypatch):
 def test_a_hidden_or_unrelated_source_does_no_harm():
     """The two best sources count."""
     noise = np.random.default_rng(0).random(IMAGES[0].shape, np.float32)
-    sources = [*posed(IMAGES, 2, 0, 4), PosedImage(noise, np.eye(4))]
+    sources = [*posed(IMAGES, 2, 0, 4), NeighbourView(noise, np.eye(4))]
     found = plane_sweep(CAMERA, IMAGES[2], sources, planes(48))
     assert np.median(relative_error(inverse_depth(found, planes(48)), 2)) < 0.015
 
 
 def test_pixels_that_no_source_shows_have_no_plane():
     away = se3.exp([0, 0, 0, 0, np.pi, 0])
-    found = plane_sweep(CAMERA, IMAGES[0], [PosedImage(IMAGES[1], away)], planes(16))
+    found = plane_sweep(CAMERA, IMAGES[0], [NeighbourView(IMAGES[1], away)], planes(16))
     assert (found.plane == -1).all()
 
 

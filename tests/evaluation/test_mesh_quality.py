@@ -9,7 +9,7 @@ import pytest
 
 from toolkit.errors import FormatError
 from toolkit.evaluation.meshes import Views, mesh_quality
-from toolkit.evaluation.trajectory import Alignment
+from toolkit.evaluation.trajectory import TrajectoryAlignment
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.meshes import TriangleMesh, write_mesh
@@ -39,7 +39,7 @@ def compared(tmp_path: Path, estimate: TriangleMesh, truth: TriangleMesh, views=
     return mesh_quality(
         estimate,
         tmp_path / "truth.ply",
-        Alignment(alignment.get("T", np.eye(4)), alignment.get("scale", 1.0)),
+        TrajectoryAlignment(alignment.get("T", np.eye(4)), alignment.get("scale", 1.0)),
         views,
     ).metrics(0.01)
 
@@ -101,4 +101,4 @@ def test_crossed_planes_disagree_in_their_normals(tmp_path):
 def test_a_file_without_triangles_is_reported(tmp_path):
     (tmp_path / "truth.ply").write_text("ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")
     with pytest.raises(FormatError, match="contains no triangles"):
-        mesh_quality(plane(2.0), tmp_path / "truth.ply", Alignment(np.eye(4)), VIEWS)
+        mesh_quality(plane(2.0), tmp_path / "truth.ply", TrajectoryAlignment(np.eye(4)), VIEWS)

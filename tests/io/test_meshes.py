@@ -10,7 +10,7 @@ from toolkit.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.io.meshes import DepthView, TriangleMesh, fuse_views, write_mesh, write_points
+from toolkit.io.meshes import PosedDepth, TriangleMesh, fuse_views, write_mesh, write_points
 
 CAMERA = Camera(70.0, 70.0, 39.5, 29.5, 80, 60)
 # A slanted plane, because a shift of half a pixel changes depth only on slanted surfaces.
@@ -18,11 +18,11 @@ NORMAL = np.array([0.5, 0.2, -0.84]) / np.linalg.norm([0.5, 0.2, -0.84])
 OFFSET_M = NORMAL @ [0.0, 0.0, 2.0]
 
 
-def view_of_plane(T_world_camera: np.ndarray) -> DepthView:
+def view_of_plane(T_world_camera: np.ndarray) -> PosedDepth:
     rays = CAMERA.rays() @ T_world_camera[:3, :3].T
     depth_m = (OFFSET_M - NORMAL @ T_world_camera[:3, 3]) / (rays @ NORMAL)
     points = T_world_camera[:3, 3] + rays * depth_m[..., None]
-    return DepthView(
+    return PosedDepth(
         CAMERA, T_world_camera, colour_at(points).astype(np.float32), depth_m.astype(np.float32)
     )
 
@@ -31,7 +31,7 @@ def colour_at(points: np.ndarray) -> np.ndarray:
     return 0.5 + 0.4 * np.sin(2.0 * points)
 
 
-def views() -> Iterator[DepthView]:
+def views() -> Iterator[PosedDepth]:
     for step in range(-2, 3):
         yield view_of_plane(se3.exp(np.array([0.1 * step, 0.05 * step, 0, 0, 0.05 * step, 0])))
 
@@ -62,7 +62,7 @@ def test_one_view_suffices_and_depth_beyond_the_maximum_is_ignored():
 
 def test_empty_views_are_skipped_and_only_empty_views_raise():
     full = view_of_plane(np.eye(4))
-    empty = DepthView(CAMERA, np.eye(4), full.rgb, np.zeros_like(full.depth_m))
+    empty = PosedDepth(CAMERA, np.eye(4), full.rgb, np.zeros_like(full.depth_m))
     assert len(fuse_views([empty, full], voxel_m=0.05).triangles) > 0
     with pytest.raises(ToolkitError, match="no view has depth"):
         fuse_views([empty], voxel_m=0.05)
@@ -77,7 +77,7 @@ def test_views_with_little_depth_do_not_fail(size):
     for row, column in ((0, 0), (1, 1), (28, 40), (height - 1, width - 1), (height - 4, 0)):
         speck = np.zeros(size, np.float32)
         speck[row, column] = 2.0
-        view = DepthView(camera, np.eye(4), rgb, speck)
+        view = PosedDepth(camera, np.eye(4), rgb, speck)
         assert len(fuse_views([view, full], voxel_m=0.05).triangles) > 0
 
 

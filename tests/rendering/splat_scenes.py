@@ -24,7 +24,7 @@ from toolkit.native import load_variant
 from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, NEAR_M
 from toolkit.rendering import GaussianGradients
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.native import NativeRenderer
 from toolkit.rendering.reference import ReferenceBackend
 
 BAND = 1e-5
@@ -59,9 +59,9 @@ class Scene:
         return Scene(GaussianCloud(**(parts | changes)), self.camera, self.T_camera_map)
 
 
-def native_backend(instruction_set: str) -> NativeBackend:
+def native_backend(instruction_set: str) -> NativeRenderer:
     """The native backend with a given variant of the kernels."""
-    backend = NativeBackend()
+    backend = NativeRenderer()
     module = load_variant(instruction_set)
     assert module is not None
     backend._module = module

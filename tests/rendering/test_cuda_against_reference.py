@@ -35,7 +35,7 @@ from toolkit.rendering.reference import ReferenceBackend
 
 pytest.importorskip("triton", reason="triton is not installed")
 
-from toolkit.rendering.cuda.backend import CudaBackend, Tuning, interpreted
+from toolkit.rendering.cuda.backend import CudaRenderer, Tuning, interpreted
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 pytestmark = pytest.mark.skipif(
@@ -75,7 +75,7 @@ class Cuda:
     name = "cuda"
 
     def __init__(self, tuning: Tuning = FLOAT32) -> None:
-        self._backend = CudaBackend(tuning)
+        self._backend = CudaRenderer(tuning)
 
     def forward(self, gaussians, camera, T_camera_map, features, region, centres=False):
         cloud = GaussianCloud(*(getattr(gaussians, f).to(DEVICE) for f in PARAMETERS))

@@ -27,12 +27,12 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
 from toolkit.rendering import render
-from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.native import NativeRenderer
 from toolkit.rendering.reference import ReferenceBackend
 
 
 def assert_agrees(
-    native: NativeBackend, scene: Scene, seed: int = 0, tolerance: float = 2e-4
+    native: NativeRenderer, scene: Scene, seed: int = 0, tolerance: float = 2e-4
 ) -> None:
     """Assert that images and gradients of a random loss equal the float64 reference."""
     assert_same_images(scene.draw(native), scene, reference_images(scene))
@@ -56,29 +56,29 @@ def assert_agrees(
     channels=st.integers(0, 20),
 )
 def test_random_scenes(
-    native: NativeBackend, seed: int, width: int, height: int, count: int, channels: int
+    native: NativeRenderer, seed: int, width: int, height: int, count: int, channels: int
 ) -> None:
     assert_agrees(native, random_scene(seed, count, channels, (width, height)), seed)
 
 
 @pytest.mark.parametrize("channels", [0, 1, 3, 6, 12, 17, 28, 29, 100])
-def test_any_number_of_channels(native: NativeBackend, channels: int) -> None:
+def test_any_number_of_channels(native: NativeRenderer, channels: int) -> None:
     assert_agrees(native, random_scene(channels, channels=channels))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (33, 1), (15, 17), (16, 16), (31, 3)])
-def test_any_image_size(native: NativeBackend, size: tuple[int, int]) -> None:
+def test_any_image_size(native: NativeRenderer, size: tuple[int, int]) -> None:
     assert_agrees(native, random_scene(7, count=30, size=size))
 
 
-def test_many_splats_in_one_tile(native: NativeBackend) -> None:
+def test_many_splats_in_one_tile(native: NativeRenderer) -> None:
     """More than one batch of the kernels, with low opacity so that all of them contribute."""
     scene = random_scene(11, count=700, channels=5, size=(20, 12))
     faint = scene.with_cloud(opacity_logits=scene.cloud.opacity_logits.clamp(max=-3.5))
     assert_agrees(native, faint)
 
 
-def test_behind_and_at_the_camera(native: NativeBackend) -> None:
+def test_behind_and_at_the_camera(native: NativeRenderer) -> None:
     """Gaussians in front of the near plane are not rendered and have no gradient."""
     depths = [1.0, -1.0, 0.0, 0.005, 0.02, -0.02]
     scene = scene_at_pixels([(5, 4)] * 6, skewed_camera(12, 10), 1.0, channels=2)
@@ -92,14 +92,14 @@ def test_behind_and_at_the_camera(native: NativeBackend) -> None:
         assert gradients[name][0].any(), name
 
 
-def test_on_the_image_border(native: NativeBackend) -> None:
+def test_on_the_image_border(native: NativeRenderer) -> None:
     camera = skewed_camera(21, 18)
     corners = [(0, 0), (20, 0), (0, 17), (20, 17), (-2, 5), (22.5, 9), (7, -1.5), (10, 19)]
     borders = [(15.5, 4.0), (16.0, 15.5), (4.0, 16.0), (15.0, 15.0)]
     assert_agrees(native, scene_at_pixels(corners + borders, camera, channels=2))
 
 
-def test_radius_below_a_pixel(native: NativeBackend) -> None:
+def test_radius_below_a_pixel(native: NativeRenderer) -> None:
     """It covers one pixel at a pixel's centre and none between centres."""
     on, between = (5.0, 4.0), (8.5, 6.5)
     scene = scene_at_pixels([on, between], skewed_camera(12, 10), sigma_px=0.05)
@@ -120,7 +120,7 @@ def test_radius_below_a_pixel(native: NativeBackend) -> None:
         1e-20,  # sigma squared underflows to 0
     ],
 )
-def test_vanishing_radius_has_finite_gradients(native: NativeBackend, sigma_px: float) -> None:
+def test_vanishing_radius_has_finite_gradients(native: NativeRenderer, sigma_px: float) -> None:
     scene = scene_at_pixels([(5, 4), (7, 6)], Camera(8, 8, 0, 0, 12, 10), sigma_px=2.0)
     log_radii = scene.cloud.log_radii.clone()
     log_radii[0] = float(torch.tensor(sigma_px / 8.0).log())
@@ -129,7 +129,7 @@ def test_vanishing_radius_has_finite_gradients(native: NativeBackend, sigma_px: 
     assert gradients["means"][1].any()
 
 
-def test_gaussian_that_covers_the_image(native: NativeBackend) -> None:
+def test_gaussian_that_covers_the_image(native: NativeRenderer) -> None:
     scene = scene_at_pixels(
         [(5, 4), (20, 30), (40, 2)], skewed_camera(50, 35), [1.0, 2.0, 3.0], channels=3
     )
@@ -140,7 +140,7 @@ def test_gaussian_that_covers_the_image(native: NativeBackend) -> None:
     assert float(scene.with_cloud(log_radii=log_radii).draw(native)[4].min()) >= 0.6 - 1e-5
 
 
-def test_opacity_zero_and_one(native: NativeBackend) -> None:
+def test_opacity_zero_and_one(native: NativeRenderer) -> None:
     scene = scene_at_pixels(
         [(5, 4), (6, 5), (4, 5)], skewed_camera(12, 10), [1.0, 2.0, 1.5], channels=2
     )
@@ -152,7 +152,7 @@ def test_opacity_zero_and_one(native: NativeBackend) -> None:
     assert not gradients["opacity_logits"][[0, 2]].any()
 
 
-def test_clamped_alpha_has_zero_gradient(native: NativeBackend) -> None:
+def test_clamped_alpha_has_zero_gradient(native: NativeRenderer) -> None:
     """Over several pixels alpha exceeds 0.999 and is clamped."""
     scene = scene_at_pixels(
         [(3.3, 2.4), (1.2, 3.1)], skewed_camera(8, 6), [1.0, 2.0], 60.0, 0.9999, channels=2
@@ -162,7 +162,7 @@ def test_clamped_alpha_has_zero_gradient(native: NativeBackend) -> None:
     assert_agrees(native, scene, tolerance=5e-4)
 
 
-def test_gaussians_of_equal_depth_keep_their_order(native: NativeBackend) -> None:
+def test_gaussians_of_equal_depth_keep_their_order(native: NativeRenderer) -> None:
     """Of Gaussians at equal depth, the first in the map is in front, within and across tiles."""
     rng = torch.Generator().manual_seed(4)
     pixels = (torch.rand(80, 2, generator=rng) * torch.tensor([40.0, 30.0])).tolist()
@@ -173,7 +173,7 @@ def test_gaussians_of_equal_depth_keep_their_order(native: NativeBackend) -> Non
     assert not torch.allclose(swapped.draw(native), scene.draw(native), atol=1e-2)
 
 
-def test_empty_map(native: NativeBackend) -> None:
+def test_empty_map(native: NativeRenderer) -> None:
     scene = Scene(GaussianCloud.empty(4), skewed_camera(20, 17), torch.eye(4).double().numpy())
     drawn = scene.forward(native)
     assert torch.equal(drawn.images, torch.zeros(9, 17, 20))
@@ -183,14 +183,14 @@ def test_empty_map(native: NativeBackend) -> None:
     assert torch.equal(gradients.T_camera_map, torch.zeros(3, 4, dtype=torch.float64))
 
 
-def test_nothing_in_view(native: NativeBackend) -> None:
+def test_nothing_in_view(native: NativeRenderer) -> None:
     scene = scene_at_pixels([(-500, 4), (5, 900)], skewed_camera(12, 10))
     assert not scene.draw(native).any()
     assert not gradients_of(scene, native, torch.ones(5, 10, 12))["T_camera_map"].any()
 
 
 @pytest.mark.parametrize("group", ["means", "log_radii", "opacity_logits"])
-def test_gaussians_with_nan_geometry_are_ignored(native: NativeBackend, group: str) -> None:
+def test_gaussians_with_nan_geometry_are_ignored(native: NativeRenderer, group: str) -> None:
     scene = random_scene(5)
     spoiled = getattr(scene.cloud, group).clone()
     spoiled[10] = torch.nan
@@ -207,7 +207,7 @@ def test_gaussians_with_nan_geometry_are_ignored(native: NativeBackend, group: s
 
 
 @pytest.mark.parametrize("group", ["colours", "features"])
-def test_nan_value_affects_only_its_support(native: NativeBackend, group: str) -> None:
+def test_nan_value_affects_only_its_support(native: NativeRenderer, group: str) -> None:
     """A NaN colour is rendered, but only in blocks within the Gaussian's support."""
     scene = scene_at_pixels([(6, 6), (25, 20)], skewed_camera(34, 30), channels=2)
     spoiled = getattr(scene.cloud, group).clone()
@@ -217,7 +217,7 @@ def test_nan_value_affects_only_its_support(native: NativeBackend, group: str) -
     assert torch.equal(images[:, 15:, 15:], scene.draw(native)[:, 15:, 15:])
 
 
-def test_early_termination_error_is_bounded(native: NativeBackend) -> None:
+def test_early_termination_error_is_bounded(native: NativeRenderer) -> None:
     """Blocks with transmittance below 1e-4 are terminated, which bounds the error."""
     count = 60
     scene = scene_at_pixels(
@@ -240,7 +240,7 @@ def test_early_termination_error_is_bounded(native: NativeBackend) -> None:
     assert_same_gradients(actual, expected_gradients, tolerance=10 * 2.3 * MIN_TRANSMITTANCE)
 
 
-def test_discontinuity_band_is_bounded(native: NativeBackend) -> None:
+def test_discontinuity_band_is_bounded(native: NativeRenderer) -> None:
     """A Gaussian at MIN_ALPHA changes a pixel by at most 1/255 of its value."""
     scene = scene_at_pixels([(5.0, 4.0)], Camera(8, 8, 5, 4, 12, 10), opacity=0.5)
     for step in range(-3, 4):
@@ -250,7 +250,7 @@ def test_discontinuity_band_is_bounded(native: NativeBackend) -> None:
         assert float(difference.abs().max()) <= 1.001 * MIN_ALPHA
 
 
-def test_colour_gradients_can_be_skipped(native: NativeBackend) -> None:
+def test_colour_gradients_can_be_skipped(native: NativeRenderer) -> None:
     scene = random_scene(2, channels=6)
     weights = scene.loss_weights()
     drawn = scene.forward(native)
@@ -261,7 +261,7 @@ def test_colour_gradients_can_be_skipped(native: NativeBackend) -> None:
         assert torch.equal(getattr(lean, name), getattr(everything, name)), name
 
 
-def test_ids_are_ascending_and_contain_all_visible_gaussians(native: NativeBackend) -> None:
+def test_ids_are_ascending_and_contain_all_visible_gaussians(native: NativeRenderer) -> None:
     scene = random_scene(9, count=50)
     ids = scene.forward(native).backward(scene.loss_weights()).ids
     assert bool((ids.diff() > 0).all())
@@ -293,7 +293,7 @@ def test_gradients_are_propagated_by_autograd() -> None:
 
 
 @pytest.mark.parametrize("channels", [0, 1, 17])
-def test_centres_are_last_and_do_not_change_others(native: NativeBackend, channels: int) -> None:
+def test_centres_are_last_and_do_not_change_others(native: NativeRenderer, channels: int) -> None:
     scene = random_scene(channels + 40, count=50, channels=channels)
     arguments = (scene.cloud, scene.camera, scene.T_camera_map)
     plain = native.forward(*arguments, scene.cloud.features, None)
@@ -308,7 +308,7 @@ def test_centres_are_last_and_do_not_change_others(native: NativeBackend, channe
 
 
 @pytest.mark.parametrize("channels", [1, 4, 26, 101])
-def test_detached_features_do_not_affect_geometry(native: NativeBackend, channels: int) -> None:
+def test_detached_features_do_not_affect_geometry(native: NativeRenderer, channels: int) -> None:
     """Gradients of geometry and pose are those without features, others those with features."""
     scene = random_scene(channels + 60, count=50, channels=channels)
     weights = scene.loss_weights()

@@ -23,7 +23,7 @@ from splat_scenes import (
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import TILE, tile_counts
-from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.native import NativeRenderer
 from toolkit.rendering.reference import ReferenceBackend
 
 
@@ -44,7 +44,7 @@ def random_region(camera: Camera, seed: int = 3) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("with_region", [False, True])
-def test_threads_do_not_change_results(native: NativeBackend, with_region: bool) -> None:
+def test_threads_do_not_change_results(native: NativeRenderer, with_region: bool) -> None:
     scene = busy_scene()
     region = random_region(scene.camera) if with_region else None
     weights = torch.randn(10, 130, 200, generator=torch.Generator().manual_seed(1))
@@ -57,7 +57,7 @@ def test_threads_do_not_change_results(native: NativeBackend, with_region: bool)
         assert_identical(gradients_of(scene, native, weights, region), gradients)
 
 
-def test_results_do_not_depend_on_earlier_views(native: NativeBackend) -> None:
+def test_results_do_not_depend_on_earlier_views(native: NativeRenderer) -> None:
     """Buffers are reused; the content of a larger earlier view must not affect the result."""
     scene = random_scene(1, channels=4)
     weights = scene.loss_weights()
@@ -68,7 +68,7 @@ def test_results_do_not_depend_on_earlier_views(native: NativeBackend) -> None:
         assert_identical(gradients_of(scene, native, weights), gradients)
 
 
-def test_two_views_can_be_in_use_at_once(native: NativeBackend) -> None:
+def test_two_views_can_be_in_use_at_once(native: NativeRenderer) -> None:
     first, second = random_scene(1), random_scene(2)
     weights = first.loss_weights()
     expected = gradients_of(first, native, weights)["means"]
@@ -79,7 +79,7 @@ def test_two_views_can_be_in_use_at_once(native: NativeBackend) -> None:
     assert torch.equal(gradients.means, expected[gradients.ids])
 
 
-def test_rendering_from_several_threads(native: NativeBackend) -> None:
+def test_rendering_from_several_threads(native: NativeRenderer) -> None:
     scenes = [random_scene(k, channels=3) for k in range(4)] * 8
     weights = scenes[0].loss_weights()
     expected = [gradients_of(s, native, weights) for s in scenes[:4]]
@@ -95,7 +95,7 @@ def test_rendering_from_several_threads(native: NativeBackend) -> None:
 
 
 @pytest.mark.parametrize("channels", [0, 5])
-def test_tiles_of_a_region_are_identical(native: NativeBackend, channels: int) -> None:
+def test_tiles_of_a_region_are_identical(native: NativeRenderer, channels: int) -> None:
     scene = random_scene(8, count=300, channels=channels, size=(75, 61))
     region = random_region(scene.camera)
     drawn = pixels_of(region, scene.camera)
@@ -106,7 +106,7 @@ def test_tiles_of_a_region_are_identical(native: NativeBackend, channels: int) -
 
 
 @pytest.mark.parametrize("channels", [0, 5])
-def test_gradients_of_a_region_are_those_of_its_loss(native: NativeBackend, channels: int) -> None:
+def test_gradients_of_a_region_are_those_of_its_loss(native: NativeRenderer, channels: int) -> None:
     scene = random_scene(8, count=300, channels=channels, size=(75, 61))
     region = random_region(scene.camera)
     weights = scene.loss_weights() * pixels_of(region, scene.camera)
@@ -115,7 +115,7 @@ def test_gradients_of_a_region_are_those_of_its_loss(native: NativeBackend, chan
     )
 
 
-def test_region_ignores_the_loss_outside(native: NativeBackend) -> None:
+def test_region_ignores_the_loss_outside(native: NativeRenderer) -> None:
     scene = random_scene(8, count=100, size=(75, 61))
     region = random_region(scene.camera)
     weights = scene.loss_weights()
@@ -125,7 +125,7 @@ def test_region_ignores_the_loss_outside(native: NativeBackend) -> None:
     )
 
 
-def test_region_agrees_with_the_reference(native: NativeBackend) -> None:
+def test_region_agrees_with_the_reference(native: NativeRenderer) -> None:
     scene = random_scene(8, count=100, size=(75, 61))
     region = random_region(scene.camera)
     weights = scene.loss_weights() * pixels_of(region, scene.camera)
@@ -134,7 +134,7 @@ def test_region_agrees_with_the_reference(native: NativeBackend) -> None:
     assert_same_gradients(gradients_of(scene, native, weights, region), expected)
 
 
-def test_empty_region_renders_zero(native: NativeBackend) -> None:
+def test_empty_region_renders_zero(native: NativeRenderer) -> None:
     scene = random_scene(8)
     region = torch.zeros(tile_counts(scene.camera), dtype=torch.bool)
     assert not scene.draw(native, region).any()
@@ -142,7 +142,7 @@ def test_empty_region_renders_zero(native: NativeBackend) -> None:
     assert not any(g.any() for g in gradients.values())
 
 
-def test_a_million_gaussians(native: NativeBackend) -> None:
+def test_a_million_gaussians(native: NativeRenderer) -> None:
     rng = torch.Generator().manual_seed(0)
     count = 1_000_000
     means = torch.rand(count, 3, generator=rng) * torch.tensor([3.2, 2.4, 2.0])

@@ -18,7 +18,7 @@ from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface, surface
-from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.native import NativeRenderer
 from toolkit.rendering.reference import ReferenceBackend
 
 CAMERA = Camera(fx=150.0, fy=150.0, cx=79.5, cy=59.5, width=160, height=120)
@@ -45,7 +45,7 @@ def images_of(scene: Scene) -> Tensor:
 @pytest.mark.parametrize("number", range(6))
 @pytest.mark.parametrize("count", [120, 400])  # with and almost without holes
 def test_kernel_agrees_with_torch(
-    native: NativeBackend, monkeypatch: pytest.MonkeyPatch, number: int, count: int
+    native: NativeRenderer, monkeypatch: pytest.MonkeyPatch, number: int, count: int
 ) -> None:
     monkeypatch.setattr(surface, "kernels_for", lambda tensor: native._module)
     scene = random_scene(number, count=count)
@@ -64,7 +64,7 @@ def test_kernel_agrees_with_torch(
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 9), (9, 2), (3, 3)])
 def test_images_too_small_for_a_plane(
-    native: NativeBackend, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+    native: NativeRenderer, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
 ) -> None:
     monkeypatch.setattr(surface, "kernels_for", lambda tensor: native._module)
     scene = random_scene(3, count=200, size=size)
@@ -111,7 +111,7 @@ def test_depth_of_steep_walls_is_unbiased(radius: float) -> None:
 @pytest.mark.parametrize("centres", [[(0.1, -0.2)], [(-0.3, 0.0), (0.4, 0.1)]])
 @pytest.mark.parametrize("way", ["kernel", "torch"])
 def test_depth_of_few_wide_gaussians(
-    native: NativeBackend, monkeypatch: pytest.MonkeyPatch, way: str, centres: list
+    native: NativeRenderer, monkeypatch: pytest.MonkeyPatch, way: str, centres: list
 ) -> None:
     """Their mean centre hardly changes between pixels; no normal is estimated from rounding."""
     monkeypatch.setattr(

@@ -16,7 +16,7 @@ from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs.building import build_slam
 from toolkit.runs.execution import run
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.observers import Observers, RunProgress
+from toolkit.runs.observers import ObservedRun, Observers
 from toolkit.runs.progress import ProgressReader
 from toolkit.runs.settings import RunSettings, dump_settings, load_settings
 from toolkit.runs.snapshots import SnapshotWriter, unwatch, watch
@@ -50,7 +50,7 @@ class Running:
         self.writer = SnapshotWriter(lambda: self.time_s)
         camera = self.frames.camera
         self.observers = Observers([self.writer])
-        self.observers.started(RunProgress("tiny", camera, self.folder, self.slam, recorder))
+        self.observers.started(ObservedRun("tiny", camera, self.folder, self.slam, recorder))
 
     def process(self, at_s: float, frames: int = 1) -> None:
         """Process frames at a time, and wait until a snapshot that was due is written."""

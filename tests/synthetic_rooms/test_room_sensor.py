@@ -7,7 +7,7 @@ import pytest
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.synthetic_rooms.ray_casting import View
+from toolkit.synthetic_rooms.ray_casting import RayCastView
 from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
 
 CAMERA = Camera(100.0, 100.0, 79.5, 59.5, 160, 120)
@@ -23,7 +23,7 @@ def _view(depth_m=2.0, cosine=1.0):
     shape = (CAMERA.height, CAMERA.width)
     labels = np.full(shape, 93, dtype=np.int32)
     labels[:, 80:] = 40
-    return View(
+    return RayCastView(
         rng.uniform(0.2, 0.8, (*shape, 3)).astype(np.float32),
         np.full(shape, depth_m, dtype=np.float32),
         labels,

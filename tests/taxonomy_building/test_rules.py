@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from toolkit.taxonomy_building.grouper import Question
 from toolkit.taxonomy_building.rules import RuleGrouper
-from toolkit.taxonomy_building.vocabulary import Vocabulary, built_in
+from toolkit.taxonomy_building.vocabulary import ObjectVocabulary, built_in
 
 WORDS = [entry.word for entry in built_in()]
 NAMES = st.one_of(st.sampled_from(WORDS), st.text("abcdefg -", min_size=1, max_size=12))
@@ -63,13 +63,13 @@ def test_what_does_not_differ_stays_together():
 def test_an_empty_vocabulary_is_not_replaced_by_the_built_in_one():
     question = Question(("cup", "wardrobe"), "size")
     assert len(RuleGrouper().group(question)) == 2
-    assert len(RuleGrouper(Vocabulary({})).group(question)) == 1
+    assert len(RuleGrouper(ObjectVocabulary({})).group(question)) == 1
 
 
 def test_two_groups_of_one_name_are_kept_apart():
     tree = {kind: {"1 flat": f"{kind}one, {kind}two"} for kind in "abcdefghi"}
     tree["e"] = {"1 flat": ", ".join(f"e{n}" for n in "pqrstuvwxyz")}
-    vocabulary = Vocabulary(tree)
+    vocabulary = ObjectVocabulary(tree)
     items = tuple(entry.word for entry in vocabulary)
     groups = RuleGrouper(vocabulary).group(Question(items, "function", max_groups=3))
     sizes = {name: len(members) for name, members in groups.items()}

@@ -74,17 +74,17 @@ class AlignmentBackend(Protocol):
 def backend_for(tensor: Tensor) -> AlignmentBackend:
     """The backend for images on a tensor's device."""
     if tensor.device.type != "cpu":
-        from toolkit.alignment.cuda.backend import CudaBackend
+        from toolkit.alignment.cuda.backend import CudaAlignment
 
-        return CudaBackend()
+        return CudaAlignment()
     module = kernels_for(tensor)
     if module is None:
         from toolkit.alignment.reference import NumpyBackend
 
         return NumpyBackend()
-    from toolkit.alignment.native import NativeBackend
+    from toolkit.alignment.native import NativeAlignment
 
-    return NativeBackend(module)
+    return NativeAlignment(module)
 
 
 def linearise(

@@ -24,7 +24,7 @@ from toolkit.native import address
 from toolkit.native.constants import ALIGNMENT_SUMS
 
 
-class NativeBackend:
+class NativeAlignment:
     """See AlignmentBackend.
 
     Args:

@@ -11,9 +11,9 @@ from toolkit.cli.map_programs import ExportOptions
 from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.plan import export_floor_plan
 from toolkit.exports.scene_graph import export_scene_graph
-from toolkit.exports.selection import Selection, select
+from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.exports.surfaces import export_gltf, export_labelled_points
-from toolkit.exports.views import ViewOptions, export_colmap, export_nerfstudio
+from toolkit.exports.views import ViewExportOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
 from toolkit.io.splats import export_splats
 from toolkit.io.trajectories import write_tum
@@ -42,14 +42,14 @@ def main(options: ExportOptions) -> int:
     return 0
 
 
-def _splats(options: ExportOptions, selection: Selection) -> str:
+def _splats(options: ExportOptions, selection: SelectedGaussians) -> str:
     columns = None if selection.labels is None else selection.labels.columns()
     comments = [*_left_origin(options, selection), *selection.run.length_names.notes]
     export_splats(options.to, selection.gaussians, columns, comments, options.spz_version)
     return f"{len(selection.gaussians)} Gaussians"
 
 
-def _left_origin(options: ExportOptions, selection: Selection) -> list[str]:
+def _left_origin(options: ExportOptions, selection: SelectedGaussians) -> list[str]:
     """The origin that a file in single precision cannot hold, as a comment; none if it is 0."""
     if not selection.run.origin_m.any():
         return []
@@ -58,60 +58,60 @@ def _left_origin(options: ExportOptions, selection: Selection) -> list[str]:
     return [origin]
 
 
-def _points(options: ExportOptions, selection: Selection) -> str:
+def _points(options: ExportOptions, selection: SelectedGaussians) -> str:
     # Open3D writes .pcd in single precision.
     is_single = options.to.suffix == ".pcd" and bool(_left_origin(options, selection))
     origin_m = np.zeros(3) if is_single else selection.run.origin_m
     return f"{write_opaque_points(options.to, selection.gaussians, origin_m)} points"
 
 
-def _trajectory(options: ExportOptions, selection: Selection) -> str:
+def _trajectory(options: ExportOptions, selection: SelectedGaussians) -> str:
     trajectory = selection.run.trajectory.transformed(selection.run.T_given_map)
     write_tum(options.to, trajectory)
     return f"{len(trajectory)} poses"
 
 
-def _labelled_points(options: ExportOptions, selection: Selection) -> str:
+def _labelled_points(options: ExportOptions, selection: SelectedGaussians) -> str:
     labelled = "" if selection.labels is None else " with classes"
     return f"{export_labelled_points(options.to, selection)} points{labelled}"
 
 
-def _mesh(options: ExportOptions, selection: Selection) -> str:
+def _mesh(options: ExportOptions, selection: SelectedGaussians) -> str:
     fuse = part_mesh if selection.partial else surface_mesh
     mesh = fuse(selection.run, selection.gaussians, _mesh_options(options))
     write_mesh(options.to, mesh, selection.run.origin_m)
     return str(mesh)
 
 
-def _gltf(options: ExportOptions, selection: Selection) -> str:
+def _gltf(options: ExportOptions, selection: SelectedGaussians) -> str:
     return str(export_gltf(options.to, selection, _mesh_options(options), options.floor))
 
 
-def _colmap(options: ExportOptions, selection: Selection) -> str:
+def _colmap(options: ExportOptions, selection: SelectedGaussians) -> str:
     binary = options.kind == "colmap-binary"
     count = export_colmap(options.to, selection, _view_options(options), binary)
     return f"a COLMAP model of {count} images"
 
 
-def _nerfstudio(options: ExportOptions, selection: Selection) -> str:
+def _nerfstudio(options: ExportOptions, selection: SelectedGaussians) -> str:
     count = export_nerfstudio(options.to, selection, _view_options(options))
     return f"transforms.json of {count} images"
 
 
-def _occupancy_grid(options: ExportOptions, selection: Selection) -> str:
+def _occupancy_grid(options: ExportOptions, selection: SelectedGaussians) -> str:
     return str(export_occupancy_grid(options.to, selection, options.grid, options.floor))
 
 
-def _scene_graph(options: ExportOptions, selection: Selection) -> str:
+def _scene_graph(options: ExportOptions, selection: SelectedGaussians) -> str:
     return str(export_scene_graph(options.to, selection, options.objects, options.floor))
 
 
-def _floor_plan(options: ExportOptions, selection: Selection) -> str:
+def _floor_plan(options: ExportOptions, selection: SelectedGaussians) -> str:
     plan = export_floor_plan(options.to, selection, options.floor)
     return f"a floor plan with {len(plan.areas)} classes"
 
 
-def _viewer(options: ExportOptions, selection: Selection) -> str:
+def _viewer(options: ExportOptions, selection: SelectedGaussians) -> str:
     scene = run_scene(selection, options.viewer)
     size = write_page(options.to, scene)
     if link_from_report(options.to, selection.run.folder.report):
@@ -123,11 +123,11 @@ def _mesh_options(options: ExportOptions) -> MeshOptions:
     return MeshOptions(options.voxel_m, options.max_depth_m, options.every)
 
 
-def _view_options(options: ExportOptions) -> ViewOptions:
-    return ViewOptions(options.images, options.every, options.max_points)
+def _view_options(options: ExportOptions) -> ViewExportOptions:
+    return ViewExportOptions(options.images, options.every, options.max_points)
 
 
-_WRITERS: dict[str, Callable[[ExportOptions, Selection], str]] = {
+_WRITERS: dict[str, Callable[[ExportOptions, SelectedGaussians], str]] = {
     "splats": _splats,
     "mesh": _mesh,
     "points": _points,

@@ -22,7 +22,7 @@ from toolkit.io.trajectories import write_tum
 from toolkit.loops.registration.factory import build_registrar, build_view_renderer, needs_describer
 from toolkit.loops.two_maps import (
     MapRegistration,
-    Selection,
+    SelectedRegistration,
     most_similar_submaps,
     register_submaps,
     select_registration,
@@ -133,7 +133,7 @@ def _failure(options: RegisterOptions, registrations: list[MapRegistration]) -> 
 
 
 def _report(
-    options: RegisterOptions, registrations: list[MapRegistration], selection: Selection
+    options: RegisterOptions, registrations: list[MapRegistration], selection: SelectedRegistration
 ) -> dict[str, Any]:
     """Return the content of register.json: the selected and all other registrations."""
     best = selection.best
@@ -161,7 +161,7 @@ def _verdict(registration: MapRegistration) -> dict[str, Any]:
     }
 
 
-def _lines(report: dict[str, Any], selection: Selection) -> list[str]:
+def _lines(report: dict[str, Any], selection: SelectedRegistration) -> list[str]:
     """Return the printed summary."""
     T: NDArray[np.float64] = selection.best.T_first_second
     rotation_deg = math.degrees(float(se3.rotation_angle_rad(T[:3, :3])))

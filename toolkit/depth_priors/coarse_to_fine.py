@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from toolkit.depth_priors.fattening import remove_fattening
 from toolkit.depth_priors.plane_sweep import double_depth, plane_sweep
-from toolkit.depth_priors.problem import Image, Planes, PosedImage, SweepOptions
+from toolkit.depth_priors.problem import Image, NeighbourView, Planes, SweepOptions
 from toolkit.geometry.camera import Camera
 
 # Motion in the half image from one plane to the next, for the source with the longest baseline.
@@ -102,7 +102,7 @@ def sweep_depth(
     middle = double_depth(half, images.half, images.full, _MAX_STEP * step)
     fine = _BAND_STEP * step
     first = middle - np.float32(0.5 * (_BAND - 1) * fine)
-    posed = [PosedImage(s.images.full, s.T_source_reference) for s in sources]
+    posed = [NeighbourView(s.images.full, s.T_source_reference) for s in sources]
     found = plane_sweep(camera, images.full, posed, Planes(first, fine, _BAND), _FINE)
     inverse_depth = first + found.plane * np.float32(fine)
     known = (middle > 0) & (found.plane >= 0) & (inverse_depth > 0.5 * far)
@@ -122,7 +122,7 @@ def _half_depth(
     count = int(np.clip(np.ceil(motion_px / _STEP_PX), _MIN_PLANES, _MAX_PLANES))
     step = (near - far) / (count - 1)
     planes = Planes(np.full_like(images.half, far), step, count)
-    posed = [PosedImage(s.images.half, s.T_source_reference) for s in coarse]
+    posed = [NeighbourView(s.images.half, s.T_source_reference) for s in coarse]
     found = plane_sweep(camera.halved(), images.half, posed, planes, _COARSE)
     # Surfaces at the last plane may be nearer.
     known = (found.plane >= 0) & (found.plane < count - 1)

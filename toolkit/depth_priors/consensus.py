@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolkit.depth_priors import native, reference
-from toolkit.depth_priors.problem import Consensus, Image, PosedImage, check_images
+from toolkit.depth_priors.problem import Consensus, Image, NeighbourView, check_images
 from toolkit.geometry.camera import Camera
 from toolkit.native.loading import kernels
 
@@ -40,7 +40,7 @@ class AgreementOptions:
 def find_consensus(
     camera: Camera,
     inverse_depth: Image,
-    others: Sequence[PosedImage],
+    others: Sequence[NeighbourView],
     options: AgreementOptions | None = None,
 ) -> Consensus:
     """Compare the depth of an image with that of other images, and fuse those that agree.

@@ -23,7 +23,7 @@ from toolkit.depth_priors.coarse_to_fine import (
 )
 from toolkit.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
 from toolkit.depth_priors.plane_completion import complete
-from toolkit.depth_priors.problem import Image, PosedImage
+from toolkit.depth_priors.problem import Image, NeighbourView
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
@@ -99,7 +99,7 @@ class MultiViewDepth:
         """Depth of a keyframe that others confirm, and its accuracy."""
         own, around = self._sweep(number), self._around(number)
         others = [
-            PosedImage(self._sweep(n).inverse_depth, self._T_from_to(number, n)) for n in around
+            NeighbourView(self._sweep(n).inverse_depth, self._T_from_to(number, n)) for n in around
         ]
         found = find_consensus(self._camera, own.inverse_depth, others, self._agreement)
         needed = min(self._agreement.keyframes, len(others))

@@ -10,8 +10,8 @@ import numpy as np
 from toolkit.depth_priors.problem import (
     Consensus,
     Image,
+    NeighbourView,
     Planes,
-    PosedImage,
     SweepOptions,
     SweptPlanes,
 )
@@ -22,7 +22,7 @@ def plane_sweep(
     kernels: ModuleType,
     camera: Camera,
     intensity: Image,
-    sources: Sequence[PosedImage],
+    sources: Sequence[NeighbourView],
     planes: Planes,
     options: SweepOptions,
 ) -> SweptPlanes:
@@ -68,7 +68,7 @@ def find_consensus(
     kernels: ModuleType,
     camera: Camera,
     inverse_depth: Image,
-    others: Sequence[PosedImage],
+    others: Sequence[NeighbourView],
     limits: tuple[float, float],
 ) -> Consensus:
     """See `toolkit.depth_priors.consensus.find_consensus`."""
@@ -88,7 +88,7 @@ def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
     return camera.fx, camera.fy, camera.cx, camera.cy
 
 
-def _posed(images: Sequence[PosedImage]) -> list[tuple[int, list[float]]]:
+def _posed(images: Sequence[NeighbourView]) -> list[tuple[int, list[float]]]:
     return [
         (i.image.ctypes.data, np.asarray(i.T_other_reference[:3], np.float64).ravel().tolist())
         for i in images

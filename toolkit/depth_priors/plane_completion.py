@@ -35,7 +35,7 @@ _MIN_DEVIATION = 0.003
 
 
 @dataclass(frozen=True)
-class CompletedDepth:
+class FilledHoles:
     """Depth of the holes of an image.
 
     Attributes:
@@ -64,7 +64,7 @@ class _Plane:
     samples: float
 
 
-def complete(intensity: Image, inverse_depth: Image, rng: np.random.Generator) -> CompletedDepth:
+def complete(intensity: Image, inverse_depth: Image, rng: np.random.Generator) -> FilledHoles:
     """Complete the holes of surfaces without texture by planes.
 
     Args:
@@ -81,9 +81,9 @@ def complete(intensity: Image, inverse_depth: Image, rng: np.random.Generator) -
     for hole in range(1, count):
         if boxes[hole, cv2.CC_STAT_AREA] >= _MIN_HOLE:
             part = _part(boxes[hole])
-            out = CompletedDepth(found[part], sigma[part])
+            out = FilledHoles(found[part], sigma[part])
             _complete_hole(labels[part] == hole, smooth[part], inverse_depth[part], out, rng)
-    return CompletedDepth(found, sigma)
+    return FilledHoles(found, sigma)
 
 
 def _smooth(intensity: Image) -> Mask:
@@ -104,7 +104,7 @@ def _part(box: NDArray[np.int32]) -> tuple[slice, slice]:
 
 
 def _complete_hole(
-    hole: Mask, smooth: Mask, inverse_depth: Image, out: CompletedDepth, rng: np.random.Generator
+    hole: Mask, smooth: Mask, inverse_depth: Image, out: FilledHoles, rng: np.random.Generator
 ) -> None:
     """Complete one hole in parts of the images; `out` is changed."""
     support = _around(hole, smooth) & (inverse_depth > 0)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from toolkit.depth_priors import native, reference
 from toolkit.depth_priors.problem import (
     Image,
+    NeighbourView,
     Planes,
-    PosedImage,
     SweepOptions,
     SweptPlanes,
     check_images,
@@ -20,7 +20,7 @@ from toolkit.native.loading import kernels
 def plane_sweep(
     camera: Camera,
     intensity: Image,
-    sources: Sequence[PosedImage],
+    sources: Sequence[NeighbourView],
     planes: Planes,
     options: SweepOptions | None = None,
 ) -> SweptPlanes:

@@ -14,7 +14,7 @@ Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class PosedImage:
+class NeighbourView:
     """An image of another view.
 
     Attributes:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from toolkit.depth_priors.problem import (
     Consensus,
     Image,
+    NeighbourView,
     Planes,
-    PosedImage,
     SweepOptions,
     SweptPlanes,
 )
@@ -35,7 +35,7 @@ _REACH, _EDGE, _CONTRAST, _PREFERENCE, _MIN_FAR = 11, 1.05, 0.1, 1.5, 3
 def plane_sweep(
     camera: Camera,
     intensity: Image,
-    sources: Sequence[PosedImage],
+    sources: Sequence[NeighbourView],
     planes: Planes,
     options: SweepOptions,
 ) -> SweptPlanes:
@@ -71,7 +71,7 @@ def _at(volume: NDArray[np.int32], plane: NDArray[np.int64]) -> NDArray[np.int32
 
 
 def _costs(
-    camera: Camera, intensity: Image, sources: Sequence[PosedImage], inverse_depth: Image
+    camera: Camera, intensity: Image, sources: Sequence[NeighbourView], inverse_depth: Image
 ) -> NDArray[np.int32]:
     """Costs [H, W] at an inverse depth [H, W]: 1 - ZNCC, averaged over the two best sources."""
     found = []
@@ -85,7 +85,7 @@ def _costs(
 
 
 def _warped(
-    camera: Camera, source: PosedImage, inverse_depth: Image
+    camera: Camera, source: NeighbourView, inverse_depth: Image
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The source's image [H, W] at an inverse depth, and where it shows the pixel."""
     T = source.T_other_reference
@@ -219,7 +219,10 @@ def _chessboard(radius: int) -> list[tuple[int, int]]:
 
 
 def find_consensus(
-    camera: Camera, inverse_depth: Image, others: Sequence[PosedImage], limits: tuple[float, float]
+    camera: Camera,
+    inverse_depth: Image,
+    others: Sequence[NeighbourView],
+    limits: tuple[float, float],
 ) -> Consensus:
     """See `toolkit.depth_priors.consensus.find_consensus`."""
     known = inverse_depth > 0
@@ -242,7 +245,7 @@ def _compared(
     camera: Camera,
     q: Array,
     known: NDArray[np.bool_],
-    other: PosedImage,
+    other: NeighbourView,
     limits: tuple[float, float],
 ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Parallax, relative deviation of the other's inverse depth, and where it agrees, conflicts."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError, FormatError
 from toolkit.evaluation.metrics import Metrics
-from toolkit.evaluation.trajectory import Alignment
+from toolkit.evaluation.trajectory import TrajectoryAlignment
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
@@ -99,7 +99,7 @@ class MeshQuality:
 
 
 def mesh_quality(
-    mesh: TriangleMesh, truth: Path, alignment: Alignment, views: Views
+    mesh: TriangleMesh, truth: Path, alignment: TrajectoryAlignment, views: Views
 ) -> MeshQuality:
     """Compare a reconstruction with the true mesh.
 
@@ -130,7 +130,7 @@ def mesh_quality(
 
 
 def _observed(
-    true: _Surface, points_m: Array, alignment: Alignment, views: Views
+    true: _Surface, points_m: Array, alignment: TrajectoryAlignment, views: Views
 ) -> NDArray[np.bool_]:
     """Return which points [N] of the true mesh lie unoccluded in any view."""
     camera = views.camera

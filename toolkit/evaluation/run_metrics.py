@@ -31,7 +31,11 @@ from toolkit.evaluation.metrics import (
     view_quality,
 )
 from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores
-from toolkit.evaluation.trajectory import Alignment, AlignmentKind, absolute_trajectory_error
+from toolkit.evaluation.trajectory import (
+    AlignmentKind,
+    TrajectoryAlignment,
+    absolute_trajectory_error,
+)
 from toolkit.evaluation.walls import wall_thickness
 from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
@@ -69,7 +73,7 @@ class TrackedFrame:
 
 
 @dataclass(frozen=True)
-class View:
+class EvaluatedView:
     """A frame, its pose, and its exposure against the map.
 
     Attributes:
@@ -219,14 +223,14 @@ def _tracked_views(
     tracked: Sequence[TrackedFrame],
     dataset: Dataset,
     max_views: int,
-) -> Iterator[View]:
+) -> Iterator[EvaluatedView]:
     """The views of some of the tracked frames."""
     chosen = [frames[i] for i in _evenly_spaced(len(frames), max_views)]
     images = prefetched(dataset, [frame.index for frame in chosen])
     places = {frame.index: place for place, frame in enumerate(tracked)}
     for frame, image in zip(chosen, images, strict=True):
         around = tracked[max(places[frame.index] - 1, 0) : places[frame.index] + 2]
-        yield View(image, frame.T_map_camera, frame.exposure, _velocity(around))
+        yield EvaluatedView(image, frame.T_map_camera, frame.exposure, _velocity(around))
 
 
 def _velocity(frames: Sequence[TrackedFrame]) -> NDArray[np.float64] | None:
@@ -237,8 +241,8 @@ def _velocity(frames: Sequence[TrackedFrame]) -> NDArray[np.float64] | None:
 
 
 def _unseen_views(
-    unseen: Dataset | None, alignment: Alignment | None, max_views: int
-) -> Iterator[View]:
+    unseen: Dataset | None, alignment: TrajectoryAlignment | None, max_views: int
+) -> Iterator[EvaluatedView]:
     if unseen is None or unseen.ground_truth is None or alignment is None:
         return
     for image in prefetched(unseen, _evenly_spaced(len(unseen), max_views)):
@@ -246,7 +250,7 @@ def _unseen_views(
         if T_world_camera is not None:
             T_map_camera = se3.inverse(alignment.T_world_map) @ T_world_camera
             T_map_camera[:3, 3] /= alignment.scale
-            yield View(image, T_map_camera)
+            yield EvaluatedView(image, T_map_camera)
 
 
 def _evenly_spaced(count: int, max_count: int) -> list[int]:
@@ -256,17 +260,17 @@ def _evenly_spaced(count: int, max_count: int) -> list[int]:
 
 def map_alignment(
     estimate: Trajectory, truth: Trajectory | None, kind: AlignmentKind
-) -> Alignment | None:
+) -> TrajectoryAlignment | None:
     """Return the transformation from the map to the world, None if it is unknown."""
     if kind == "none":
-        return Alignment(np.eye(4))
+        return TrajectoryAlignment(np.eye(4))
     if truth is None or len(truth) == 0 or len(estimate) == 0:
         return None
     return absolute_trajectory_error(estimate, truth, kind).alignment
 
 
 def _surface_metrics(
-    scene: GaussianScene, mesh: Path | None, alignment: Alignment | None
+    scene: GaussianScene, mesh: Path | None, alignment: TrajectoryAlignment | None
 ) -> Metrics:
     # The thickness of walls is a length: without a scale there is none.
     if mesh is None or alignment is None or alignment.scale != 1.0:
@@ -274,12 +278,14 @@ def _surface_metrics(
     return wall_thickness(scene, mesh, alignment.T_world_map).metrics()
 
 
-def _depth_view(view: View, scale: float) -> DepthView:
+def _depth_view(view: EvaluatedView, scale: float) -> DepthView:
     depth_m = view.rectified().depth_m / np.float32(scale)
     return DepthView.at(view.T_map_camera, DepthImage(view.frame.camera, depth_m))
 
 
-def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: float) -> View:
+def _refined(
+    view: EvaluatedView, scene: GaussianScene, tracker: DenseTracker, scale: float
+) -> EvaluatedView:
     """Refine pose and exposure of a view on the map; return the view unchanged if that fails.
 
     Args:
@@ -301,7 +307,7 @@ def _refined(view: View, scene: GaussianScene, tracker: DenseTracker, scale: flo
 
 def _quality(
     scene: GaussianScene,
-    view: View,
+    view: EvaluatedView,
     options: MeasureOptions,
     scores: SemanticScores,
     scale: float,

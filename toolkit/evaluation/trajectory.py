@@ -26,7 +26,7 @@ MAX_TIME_DIFFERENCE_S = 0.01
 
 
 @dataclass(frozen=True)
-class Alignment:
+class TrajectoryAlignment:
     """Transformation that aligns an estimated trajectory with the ground truth.
 
     A point is transformed as `p_world = scale * R @ p_map + t`.
@@ -64,7 +64,7 @@ class AbsoluteTrajectoryError:
     median_m: float
     max_m: float
     kind: AlignmentKind
-    alignment: Alignment
+    alignment: TrajectoryAlignment
     pairs: int
     timestamps_s: Array
     errors_m: Array
@@ -112,7 +112,7 @@ def associate(
     return Trajectory(estimate.timestamps_s[kept], estimate.T_world_camera[kept]), near_truth
 
 
-def align(points_map: Array, points_world: Array, with_scale: bool = False) -> Alignment:
+def align(points_map: Array, points_world: Array, with_scale: bool = False) -> TrajectoryAlignment:
     """Compute the least-squares transformation between point sets (Umeyama 1991).
 
     Args:
@@ -138,7 +138,7 @@ def align(points_map: Array, points_world: Array, with_scale: bool = False) -> A
     estimate_scale = with_scale and variance > 0.0
     scale = float((singular * signs).sum() / variance) if estimate_scale else 1.0
     translation = mean_world - scale * R @ mean_map
-    return Alignment(se3.from_rotation_translation(R, translation), scale)
+    return TrajectoryAlignment(se3.from_rotation_translation(R, translation), scale)
 
 
 def absolute_trajectory_error(
@@ -154,7 +154,7 @@ def absolute_trajectory_error(
     """
     estimate, truth = associate(estimate, truth, max_difference_s)
     if kind == "none":
-        alignment = Alignment(np.eye(4))
+        alignment = TrajectoryAlignment(np.eye(4))
     else:
         alignment = align(estimate.positions_m, truth.positions_m, with_scale=kind == "sim3")
     aligned = alignment.applied_to(estimate)

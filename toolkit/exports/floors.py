@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import SettingsError, ToolkitError
 from toolkit.exports.options import GridOptions
-from toolkit.exports.selection import Selection, ground_of
+from toolkit.exports.selection import SelectedGaussians, ground_of
 from toolkit.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_occupancy_grid
 from toolkit.semantics.boxes import Ground
@@ -24,7 +24,7 @@ _MAX_CELLS = 100_000_000
 
 
 def export_occupancy_grid(
-    path: Path, selection: Selection, options: GridOptions, floor: Sequence[str] = ()
+    path: Path, selection: SelectedGaussians, options: GridOptions, floor: Sequence[str] = ()
 ) -> OccupancyGrid:
     """Write the occupancy grid of the selected Gaussians.
 
@@ -39,7 +39,7 @@ def export_occupancy_grid(
     return grid
 
 
-def required_ground(selection: Selection, floor: Sequence[str]) -> Ground:
+def required_ground(selection: SelectedGaussians, floor: Sequence[str]) -> Ground:
     """Return the floor of a run.
 
     Raises:

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from toolkit.exports.floors import required_ground
-from toolkit.exports.selection import Selection
+from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.images import write_png
 from toolkit.semantics.floor_plan import FloorPlan, draw_floor_plan, floor_plan
 from toolkit.semantics.palette import Palette
 
 
-def export_floor_plan(path: Path, selection: Selection, floor: Sequence[str] = ()) -> FloorPlan:
+def export_floor_plan(
+    path: Path, selection: SelectedGaussians, floor: Sequence[str] = ()
+) -> FloorPlan:
     """Write the floor plan of the selected Gaussians as a PNG.
 
     Raises:

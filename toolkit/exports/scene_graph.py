@@ -10,7 +10,7 @@ from typing import Any
 
 from toolkit.exports.floors import required_ground
 from toolkit.exports.options import ObjectGraphOptions
-from toolkit.exports.selection import Selection
+from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES, LabelledMap, ObjectOptions
 from toolkit.semantics.relations import RelationOptions, Role, relations
@@ -28,7 +28,7 @@ class SceneGraph:
 
 
 def export_scene_graph(
-    path: Path, selection: Selection, options: ObjectGraphOptions, floor: Sequence[str] = ()
+    path: Path, selection: SelectedGaussians, options: ObjectGraphOptions, floor: Sequence[str] = ()
 ) -> SceneGraph:
     """Write the scene graph of the selected Gaussians.
 
@@ -42,7 +42,7 @@ def export_scene_graph(
 
 
 def scene_graph(
-    selection: Selection, options: ObjectGraphOptions, floor: Sequence[str] = ()
+    selection: SelectedGaussians, options: ObjectGraphOptions, floor: Sequence[str] = ()
 ) -> SceneGraph:
     """Return the objects of the selected Gaussians and their relations.
 

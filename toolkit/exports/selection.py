@@ -29,7 +29,7 @@ _MIN_COSINE = 0.866
 
 
 @dataclass(frozen=True)
-class Selection:
+class SelectedGaussians:
     """The selected Gaussians of a run.
 
     Attributes:
@@ -62,7 +62,7 @@ class Selection:
         colours = self.gaussians.colours.numpy()
         return np.rint(255.0 * np.clip(colours, 0.0, 1.0)).astype(np.uint8)
 
-    def opaque(self) -> Selection:
+    def opaque(self) -> SelectedGaussians:
         """Return the Gaussians that represent surfaces.
 
         Raises:
@@ -76,7 +76,9 @@ class Selection:
             )
         labels = None if self.labels is None else self.labels.select(mask.numpy())
         submap = None if self.submap is None else self.submap[mask.numpy()]
-        return Selection(self.run, self.gaussians.select(mask), labels, self.partial, submap)
+        return SelectedGaussians(
+            self.run, self.gaussians.select(mask), labels, self.partial, submap
+        )
 
     def labelled(self) -> LabelledMap:
         """Return the Gaussians with their labels.
@@ -110,7 +112,7 @@ class Selection:
         return Taxonomy.load(file)
 
 
-def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Selection:
+def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> SelectedGaussians:
     """Select the Gaussians of a run by classes and groups.
 
     Args:
@@ -125,7 +127,7 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
         finished = load_run(run)
         splats = read_splats(finished.folder.map)
         submap = splats.extra.get("submap")
-        return Selection(finished, finished.gaussians, splats.labels, submap=submap)
+        return SelectedGaussians(finished, finished.gaussians, splats.labels, submap=submap)
     labelled = load_labelled_run(run)
     mask = labelled.select(keep) if keep else np.ones(len(labelled.map), bool)
     mask &= ~labelled.map.selected(drop)
@@ -134,7 +136,9 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
     gaussians = labelled.run.gaussians.select(torch.from_numpy(mask))
     submap = read_splats(labelled.run.folder.map).extra.get("submap")
     submap = None if submap is None else submap[mask]
-    return Selection(labelled.run, gaussians, labelled.map.labels.select(mask), True, submap)
+    return SelectedGaussians(
+        labelled.run, gaussians, labelled.map.labels.select(mask), True, submap
+    )
 
 
 def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:
@@ -146,7 +150,7 @@ def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:
     Args:
         names: classes and groups of the floor instead of the common names.
     """
-    whole = Selection(run, run.gaussians, read_splats(run.folder.map).labels).opaque()
+    whole = SelectedGaussians(run, run.gaussians, read_splats(run.folder.map).labels).opaque()
     if whole.labels is not None:
         labelled = whole.labelled()
         for name in names:

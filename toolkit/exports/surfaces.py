@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
-from toolkit.exports.selection import Selection, ground_of
+from toolkit.exports.selection import SelectedGaussians, ground_of
 from toolkit.geometry import se3
 from toolkit.io.gltf import MeshPart, write_gltf
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
@@ -22,7 +22,7 @@ from toolkit.semantics.taxonomy import VOID
 _GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def export_labelled_points(path: Path, selection: Selection) -> int:
+def export_labelled_points(path: Path, selection: SelectedGaussians) -> int:
     """Write the centres of opaque Gaussians with colours, classes and confidences.
 
     Returns:
@@ -38,7 +38,7 @@ def export_labelled_points(path: Path, selection: Selection) -> int:
 
 
 def export_gltf(
-    path: Path, selection: Selection, options: MeshOptions, floor: Sequence[str] = ()
+    path: Path, selection: SelectedGaussians, options: MeshOptions, floor: Sequence[str] = ()
 ) -> TriangleMesh:
     """Fuse a mesh and write it as glTF: one node per class, named like the class, y up.
 
@@ -65,7 +65,7 @@ def gltf_from_map(ground: Ground | None) -> NDArray[np.float64]:
     return se3.from_rotation_translation(R, np.zeros(3))
 
 
-def _parts(mesh: TriangleMesh, selection: Selection) -> list[MeshPart]:
+def _parts(mesh: TriangleMesh, selection: SelectedGaussians) -> list[MeshPart]:
     if selection.labels is None:
         return [MeshPart("surface", mesh)]
     taxonomy = selection.labelled().taxonomy
@@ -86,7 +86,7 @@ def _parts(mesh: TriangleMesh, selection: Selection) -> list[MeshPart]:
     return parts
 
 
-def triangle_classes(mesh: TriangleMesh, selection: Selection) -> NDArray[np.int32]:
+def triangle_classes(mesh: TriangleMesh, selection: SelectedGaussians) -> NDArray[np.int32]:
     """Return the class ids [T] of triangles: that of the Gaussian nearest to their centre."""
     opaque = selection.opaque()
     assert opaque.labels is not None

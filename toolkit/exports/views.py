@@ -13,7 +13,7 @@ import numpy as np
 from toolkit.datasets.base import RecordedDataset
 from toolkit.errors import SettingsError, ToolkitError
 from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.exports.selection import Selection
+from toolkit.exports.selection import SelectedGaussians
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import cannot_write
@@ -36,7 +36,7 @@ _IMAGES, _SPARSE, _POINTS = "images", Path("sparse") / "0", "points.ply"
 
 
 @dataclass(frozen=True)
-class ViewOptions:
+class ViewExportOptions:
     """Options of the export of views.
 
     Attributes:
@@ -51,7 +51,9 @@ class ViewOptions:
     max_points: int
 
 
-def export_colmap(folder: Path, selection: Selection, options: ViewOptions, binary: bool) -> int:
+def export_colmap(
+    folder: Path, selection: SelectedGaussians, options: ViewExportOptions, binary: bool
+) -> int:
     """Write a COLMAP model to `sparse/0` and the images to `images`.
 
     Referenced images are named relative to the folder of the dataset.
@@ -73,7 +75,9 @@ def export_colmap(folder: Path, selection: Selection, options: ViewOptions, bina
     return len(posed)
 
 
-def export_nerfstudio(folder: Path, selection: Selection, options: ViewOptions) -> int:
+def export_nerfstudio(
+    folder: Path, selection: SelectedGaussians, options: ViewExportOptions
+) -> int:
     """Write `transforms.json`, the images to `images`, and points for initialisation.
 
     Returns:
@@ -110,7 +114,7 @@ def _posed(
     ]
 
 
-def _points(selection: Selection, max_points: int) -> ColouredPoints:
+def _points(selection: SelectedGaussians, max_points: int) -> ColouredPoints:
     """Return centres of opaque Gaussians, evenly thinned to the maximum number."""
     opaque = selection.opaque()
     count = min(max_points, len(opaque.gaussians))
@@ -120,7 +124,7 @@ def _points(selection: Selection, max_points: int) -> ColouredPoints:
 
 def _write_images(
     folder: Path,
-    selection: Selection,
+    selection: SelectedGaussians,
     frames: Sequence[TrackedFrame],
     policy: ImagePolicy,
     root: Path | None,
@@ -143,7 +147,7 @@ def _write_images(
     return names
 
 
-def _rendered(selection: Selection, frame: TrackedFrame) -> RgbImage:
+def _rendered(selection: SelectedGaussians, frame: TrackedFrame) -> RgbImage:
     renderer = backend(selection.run.settings.backend)
     T_camera_map = se3.inverse(frame.T_map_camera)
     surface = render_surface(renderer, selection.gaussians, selection.run.camera, T_camera_map)

@@ -33,7 +33,7 @@ _FILE = "vocabulary.npz"
 
 
 @dataclass(frozen=True, eq=False)
-class Vocabulary:
+class VisualVocabulary:
     """Visual words.
 
     Attributes:
@@ -69,10 +69,12 @@ def root_sift(descriptors: NDArray[np.uint8]) -> Array:
 
 
 @functools.cache
-def vocabulary() -> Vocabulary:
+def vocabulary() -> VisualVocabulary:
     """The vocabulary of the package."""
     with resources.files(__package__).joinpath(_FILE).open("rb") as stream, np.load(stream) as file:
-        return Vocabulary(*(file[name].astype(np.float32) for name in ("mean", "basis", "words")))
+        return VisualVocabulary(
+            *(file[name].astype(np.float32) for name in ("mean", "basis", "words"))
+        )
 
 
 def encoder_keypoints(image: Array) -> Keypoints:

@@ -31,7 +31,7 @@ _STRIDE = 4
 
 
 @dataclass(frozen=True)
-class DepthView:
+class PosedDepth:
     """Depth and colour image of one pose, rendered or measured.
 
     Attributes:
@@ -67,7 +67,7 @@ class TriangleMesh:
 
 
 def fuse_views(
-    views: Iterable[DepthView], voxel_m: float, max_depth_m: float = 10.0
+    views: Iterable[PosedDepth], voxel_m: float, max_depth_m: float = 10.0
 ) -> TriangleMesh:
     """Fuse depth images in a truncated signed distance field and extract its surface.
 
@@ -170,7 +170,7 @@ def _touches_surface(depth_m: NDArray[np.float32], max_depth_m: float) -> bool:
     return bool(((sampled > 0) & (sampled < max_depth_m)).any())
 
 
-def _integrate(grid: Any, view: DepthView, max_depth_m: float) -> None:
+def _integrate(grid: Any, view: PosedDepth, max_depth_m: float) -> None:
     o3d = open3d()
     # Open3D truncates projections to integers, which assumes pixel centres at +0.5; ours are at
     # integers. Without the shift, slanted surfaces are displaced.

@@ -102,7 +102,7 @@ def register_submaps(
 
 
 @dataclass(frozen=True)
-class Selection:
+class SelectedRegistration:
     """The selected registration.
 
     Attributes:
@@ -118,7 +118,7 @@ class Selection:
 
 def select_registration(
     found: list[MapRegistration], max_m: float = 0.2, max_rad: float = 0.1
-) -> Selection | None:
+) -> SelectedRegistration | None:
     """Select the verified registration with the most agreement, then the most common surface.
 
     Args:
@@ -132,4 +132,4 @@ def select_registration(
     votes = [sum(f.agrees_with(other, max_m, max_rad) for other in verified) for f in verified]
     common = [f.result.overlap * f.result.inliers for f in verified]
     index = max(range(len(verified)), key=lambda i: (votes[i], common[i], -i))
-    return Selection(verified[index], len(verified), votes[index])
+    return SelectedRegistration(verified[index], len(verified), votes[index])

@@ -31,7 +31,7 @@ from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
 from toolkit.mapping.moving_objects import hide_moving_objects
-from toolkit.mapping.observations import Observations
+from toolkit.mapping.observations import KeyframeImages
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.refinement import refine
@@ -97,7 +97,7 @@ class Mapper:
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
-        self._observations = Observations(self.device)
+        self._observations = KeyframeImages(self.device)
         self._free_space = FreeSpace(self.options.free_space)
         self._densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(

@@ -11,7 +11,7 @@ from toolkit.keyframe import Keyframe, Observed
 _MAX_KEYFRAMES = 32
 
 
-class Observations:
+class KeyframeImages:
     """LRU cache of keyframe images; on a CPU it returns the keyframes' own images."""
 
     def __init__(self, device: torch.device) -> None:

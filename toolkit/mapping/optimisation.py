@@ -18,7 +18,7 @@ from toolkit.losses.features import FeatureLoss
 from toolkit.losses.photometric import rgbd_loss
 from toolkit.mapping.depth_adjustment import adjust_depth
 from toolkit.mapping.gaussian_map import GaussianMap
-from toolkit.mapping.observations import Observations
+from toolkit.mapping.observations import KeyframeImages
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.native.constants import BASE_CHANNELS
@@ -58,7 +58,7 @@ class MapOptimisation:
         options: MapperOptions,
         semantics: SemanticMapping,
         backend: Backend,
-        observations: Observations,
+        observations: KeyframeImages,
         recorder: Recorder,
     ) -> None:
         self._options, self._semantics = options, semantics

@@ -146,7 +146,7 @@ class CameraMotion:
         }
 
 
-class Frames(Protocol):
+class ImageSequence(Protocol):
     """Frames of a sequence; only their images are used."""
 
     def __iter__(self) -> Iterator[Frame]: ...
@@ -155,12 +155,12 @@ class Frames(Protocol):
 
 
 def estimate_motion(
-    frames: Frames,
+    frames: ImageSequence,
     camera: Camera,
     calibrated: bool = True,
     options: OdometryOptions | None = None,
     focal_sigma: float | None = None,
-    progress: Callable[[Frames], Iterable[Frame]] = iter,
+    progress: Callable[[ImageSequence], Iterable[Frame]] = iter,
 ) -> CameraMotion:
     """Estimate the motion of the camera from all frames of a sequence.
 
@@ -243,7 +243,7 @@ def grey_image(frame: Frame) -> NDArray[np.uint8]:
     return np.round(255.0 * intensity_of(frame.rgb).numpy()).clip(0, 255).astype(np.uint8)
 
 
-def _evaluated(odometry: _Followed, frames: Frames, calibrated: bool) -> CameraMotion:
+def _evaluated(odometry: _Followed, frames: ImageSequence, calibrated: bool) -> CameraMotion:
     """The motion after correction by revisits, with the reliability checks that failed."""
     times_s = odometry.times_s
     detected: dict[int, Keypoints] = {}

@@ -17,7 +17,7 @@ from toolkit.features.keypoints import (
 )
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.monocular.visual_odometry.landmarks import View
+from toolkit.monocular.visual_odometry.landmarks import OdometryView
 from toolkit.monocular.visual_odometry.sparse_map import MAX_ERROR_PX
 from toolkit.monocular.visual_odometry.two_view import depth_equations, parallax_rad, rays
 
@@ -78,7 +78,7 @@ class ViewKeypoints:
 
 def find_keypoints(
     camera: Camera,
-    views: Sequence[View],
+    views: Sequence[OdometryView],
     image: Callable[[int], NDArray[np.uint8]],
     detected: dict[int, Keypoints] | None = None,
 ) -> ViewKeypoints:
@@ -103,7 +103,7 @@ def find_keypoints(
 
 def triangulated(
     camera: Camera,
-    views: Sequence[View],
+    views: Sequence[OdometryView],
     keypoints: list[Keypoints],
     neighbours: dict[tuple[int, int], Matches],
 ) -> ViewKeypoints:

@@ -18,7 +18,7 @@ from toolkit.monocular.revisits import (
     find_keypoints,
     verified,
 )
-from toolkit.monocular.visual_odometry.landmarks import View
+from toolkit.monocular.visual_odometry.landmarks import OdometryView
 from toolkit.monocular.visual_odometry.odometry import (
     OdometryOptions,
     OdometryResult,
@@ -178,7 +178,9 @@ def _stacked(parts: Sequence[ViewKeypoints]) -> ViewKeypoints:
     )
 
 
-def _similarity(revisit: Revisit, views: Sequence[View], own: Sequence[View]) -> _Similarity:
+def _similarity(
+    revisit: Revisit, views: Sequence[OdometryView], own: Sequence[OdometryView]
+) -> _Similarity:
     """From the frame of a segment to that of the connected ones."""
     T_world_first = views[revisit.first].T_world_camera
     T_own_second = own[revisit.second - len(views)].T_world_camera
@@ -189,6 +191,6 @@ def _similarity(revisit: Revisit, views: Sequence[View], own: Sequence[View]) ->
     return _Similarity(T, scale)
 
 
-def _moved(similarity: _Similarity, views: Sequence[View]) -> Array:
+def _moved(similarity: _Similarity, views: Sequence[OdometryView]) -> Array:
     """Positions [V, 3] of views after a similarity."""
     return np.array([similarity.pose(view.T_world_camera)[:3, 3] for view in views])

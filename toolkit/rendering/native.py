@@ -102,7 +102,7 @@ class NativeForwardPass:
         return result
 
 
-class NativeBackend:
+class NativeRenderer:
     """C++ kernels on the CPU: tiles of 16x16 pixels, in blocks of one vector each.
 
     Args:

@@ -18,7 +18,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.native import kernels
 from toolkit.rendering.backend import Backend, ForwardPass, tile_counts
 from toolkit.rendering.gsplat import GsplatBackend
-from toolkit.rendering.native import NativeBackend
+from toolkit.rendering.native import NativeRenderer
 from toolkit.rendering.output import RenderOutput
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -42,7 +42,7 @@ def backend(name: str = "auto") -> Backend:
         on_cpu = backend("native" if kernels() is not None else "reference")
         return _DeviceDispatch(on_cpu) if torch.cuda.is_available() else on_cpu
     if name == "native":
-        return NativeBackend()
+        return NativeRenderer()
     if name == "reference":
         return ReferenceBackend()
     if name == "cuda":
@@ -54,7 +54,7 @@ def backend(name: str = "auto") -> Backend:
 
 def _cuda_backend() -> Backend:
     try:
-        from toolkit.rendering.cuda.backend import CudaBackend, interpreted
+        from toolkit.rendering.cuda.backend import CudaRenderer, interpreted
     except ImportError as error:
         raise DependencyError(
             f"the cuda backend needs triton, which comes with torch's CUDA build ({error}): "
@@ -64,7 +64,7 @@ def _cuda_backend() -> Backend:
         raise DependencyError(
             "the cuda backend needs a CUDA device, but none is available; use --backend native"
         )
-    return CudaBackend()
+    return CudaRenderer()
 
 
 class _DeviceDispatch:

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from toolkit.errors import SettingsError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.io.meshes import DepthView, TriangleMesh, fuse_views, write_points
+from toolkit.io.meshes import PosedDepth, TriangleMesh, fuse_views, write_points
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.runs.finished import FinishedRun
 
@@ -124,7 +124,7 @@ def part_mesh(run: FinishedRun, part: GaussianCloud, options: MeshOptions) -> Tr
     )
 
 
-def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[DepthView]:
+def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[PosedDepth]:
     camera = run.camera
     frames = run.tracked[::every]
     for frame in tqdm(frames, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
@@ -136,4 +136,4 @@ def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[D
             RenderOptions(_MIN_SILHOUETTE),
         )
         rgb = np.clip(rendered.output.colour.numpy(), 0.0, 1.0)
-        yield DepthView(camera, frame.T_map_camera, rgb, rendered.depth_m.numpy())
+        yield PosedDepth(camera, frame.T_map_camera, rgb, rendered.depth_m.numpy())

@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class RunProgress:
+class ObservedRun:
     """What an observer may read of a run, between the frames; it must not change any of it.
 
     Attributes:
@@ -39,7 +39,7 @@ class RunProgress:
 class ProgressObserver(Protocol):
     """Follows a run. All methods are called by the thread of the run, which waits for them."""
 
-    def started(self, run: RunProgress) -> None:
+    def started(self, run: ObservedRun) -> None:
         """The system is built; no frame has been processed since the start or a resumption."""
 
     def frame_processed(self, frame: Frame, result: FrameResult) -> None:
@@ -66,7 +66,7 @@ class Observers:
         self._observers = list(observers)
         self._failed: list[ProgressObserver] = []
 
-    def started(self, run: RunProgress) -> None:
+    def started(self, run: ObservedRun) -> None:
         """See `ProgressObserver`."""
         self._call(lambda observer: observer.started(run))
 

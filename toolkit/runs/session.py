@@ -15,7 +15,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.runs.checkpoint_writer import CheckpointWriter, System
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.observers import Observers, RunProgress
+from toolkit.runs.observers import ObservedRun, Observers
 from toolkit.runs.results import held_out
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
@@ -53,7 +53,7 @@ class Session:
     def open(self) -> Iterator[None]:
         """Append the toolkit's log to the run folder, and notify the observers of start and end."""
         with logged_to(self.folder.log):
-            run = RunProgress(self.name, self.camera, self.folder, self.slam, self.costs.recorder)
+            run = ObservedRun(self.name, self.camera, self.folder, self.slam, self.costs.recorder)
             self.observers.started(run)
             try:
                 yield

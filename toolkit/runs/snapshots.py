@@ -25,7 +25,7 @@ from toolkit.io.arrays import write_array_tree
 from toolkit.io.images import small_image
 from toolkit.keyframe import Keyframe
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
-from toolkit.runs.observers import RunProgress
+from toolkit.runs.observers import ObservedRun
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam
 
@@ -66,14 +66,14 @@ class SnapshotWriter:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._run: RunProgress | None = None
+        self._run: ObservedRun | None = None
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="snapshots")
         self._pending: Future[None] | None = None
         self._images: dict[int, NDArray[np.uint8]] = {}
         self._touched_ns = 0
         self._watched_until_s = self._look_at_s = self._write_at_s = -np.inf
 
-    def started(self, run: RunProgress) -> None:
+    def started(self, run: ObservedRun) -> None:
         """Remove the snapshot of an interrupted process; see `ProgressObserver`."""
         self._run = run
         shutil.rmtree(run.folder.snapshot, ignore_errors=True)

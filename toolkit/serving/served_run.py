@@ -17,7 +17,7 @@ from toolkit.errors import RunFolderError, SettingsError, ToolkitError
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.scene_graph import scene_graph
-from toolkit.exports.selection import Selection, select
+from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import encode_png
@@ -68,7 +68,7 @@ class ServedRun:
     """
 
     def __init__(self, path: Path, max_pixels: int) -> None:
-        self._selection: Selection = select(path)
+        self._selection: SelectedGaussians = select(path)
         self._run: FinishedRun = self._selection.run
         if not self._run.tracked:
             raise RunFolderError(f"{path} has no frame with a pose; there is nothing to serve")

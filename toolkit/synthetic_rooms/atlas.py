@@ -20,7 +20,7 @@ _WIDTH = 4096
 
 
 @dataclass(frozen=True)
-class Atlas:
+class TextureAtlas:
     """Texture atlas.
 
     Attributes:
@@ -61,7 +61,9 @@ class Atlas:
         return colours.reshape(-1, 3)[: len(place)].astype(np.float32)
 
 
-def paint_atlas(parts: list[Part], texel_m: float) -> tuple[Atlas, list[NDArray[np.float32]]]:
+def paint_atlas(
+    parts: list[Part], texel_m: float
+) -> tuple[TextureAtlas, list[NDArray[np.float32]]]:
     """Paint the textures of all patches.
 
     Returns:
@@ -104,7 +106,7 @@ def _pack(sizes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
     return corners, math.ceil((top + shelf) / coarsest) * coarsest
 
 
-def _with_mip_levels(base: NDArray[np.uint8], texel_m: float) -> Atlas:
+def _with_mip_levels(base: NDArray[np.uint8], texel_m: float) -> TextureAtlas:
     height = base.shape[0]
     image = np.zeros((height + height // 2, _WIDTH, 3), dtype=np.uint8)
     image[:height] = base
@@ -117,4 +119,4 @@ def _with_mip_levels(base: NDArray[np.uint8], texel_m: float) -> Atlas:
         image[height : height + level.shape[0], left : left + level.shape[1]] = level
         origin.append((left, height))
         left += level.shape[1]
-    return Atlas(image, texel_m, np.array(origin, dtype=np.float32))
+    return TextureAtlas(image, texel_m, np.array(origin, dtype=np.float32))

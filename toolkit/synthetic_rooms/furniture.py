@@ -10,7 +10,7 @@ from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import (
-    Patch,
+    TexturedPatch,
     bent,
     box,
     cushion,
@@ -36,7 +36,9 @@ class Workshop:
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
 
-    def part(self, name: str, patches: list[Patch], texture: Texture, glow: float = 0.0) -> Part:
+    def part(
+        self, name: str, patches: list[TexturedPatch], texture: Texture, glow: float = 0.0
+    ) -> Part:
         """Create a part of the class `name`."""
         return Part(name, patches, texture, self.rng.spawn(1)[0], glow)
 
@@ -47,7 +49,7 @@ class Workshop:
         return float(varied[0]), float(varied[1]), float(varied[2])
 
 
-def _legs(width: float, depth: float, height: float, thickness: float) -> list[Patch]:
+def _legs(width: float, depth: float, height: float, thickness: float) -> list[TexturedPatch]:
     """Create four square legs under a rectangle whose back is at y = 0."""
     x = width / 2 - thickness
     corners = [(sx, y) for sx in (-x, x) for y in (-thickness, thickness - depth)]
@@ -98,7 +100,7 @@ def sofa(shop: Workshop) -> list[Part]:
     return parts
 
 
-def _leaning(patch: Patch, x: float, yaw_rad: float) -> Patch:
+def _leaning(patch: TexturedPatch, x: float, yaw_rad: float) -> TexturedPatch:
     """Rotate a horizontal cushion so that it leans against the back of the sofa."""
     upright = se3.exp_so3(np.array([0.0, 0.0, yaw_rad])) @ se3.exp_so3(np.array([1.15, 0.0, 0.0]))
     place = np.array([x, -0.36, 0.66])
@@ -245,7 +247,7 @@ def table_lamp(shop: Workshop) -> list[Part]:
 
 def _shade(
     top: float, bottom: float, height: float, base: tuple[float, float, float]
-) -> list[Patch]:
+) -> list[TexturedPatch]:
     x, y, z = base
     rings = np.linspace(0.0, 1.0, 4)
     profile = [(top + (bottom - top) * s, height * (1 - s)) for s in rings]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.synthetic_rooms.patches import Patch
+from toolkit.synthetic_rooms.patches import TexturedPatch
 
 _AMBIENT = 0.62
 _DIRECT = 0.75
@@ -23,7 +23,7 @@ _CLEARANCE_M = 0.012
 
 
 def vertex_light(
-    patches: list[Patch], lamps_m: NDArray[np.float64], scene: Any
+    patches: list[TexturedPatch], lamps_m: NDArray[np.float64], scene: Any
 ) -> list[NDArray[np.floating]]:
     """Compute the brightness [R, C] at the points of every patch, about 1 where well lit.
 

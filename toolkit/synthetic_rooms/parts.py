@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.synthetic_rooms.patches import Patch
+from toolkit.synthetic_rooms.patches import TexturedPatch
 from toolkit.synthetic_rooms.textures import Texture
 
 
@@ -24,7 +24,7 @@ class Part:
     """
 
     class_name: str
-    patches: list[Patch]
+    patches: list[TexturedPatch]
     texture: Texture
     rng: np.random.Generator
     glow: float = 0.0

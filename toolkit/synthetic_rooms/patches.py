@@ -21,7 +21,7 @@ _VERTEX_STEP_M = 0.12
 
 
 @dataclass(frozen=True)
-class Patch:
+class TexturedPatch:
     """One surface.
 
     Attributes:
@@ -40,7 +40,7 @@ class Patch:
         width, height = self.uv_m.reshape(-1, 2).max(axis=0)
         return float(width), float(height)
 
-    def transformed(self, T_new_old: NDArray[np.float64]) -> Patch:
+    def transformed(self, T_new_old: NDArray[np.float64]) -> TexturedPatch:
         """Return the patch transformed by a rigid motion [4, 4]."""
         return replace(self, points=se3.transform_points(T_new_old, self.points))
 
@@ -63,10 +63,10 @@ class Patch:
         return np.concatenate([upper, lower])
 
 
-def _grid(points: NDArray[np.float64], uv_m: NDArray[np.float64]) -> Patch:
+def _grid(points: NDArray[np.float64], uv_m: NDArray[np.float64]) -> TexturedPatch:
     kept = np.ones((points.shape[0] - 1, points.shape[1] - 1), dtype=bool)
     uv_m = uv_m - uv_m.reshape(-1, 2).min(axis=0)
-    return Patch(points, uv_m, kept)
+    return TexturedPatch(points, uv_m, kept)
 
 
 def plate(
@@ -74,7 +74,7 @@ def plate(
     right: ArrayLike,
     down: ArrayLike,
     holes: tuple[tuple[float, float, float, float], ...] = (),
-) -> Patch:
+) -> TexturedPatch:
     """Create a flat rectangle.
 
     Args:
@@ -113,7 +113,7 @@ def _cuts(length: float, edges: list[float]) -> NDArray[np.float64]:
     return np.concatenate([*pieces, [length]])
 
 
-def box(size: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[Patch]:
+def box(size: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[TexturedPatch]:
     """Create a box of six plates with the centre of its bottom at `base`, metres."""
     sx, sy, sz = np.asarray(size, float)
     x0, y0, z0 = np.asarray(base, float) - [sx / 2, sy / 2, 0.0]
@@ -128,7 +128,9 @@ def box(size: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[Patch]:
     ]
 
 
-def lathe(profile: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0), sections: int = 24) -> Patch:
+def lathe(
+    profile: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0), sections: int = 24
+) -> TexturedPatch:
     """Create a surface of revolution about a vertical axis.
 
     Args:
@@ -152,7 +154,7 @@ def lathe(profile: ArrayLike, base: ArrayLike = (0.0, 0.0, 0.0), sections: int =
     return _grid(points + np.asarray(base, float), np.stack([grid_u, grid_v], axis=-1))
 
 
-def disk(radius: float, centre: ArrayLike, up: bool = True, sections: int = 24) -> Patch:
+def disk(radius: float, centre: ArrayLike, up: bool = True, sections: int = 24) -> TexturedPatch:
     """Create a horizontal disk whose outer side faces up or down."""
     turn = 2 * math.pi if up else -2 * math.pi
     angle = np.linspace(0.0, turn, sections + 1)
@@ -163,7 +165,9 @@ def disk(radius: float, centre: ArrayLike, up: bool = True, sections: int = 24) 
     return _grid(points, np.stack([x, y], axis=-1))
 
 
-def cylinder(radius: float, height: float, base: ArrayLike = (0.0, 0.0, 0.0)) -> list[Patch]:
+def cylinder(
+    radius: float, height: float, base: ArrayLike = (0.0, 0.0, 0.0)
+) -> list[TexturedPatch]:
     """Create a closed vertical cylinder with the centre of its bottom at `base`."""
     x, y, z = np.asarray(base, float)
     profile = [(radius, h) for h in _cuts(height, [])[::-1]]
@@ -174,17 +178,17 @@ def cylinder(radius: float, height: float, base: ArrayLike = (0.0, 0.0, 0.0)) ->
     ]
 
 
-def ellipsoid(radii: ArrayLike, centre: ArrayLike) -> Patch:
+def ellipsoid(radii: ArrayLike, centre: ArrayLike) -> TexturedPatch:
     """Create an ellipsoid with semi-axes [3] in metres."""
     polar = np.linspace(0.0, math.pi, 13)
     unit = lathe(np.stack([np.sin(polar), np.cos(polar)], axis=-1))
     rx, ry, rz = np.asarray(radii, float)
     points = unit.points * [rx, ry, rz] + np.asarray(centre, float)
     uv_m = unit.uv_m * [(rx + ry) / 2, (rx + ry + 2 * rz) / 4]
-    return Patch(points, uv_m, unit.kept)
+    return TexturedPatch(points, uv_m, unit.kept)
 
 
-def cushion(size: ArrayLike, base: ArrayLike, exponent: float = 2.0) -> list[Patch]:
+def cushion(size: ArrayLike, base: ArrayLike, exponent: float = 2.0) -> list[TexturedPatch]:
     """Create a cushion whose upper and lower half meet at a seam.
 
     Args:
@@ -207,7 +211,7 @@ def cushion(size: ArrayLike, base: ArrayLike, exponent: float = 2.0) -> list[Pat
     return halves
 
 
-def bent(patch: Patch, displace: Callable[[NDArray, NDArray], NDArray]) -> Patch:
+def bent(patch: TexturedPatch, displace: Callable[[NDArray, NDArray], NDArray]) -> TexturedPatch:
     """Displace the points of a patch along its first normal by displace(u_m, v_m)."""
     normal = patch.normals()[0, 0]
     amount = displace(patch.uv_m[..., 0], patch.uv_m[..., 1])
@@ -216,7 +220,7 @@ def bent(patch: Patch, displace: Callable[[NDArray, NDArray], NDArray]) -> Patch
 
 def fine_plate(
     corner: ArrayLike, right: ArrayLike, down: ArrayLike, cells: tuple[int, int]
-) -> Patch:
+) -> TexturedPatch:
     """Create a plate with a given number of cells (columns, rows), for use with `bent`."""
     right_vector, down_vector = np.asarray(right, float), np.asarray(down, float)
     s, t = np.meshgrid(np.linspace(0, 1, cells[0] + 1), np.linspace(0, 1, cells[1] + 1))

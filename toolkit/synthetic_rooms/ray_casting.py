@@ -23,7 +23,7 @@ _MISS = np.uint32(0xFFFFFFFF)
 
 
 @dataclass(frozen=True)
-class View:
+class RayCastView:
     """Images of an ideal camera.
 
     Attributes:
@@ -91,7 +91,7 @@ class Scene:
         colours = self.atlas.sample(looks[:, :2], np.full(len(looks), 3.0, dtype=np.float32))
         return np.clip(colours * looks[:, 2:] / 255.0, 0.0, 1.0)
 
-    def render(self, camera: Camera, T_world_camera: NDArray, samples: int = 2) -> View:
+    def render(self, camera: Camera, T_world_camera: NDArray, samples: int = 2) -> RayCastView:
         """Render a view.
 
         Args:
@@ -103,7 +103,7 @@ class Scene:
         hits = self._cast(camera, T_world_camera)
         hit = hits.triangle != _MISS
         triangle = np.where(hit, hits.triangle, 0)
-        return View(
+        return RayCastView(
             rgb=self._colour(camera, T_world_camera, samples),
             depth_m=np.where(hit, hits.depth_m, 0.0).astype(np.float32).reshape(shape),
             labels=np.where(hit, self.triangle_labels[triangle], 0).reshape(shape),

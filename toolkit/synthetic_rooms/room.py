@@ -19,7 +19,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.synthetic_rooms import writer
 from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, build_scene
 from toolkit.synthetic_rooms.paths import hand_held_path
-from toolkit.synthetic_rooms.ray_casting import Scene, View
+from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
 from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
 from toolkit.synthetic_rooms.unseen import poses_off_the_path
 from toolkit.synthetic_rooms.walker import Walker
@@ -181,7 +181,7 @@ def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
     return hand_held_path(layout.way_points, frames, settings.share, settings.stream(_SWAY))
 
 
-def _views(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[View]:
+def _views(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[RayCastView]:
     """Yield what the camera sees along the path."""
     camera, sensor, walker = settings.camera, None, None
     if settings.walker:
@@ -195,7 +195,7 @@ def _views(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[Vie
         yield view if sensor is None else sensor.observe(index, view)
 
 
-def _frames(views: Iterable[View], camera: Camera) -> Iterator[Frame]:
+def _frames(views: Iterable[RayCastView], camera: Camera) -> Iterator[Frame]:
     for index, view in enumerate(views):
         yield Frame(index, index / RATE_HZ, view.rgb, view.depth_m, camera, view.labels)
 

@@ -16,7 +16,7 @@ from toolkit.synthetic_rooms.imperfections import (
     with_flying_pixels,
     without_reflections,
 )
-from toolkit.synthetic_rooms.ray_casting import View
+from toolkit.synthetic_rooms.ray_casting import RayCastView
 
 # Structured-light camera: focal length 580 px at a width of 640, baseline 7.5 cm, disparity
 # resolution 1/8 px.
@@ -96,7 +96,7 @@ class Sensor:
         *self._streams, slow = rng.spawn(len(self._poses) + 1)
         self._gains = white_balance_gains(len(self._poses), slow).astype(np.float32)
 
-    def observe(self, index: int, view: View) -> View:
+    def observe(self, index: int, view: RayCastView) -> RayCastView:
         """Apply the sensor model to the view of frame `index`."""
         model = self._model
         colour, depth, wrong, edges, shine = self._streams[index].spawn(5)
@@ -173,7 +173,9 @@ def _quantised(depth_m: NDArray) -> NDArray[np.floating]:
     return np.where(depth_m > 0, _BASELINE_PIXELS_M / (steps * _DISPARITY_STEP), 0.0)
 
 
-def _with_holes(depth_m: NDArray, view: View, rng: np.random.Generator) -> NDArray[np.floating]:
+def _with_holes(
+    depth_m: NDArray, view: RayCastView, rng: np.random.Generator
+) -> NDArray[np.floating]:
     """Remove depth on slanted surfaces, irregularly at depth edges, and out of range."""
     chance = rng.random(depth_m.shape, dtype=np.float32)
     # The fraction of pixels with depth decreases from 75 degrees and is zero beyond 84.

@@ -13,7 +13,7 @@ from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.furniture import PALE, WOODS, Workshop, curtain
 from toolkit.synthetic_rooms.parts import Part, moved
-from toolkit.synthetic_rooms.patches import Patch, box, fine_plate, placement, plate
+from toolkit.synthetic_rooms.patches import TexturedPatch, box, fine_plate, placement, plate
 from toolkit.synthetic_rooms.small_objects import blinds
 
 Side = Literal["north", "east", "south", "west"]
@@ -156,7 +156,7 @@ def _wall(plan: RoomPlan, side: Side, paper: tx.Texture, shop: Workshop) -> list
     gaps = sorted((left, right) for left, low, right, _ in extents if low == 0.0)
     starts = [0.0, *(right for _, right in gaps)]
     ends = [*(left for left, _ in gaps), length]
-    skirting: list[Patch] = []
+    skirting: list[TexturedPatch] = []
     for start, end in zip(starts, ends, strict=True):
         if end - start > 0.05:
             middle = (start + end) / 2
@@ -166,7 +166,7 @@ def _wall(plan: RoomPlan, side: Side, paper: tx.Texture, shop: Workshop) -> list
     )
 
 
-def _frame(width: float, low: float, high: float, depth: float) -> list[Patch]:
+def _frame(width: float, low: float, high: float, depth: float) -> list[TexturedPatch]:
     """Create the frame of an opening, centred at x = 0, from y = depth to just before y = 0."""
     thick, front = 0.05, 0.02
     y, deep = (depth - front) / 2, depth + front

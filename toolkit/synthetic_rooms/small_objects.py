@@ -17,7 +17,7 @@ from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import (
-    Patch,
+    TexturedPatch,
     bent,
     box,
     cylinder,
@@ -147,7 +147,7 @@ def plant(shop: Workshop, height: float = 1.3) -> list[Part]:
     ]
 
 
-def _leaf(rng: np.random.Generator, number: int, z: float) -> Patch:
+def _leaf(rng: np.random.Generator, number: int, z: float) -> TexturedPatch:
     """Create an arching leaf, pointed at both ends, that starts at the stem at height z."""
     length, width = rng.uniform(0.36, 0.5), rng.uniform(0.1, 0.14)
     along = np.linspace(0.0, 1.0, 9)
@@ -167,7 +167,7 @@ def _leaf(rng: np.random.Generator, number: int, z: float) -> Patch:
     )
     turn = number * math.radians(137.5) + rng.uniform(-0.2, 0.2)
     T = se3.from_rotation_translation(se3.exp_so3(np.array([0, 0, turn])), np.array([0, 0, z]))
-    return Patch(points, uv_m, np.ones((8, 4), dtype=bool)).transformed(T)
+    return TexturedPatch(points, uv_m, np.ones((8, 4), dtype=bool)).transformed(T)
 
 
 def picture(shop: Workshop, width: float = 0.7, height: float = 0.5) -> list[Part]:

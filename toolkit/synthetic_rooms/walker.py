@@ -14,7 +14,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import box, cylinder, ellipsoid, placement
-from toolkit.synthetic_rooms.ray_casting import LENS_BLUR_PIXELS, Scene, View
+from toolkit.synthetic_rooms.ray_casting import LENS_BLUR_PIXELS, RayCastView, Scene
 
 # The part of the sequence in which the walker crosses the view, and the angle to either side of the
 # viewing direction at which the walk begins and ends, outside the image.
@@ -69,7 +69,9 @@ class Walker:
         self._walked_m = np.concatenate([[0.0], np.cumsum(steps)])
         self._limbs = _figure(texel_m, rng)
 
-    def add_to(self, index: int, view: View, camera: Camera, T_world_camera: NDArray) -> View:
+    def add_to(
+        self, index: int, view: RayCastView, camera: Camera, T_world_camera: NDArray
+    ) -> RayCastView:
         """Add the walker to the ideal view of frame `index`, with the mask of its pixels."""
         number = index - self._first
         view = replace(view, walker=np.zeros(view.depth_m.shape, bool))
@@ -89,7 +91,9 @@ class Walker:
         x, y = places[number]
         return placement(x, y, yaw_rad=math.atan2(ahead[1], ahead[0]))
 
-    def _with_limb(self, view: View, limb: Scene, camera: Camera, T_limb_camera: NDArray) -> View:
+    def _with_limb(
+        self, view: RayCastView, limb: Scene, camera: Camera, T_limb_camera: NDArray
+    ) -> RayCastView:
         fine = camera.scaled(_SAMPLES, _SAMPLES, *(side * _SAMPLES for side in camera.size))
         depth_m = limb.render_depth(fine, T_limb_camera)
         if not depth_m.any():
@@ -102,7 +106,7 @@ class Walker:
         share = shown / np.maximum(whole, 1e-6)
         rgb = view.rgb * (1.0 - shown)[..., None] + seen.rgb * share[..., None]
         front = (seen.depth_m > 0) & ((seen.depth_m < view.depth_m) | (view.depth_m == 0))
-        return View(
+        return RayCastView(
             rgb=rgb.clip(0.0, 1.0).astype(np.float32),
             depth_m=np.where(front, seen.depth_m, view.depth_m),
             labels=np.where(front, 0, view.labels).astype(np.int32),

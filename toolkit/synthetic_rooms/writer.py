@@ -17,7 +17,7 @@ from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.synthetic_rooms.ray_casting import Scene, View
+from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 DEPTH_SCALE = 6553.5
@@ -54,7 +54,7 @@ def _remove_images(folder: Path) -> None:
         old.unlink()
 
 
-def with_walker_masks(path: Path, views: Iterable[View]) -> Iterator[View]:
+def with_walker_masks(path: Path, views: Iterable[RayCastView]) -> Iterator[RayCastView]:
     """Write the walker's mask of each view that passes: 255 where it is visible, 0 elsewhere."""
     for index, view in enumerate(views):
         if view.walker is not None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from toolkit.taxonomy_building.grouper import Grouping, Question
 from toolkit.taxonomy_building.names import distinct
 from toolkit.taxonomy_building.partition import Branch, partition
-from toolkit.taxonomy_building.vocabulary import SHAPES, Entry, Vocabulary, built_in
+from toolkit.taxonomy_building.vocabulary import SHAPES, Entry, ObjectVocabulary, built_in
 
 # Ranges of the limits between sizes in metres. The limits are chosen within them to balance the
 # groups: nothing above 0.4 m is small, and no bed is medium.
@@ -23,7 +23,7 @@ _TOP_DISTANCE = 1.3
 class RuleGrouper:
     """Groups items by a vocabulary; deterministic."""
 
-    def __init__(self, vocabulary: Vocabulary | None = None) -> None:
+    def __init__(self, vocabulary: ObjectVocabulary | None = None) -> None:
         self._vocabulary = built_in() if vocabulary is None else vocabulary
         self._functions = {f: n for n, f in enumerate(self._vocabulary.functions)}
 

@@ -87,7 +87,7 @@ _MIN_ENDING = 4  # minimum length of the ending of a compound: "shelf" in "books
 _MIN_MISSPELT = 6  # minimum length of a word that is compared with misspellings
 
 
-class Vocabulary:
+class ObjectVocabulary:
     """Known objects, and the look-up of names.
 
     Args:
@@ -179,10 +179,10 @@ class Vocabulary:
 
 
 @functools.cache
-def built_in() -> Vocabulary:
+def built_in() -> ObjectVocabulary:
     """Load the vocabulary of the package."""
     text = resources.files(__package__).joinpath("vocabulary.yaml").read_text("utf-8")
-    return Vocabulary(yaml.safe_load(text))
+    return ObjectVocabulary(yaml.safe_load(text))
 
 
 def _entries(tree: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Entry]:

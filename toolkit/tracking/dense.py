@@ -44,7 +44,7 @@ from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
-from toolkit.tracking.views import Task, View
+from toolkit.tracking.views import RenderedView, Task
 
 _log = logging.getLogger(__name__)
 
@@ -169,7 +169,7 @@ class DenseTracker(MovingTracker):
         )
 
     def _finely_aligned(
-        self, task: Task, view: View, start: NDArray[np.float64], result: TrackingResult
+        self, task: Task, view: RenderedView, start: NDArray[np.float64], result: TrackingResult
     ) -> Iterator[TrackingResult]:
         """The result at the fine levels alone, if it differs from that at all levels.
 
@@ -198,7 +198,7 @@ class DenseTracker(MovingTracker):
     def _further_starts(
         self,
         task: Task,
-        view: View,
+        view: RenderedView,
         start: NDArray[np.float64],
         results: list[TrackingResult],
         proposals: Proposals | None,
@@ -226,22 +226,22 @@ class DenseTracker(MovingTracker):
             if any(_is_clear(result) for result in results) or (again and not likely.lost):
                 return
 
-    def _render(self, task: Task, T_map_view: NDArray[np.float64]) -> View:
+    def _render(self, task: Task, T_map_view: NDArray[np.float64]) -> RenderedView:
         return self._view(task, T_map_view, task.frame.camera, self.options.levels)
 
     def _view(
         self, task: Task, T_map_view: NDArray[np.float64], camera: Camera, levels: int
-    ) -> View:
+    ) -> RenderedView:
         min_silhouette = self.options.min_silhouette
         T_view_map = se3.inverse(T_map_view)
         with self._recorder.timed(Stage.TRACKING_RENDER):
             options = RenderOptions(min_silhouette)
             surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
             images = pyramid(view_level(surface, min_silhouette), levels)
-            return View(T_map_view.copy(), [model_level(level) for level in images])
+            return RenderedView(T_map_view.copy(), [model_level(level) for level in images])
 
     def _best_start(
-        self, task: Task, view: View, starts: tuple[NDArray[np.float64], ...]
+        self, task: Task, view: RenderedView, starts: tuple[NDArray[np.float64], ...]
     ) -> NDArray[np.float64]:
         """The initial pose with the lowest cost against a view."""
         if len(starts) == 1:
@@ -256,7 +256,7 @@ class DenseTracker(MovingTracker):
         return starts[int(np.argmin(costs))]
 
     def _odometry(
-        self, task: Task, view: View, start: NDArray[np.float64]
+        self, task: Task, view: RenderedView, start: NDArray[np.float64]
     ) -> Iterator[tuple[NDArray[np.float64], int]]:
         """T_map_camera [4, 4] from odometry against a view, and the levels to align, if any."""
         level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
@@ -290,7 +290,7 @@ class DenseTracker(MovingTracker):
         yield from ((view.T_map_view @ T, _FINE_LEVELS) for T in found)
 
     def _align(
-        self, task: Task, view: View, start: NDArray[np.float64], levels: int | None = None
+        self, task: Task, view: RenderedView, start: NDArray[np.float64], levels: int | None = None
     ) -> TrackingResult:
         """Align a frame from an initial pose.
 
@@ -326,7 +326,7 @@ class DenseTracker(MovingTracker):
             min_rotation_rad=_SMALL_ROTATION_RAD,
         )
 
-    def _estimated_exposure(self, task: Task, view: View, alignment: Alignment) -> Exposure:
+    def _estimated_exposure(self, task: Task, view: RenderedView, alignment: Alignment) -> Exposure:
         """Exposure of the frame that is stored with a keyframe."""
         if not self.options.exposure or alignment.last is None:
             return alignment.exposure
@@ -335,7 +335,9 @@ class DenseTracker(MovingTracker):
         pose, scales = alignment.T_view_camera, alignment.scales
         return estimate_exposure(levels, pose, scales, alignment.exposure, gate)
 
-    def _result(self, task: Task, view: View, alignment: Alignment, renders: int) -> TrackingResult:
+    def _result(
+        self, task: Task, view: RenderedView, alignment: Alignment, renders: int
+    ) -> TrackingResult:
         max_distance = self.options.max_distance
         judgement = judged(self.limits, task, view, alignment, max_distance, self._recorder)
         # Alignment that fails immediately returns a product of this tracker's own poses. Without

@@ -16,7 +16,7 @@ from toolkit.frame import Recorder
 from toolkit.stages import Stage
 from toolkit.tracking.evidence import doubt_reason, lacks_texture
 from toolkit.tracking.result import Health
-from toolkit.tracking.views import Task, View
+from toolkit.tracking.views import RenderedView, Task
 
 # Pyramid level at which the agreement of a frame and the map is measured, and width below which
 # it is the finest one: blocks of fewer pixels have no correlation.
@@ -43,7 +43,7 @@ class Judgement:
 def judged(
     limits: HealthLimits,
     task: Task,
-    view: View,
+    view: RenderedView,
     alignment: Alignment,
     max_distance: float,
     recorder: Recorder,

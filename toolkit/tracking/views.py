@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class View:
+class RenderedView:
     """The map rendered at a pose: image pyramid from fine to coarse."""
 
     T_map_view: Array

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
-from toolkit.exports.selection import Selection, ground_of, select
+from toolkit.exports.selection import SelectedGaussians, ground_of, select
 from toolkit.io.splats import SplatLabels, Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
@@ -42,7 +42,7 @@ def read_scene(
     return file_scene(path, content)
 
 
-def run_scene(selection: Selection, content: ShownContent) -> ViewerScene:
+def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScene:
     """Describe the selected Gaussians of a finished run, with its cameras and loops."""
     run, gaussians = selection.run, selection.gaussians
     labels = selection.labels

@@ -13,7 +13,7 @@ from toolkit.errors import DependencyError, SettingsError
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.runs.observers import RunProgress
+from toolkit.runs.observers import ObservedRun
 from toolkit.slam.result import FrameResult, SlamResult
 
 # The map is recorded at every _MAP_EVERY-th keyframe, with at most _MAX_GAUSSIANS of each submap,
@@ -55,13 +55,13 @@ class RerunRecorder:
             raise SettingsError(f"--record {path}: {path.parent} is not a folder; create it first")
         self._rr, self._path = rerun, path
         self._stream: Any = None
-        self._run: RunProgress | None = None
+        self._run: ObservedRun | None = None
         self._positions: list[NDArray[np.float64]] = []
         self._counted: dict[str, int] = {}
         self._keyframes = self._loops = 0
         self._submap = -1
 
-    def started(self, run: RunProgress) -> None:
+    def started(self, run: ObservedRun) -> None:
         """Open the file; see `ProgressObserver`."""
         rr, camera = self._rr, run.camera
         self._run = run

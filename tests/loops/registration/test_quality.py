@@ -14,15 +14,15 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.loops.registration.quality import check_alignment, compare
-from toolkit.loops.registration.views import View, ViewRenderer, views_of_overlap
+from toolkit.loops.registration.views import SubmapView, ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
 
 
-def wall(depth_m: float, class_id: int = 1) -> View:
+def wall(depth_m: float, class_id: int = 1) -> SubmapView:
     flat = torch.full((16, 20), depth_m)
-    return View(FrameLevel(CAMERA, torch.zeros(16, 20), flat), np.full((16, 20), class_id))
+    return SubmapView(FrameLevel(CAMERA, torch.zeros(16, 20), flat), np.full((16, 20), class_id))
 
 
 def test_a_wall_fits_itself():

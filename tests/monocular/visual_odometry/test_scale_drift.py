@@ -6,7 +6,7 @@ import numpy as np
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.monocular.visual_odometry.landmarks import View
+from toolkit.monocular.visual_odometry.landmarks import OdometryView
 from toolkit.monocular.visual_odometry.scale_drift import scale_matters, scale_sigma
 from toolkit.monocular.visual_odometry.sparse_map import PointTracks, SparseMap
 from toolkit.monocular.visual_odometry.tracks import NO_FEATURES
@@ -17,7 +17,7 @@ CAMERA = Camera(300.0, 300.0, 160.0, 120.0, 320, 240)
 def sparse_map(poses: np.ndarray, points: np.ndarray) -> SparseMap:
     """A map in which every view shows the points that it can see."""
     made = SparseMap(CAMERA)
-    made.views = [View(n, T, NO_FEATURES) for n, T in enumerate(poses)]
+    made.views = [OdometryView(n, T, NO_FEATURES) for n, T in enumerate(poses)]
     anchors, px, inverse_depth, seen = [], [], [], []
     for point in points:
         shown = []

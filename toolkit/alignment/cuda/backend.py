@@ -20,7 +20,7 @@ from toolkit.alignment.data import (
 from toolkit.exposure import Exposure
 
 
-class CudaBackend:
+class CudaAlignment:
     """See AlignmentBackend."""
 
     def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:

@@ -38,7 +38,7 @@ _CERTAIN = 4.0
 _MIN_READOUT_S = 0.005
 
 
-class Frames(Protocol):
+class TimedFrames(Protocol):
     """A sequence of frames with known times [N] in seconds."""
 
     @property
@@ -94,7 +94,7 @@ class ShutterEstimate:
         )
 
 
-def estimate_shutter(frames: Frames) -> ShutterEstimate:
+def estimate_shutter(frames: TimedFrames) -> ShutterEstimate:
     """Estimate the readout time and the delay of depth from a recording.
 
     Args:
@@ -152,7 +152,7 @@ def _window_starts(times_s: Array) -> list[int]:
     return starts if period_s <= _MAX_PERIOD_S else []
 
 
-def _window(frames: Frames, start: int) -> ShutterWindow | None:
+def _window(frames: TimedFrames, start: int) -> ShutterWindow | None:
     """The frames from an index, without repeated images, whose times are unknown."""
     read: list[Frame] = []
     longest: list[Frame] = []

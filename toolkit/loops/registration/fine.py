@@ -22,7 +22,7 @@ from toolkit.geometry import se3
 from toolkit.loops.registration.options import FineOptions
 from toolkit.loops.registration.quality import AlignmentCheck, compare
 from toolkit.loops.registration.result import RegistrationResult, failed
-from toolkit.loops.registration.views import View, ViewRenderer, views_of_overlap
+from toolkit.loops.registration.views import SubmapView, ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 class SourceView:
     """A rendered view of the source, its pose [4, 4], and the median depth of its surface (m)."""
 
-    view: View
+    view: SubmapView
     T_source_camera: Array
     median_depth_m: float
 
@@ -41,7 +41,7 @@ class SourceView:
 class TargetView:
     """The target rendered at the estimated pose [4, 4] of a view of the source."""
 
-    view: View
+    view: SubmapView
     T_target_view: Array
     model: list[ModelLevel]
 

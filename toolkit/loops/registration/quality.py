@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.loops.registration.views import View, ViewRenderer, views_of_overlap
+from toolkit.loops.registration.views import SubmapView, ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -102,7 +102,9 @@ def check_alignment(
     return total
 
 
-def compare(target: View, source: View, T_view_frame: Array | None = None) -> AlignmentCheck:
+def compare(
+    target: SubmapView, source: SubmapView, T_view_frame: Array | None = None
+) -> AlignmentCheck:
     """Compare a view of the source with a view of the target; their cameras may differ.
 
     Args:
@@ -134,8 +136,8 @@ def compare(target: View, source: View, T_view_frame: Array | None = None) -> Al
 
 
 def _class_counts(
-    target: View,
-    source: View,
+    target: SubmapView,
+    source: SubmapView,
     masks: tuple[NDArray[np.bool_], ...],
     pixel: tuple[NDArray[np.integer], NDArray[np.integer]],
 ) -> tuple[int, int]:

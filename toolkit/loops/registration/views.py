@@ -21,7 +21,7 @@ _MIN_OVERLAP = 0.1
 
 
 @dataclass(frozen=True)
-class View:
+class SubmapView:
     """A view of a submap.
 
     Attributes:
@@ -82,7 +82,9 @@ class ViewRenderer:
             camera = camera.halved()
         return camera
 
-    def render(self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]) -> View:
+    def render(
+        self, submap: Submap, camera: Camera, T_submap_camera: NDArray[np.float64]
+    ) -> SubmapView:
         """Render a submap and decode its classes."""
         self.renders += 1
         options = RenderOptions(self._min_silhouette, features=self._semantics is not None)
@@ -90,11 +92,11 @@ class ViewRenderer:
         surface = render_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
         level = view_level(surface, self._min_silhouette)
         if self._semantics is None:
-            return View(level)
+            return SubmapView(level)
         class_ids = self._semantics.decode_view(surface).class_ids
-        return View(level, class_ids.reshape(camera.height, camera.width))
+        return SubmapView(level, class_ids.reshape(camera.height, camera.width))
 
-    def observed(self, keyframe: Keyframe) -> View:
+    def observed(self, keyframe: Keyframe) -> SubmapView:
         """The observed images of a keyframe, at the size of the renderings."""
         level = keyframe_level(keyframe)
         labels = None
@@ -104,7 +106,7 @@ class ViewRenderer:
             level = halved(level)
             if labels is not None:
                 labels = labels[::2, ::2][: level.camera.height, : level.camera.width]
-        return View(level, labels)
+        return SubmapView(level, labels)
 
 
 def views_of_overlap(

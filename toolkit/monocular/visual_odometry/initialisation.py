@@ -12,7 +12,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions, BundleResult
 from toolkit.monocular.bundle_adjustment.solver import adjust
-from toolkit.monocular.visual_odometry.landmarks import LandmarkTable, View, bundle
+from toolkit.monocular.visual_odometry.landmarks import LandmarkTable, OdometryView, bundle
 from toolkit.monocular.visual_odometry.tracks import Features
 from toolkit.monocular.visual_odometry.two_view import (
     fit_rotation,
@@ -51,7 +51,7 @@ class Initialisation:
         table: landmarks of all features so far.
     """
 
-    views: list[View]
+    views: list[OdometryView]
     table: LandmarkTable
 
 
@@ -105,7 +105,7 @@ def initialise(camera: Camera, frames: Sequence[tuple[int, Features]]) -> Initia
 
 @dataclass(frozen=True)
 class _Candidate:
-    views: list[View]
+    views: list[OdometryView]
     table: LandmarkTable
     result: BundleResult
     landmarks: NDArray[np.int64]
@@ -136,7 +136,7 @@ def _adjusted(
     views = []
     for number, (frame, features) in enumerate(frames):
         share = number / (len(frames) - 1)
-        views.append(View(frame, se3.exp(share * step), features))
+        views.append(OdometryView(frame, se3.exp(share * step), features))
         table.add(number, features)
     table.inverse_depth[ids], table.measured[ids] = inverse_depth, True
     everything = range(len(views))

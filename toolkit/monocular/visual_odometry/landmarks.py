@@ -21,7 +21,7 @@ _ASSUMED_SIGMA = 0.5
 
 
 @dataclass
-class View:
+class OdometryView:
     """A keyframe of the odometry.
 
     Attributes:
@@ -104,7 +104,7 @@ class LandmarkTable:
 def bundle(
     camera: Camera,
     table: LandmarkTable,
-    views: Sequence[View],
+    views: Sequence[OdometryView],
     window: Sequence[int],
     free: Sequence[int],
 ) -> tuple[BundleProblem, NDArray[np.int64], NDArray[np.intp]]:

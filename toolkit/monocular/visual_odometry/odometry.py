@@ -15,7 +15,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions
 from toolkit.monocular.bundle_adjustment.solver import adjust
 from toolkit.monocular.visual_odometry.initialisation import MEDIAN_DEPTH, Refusal, initialise
-from toolkit.monocular.visual_odometry.landmarks import View, bundle, held
+from toolkit.monocular.visual_odometry.landmarks import OdometryView, bundle, held
 from toolkit.monocular.visual_odometry.reversal import without_reversal
 from toolkit.monocular.visual_odometry.sparse_map import MAX_ERROR_PX, SparseMap
 from toolkit.monocular.visual_odometry.tracks import Features, FeatureTracks
@@ -153,7 +153,7 @@ class VisualOdometry:
 
     def _located(self, features: Features, T_start: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Pose of a frame, and which of its features fit."""
-        views = [*self.map.views, View(-1, T_start, features)]
+        views = [*self.map.views, OdometryView(-1, T_start, features)]
         newest = [len(views) - 1]
         problem, landmarks, _ = bundle(self.camera, self.map.table, views, newest, newest)
         result = adjust(held(problem), BundleOptions(iterations=20))
@@ -173,7 +173,7 @@ class VisualOdometry:
         if not self._wants_keyframe(T):
             self.map.attach(self._frame, len(self.map.views) - 1, T)
             return OdometryResult(State.TRACKING, T)
-        self.map.views.append(View(self._frame, T, self._tracks.features))
+        self.map.views.append(OdometryView(self._frame, T, self._tracks.features))
         self.map.attach(self._frame, len(self.map.views) - 1, T)
         self._triangulate()
         self._adjust()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions
-from toolkit.monocular.visual_odometry.landmarks import View
+from toolkit.monocular.visual_odometry.landmarks import OdometryView
 from toolkit.monocular.visual_odometry.sparse_map import SparseMap
 from toolkit.monocular.visual_odometry.two_view import fit_rotation
 
@@ -111,6 +111,6 @@ def _mirror_landmarks(sparse_map: SparseMap, pivot: int) -> None:
         )
 
 
-def _relative(first: View, second: View) -> Array:
+def _relative(first: OdometryView, second: OdometryView) -> Array:
     """T_first_second [4, 4]."""
     return se3.inverse(first.T_world_camera) @ second.T_world_camera

@@ -12,7 +12,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions, BundleResult
 from toolkit.monocular.bundle_adjustment.solver import adjust
-from toolkit.monocular.visual_odometry.landmarks import LandmarkTable, View, bundle
+from toolkit.monocular.visual_odometry.landmarks import LandmarkTable, OdometryView, bundle
 from toolkit.monocular.visual_odometry.tracks import Features
 from toolkit.monocular.visual_odometry.two_view import rays
 
@@ -53,7 +53,7 @@ class SparseMap:
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        self.views: list[View] = []
+        self.views: list[OdometryView] = []
         self.table = LandmarkTable()
         self._poses: dict[int, tuple[int, Array]] = {}  # by frame: view and T_view_camera
         # By view: T_view_next when the next one was created, to which frames between them belong.

@@ -270,7 +270,7 @@ def interpreted() -> bool:
     return not isinstance(compositing.composite, triton.JITFunction)
 
 
-class CudaBackend:
+class CudaRenderer:
     """Triton kernels on the GPU that stores the Gaussians, or on the first GPU."""
 
     name = "cuda"

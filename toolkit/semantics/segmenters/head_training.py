@@ -14,7 +14,7 @@ from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
 from toolkit.semantics.segmenters.patch_features import PatchEncoder
-from toolkit.semantics.segmenters.vocabulary import Vocabulary
+from toolkit.semantics.segmenters.vocabulary import ClassVocabulary
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def train_head(
         DatasetError: no pixel has a class, an id has no name, or several ids have the same name.
     """
     options = options or HeadTrainingOptions()
-    vocabulary = Vocabulary(names, "the dataset's classes.json")
+    vocabulary = ClassVocabulary(names, "the dataset's classes.json")
     repeated = sorted({n for n in names.values() if list(names.values()).count(n) > 1})
     if repeated:
         raise DatasetError(f"several classes of the dataset have the name '{repeated[0]}'")

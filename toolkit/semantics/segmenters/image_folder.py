@@ -15,7 +15,7 @@ from toolkit.frame import Frame
 from toolkit.io.class_names import read_class_colours, read_class_names
 from toolkit.io.images import read_labels, read_rgb
 from toolkit.io.user_files import visible
-from toolkit.semantics.segmenters.vocabulary import Vocabulary
+from toolkit.semantics.segmenters.vocabulary import ClassVocabulary
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ class LabelImageFolder:
         names_file = folder / "classes.json"
         if not folder.is_dir():
             raise DatasetError(f"{folder} is not a folder; set the folder of the label images")
-        self._vocabulary = Vocabulary(read_class_names(names_file), str(names_file))
+        self._vocabulary = ClassVocabulary(read_class_names(names_file), str(names_file))
         self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = self._vocabulary.names
         colours = read_class_colours(names_file)

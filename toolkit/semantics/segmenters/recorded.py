@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.semantics.segmenters.vocabulary import Vocabulary
+from toolkit.semantics.segmenters.vocabulary import ClassVocabulary
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ class RecordedLabels:
     """
 
     def __init__(self, names: Mapping[int, str]) -> None:
-        self._vocabulary = Vocabulary(names, "the dataset's classes.json")
+        self._vocabulary = ClassVocabulary(names, "the dataset's classes.json")
         self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = self._vocabulary.names
         self._warned = False

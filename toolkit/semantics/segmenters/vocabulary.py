@@ -12,7 +12,7 @@ from toolkit.errors import DatasetError
 _MAX_LISTED = 5
 
 
-class Vocabulary:
+class ClassVocabulary:
     """Class names by id, and the check of label images against them.
 
     Args:

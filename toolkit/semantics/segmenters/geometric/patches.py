@@ -27,7 +27,7 @@ _PERTURBATION, _GOLDEN_RATIO = 1.5e-3, 0.6180339887498949
 
 
 @dataclass(frozen=True)
-class Patch:
+class PlanarPatch:
     """A planar patch in camera coordinates.
 
     Attributes:
@@ -41,7 +41,7 @@ class Patch:
     cells: NDArray[np.bool_]
 
 
-def planar_patches(grid: SurfaceGrid) -> list[Patch]:
+def planar_patches(grid: SurfaceGrid) -> list[PlanarPatch]:
     """Detect the planar patches of a grid with Open3D (Araujo and Oliveira 2020).
 
     Raises:
@@ -65,14 +65,14 @@ def planar_patches(grid: SurfaceGrid) -> list[Patch]:
         min_num_points=_MIN_POINTS,
         search_param=o3d.geometry.KDTreeSearchParamKNN(knn=_NEIGHBOURS),
     )
-    found: list[Patch] = []
+    found: list[PlanarPatch] = []
     free = grid.oriented.copy()
     for box in sorted(boxes, key=lambda b: -float(np.prod(np.asarray(b.extent)[:2]))):
         core = _in_box(grid, box) & free
         if core.sum() < _MIN_POINTS:
             continue
         cells = _grown(grid, core, free)
-        found.append(Patch(*_fitted(grid, cells), cells))
+        found.append(PlanarPatch(*_fitted(grid, cells), cells))
         free &= ~cells
     return found
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid, Mask
-from toolkit.semantics.segmenters.geometric.patches import Patch
+from toolkit.semantics.segmenters.geometric.patches import PlanarPatch
 from toolkit.semantics.segmenters.geometric.surface_grid import moved
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class PlaneObservation:
     cells_behind: float
 
 
-def observe(view: LevelledGrid, patch: Patch) -> PlaneObservation | None:
+def observe(view: LevelledGrid, patch: PlanarPatch) -> PlaneObservation | None:
     """Return the observation of a patch, or None if it is not vertical."""
     tilt = float(patch.normal @ view.up_camera)
     if abs(tilt) > _MAX_TILT:
