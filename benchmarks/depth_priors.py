@@ -227,10 +227,11 @@ def _set_errors(correction: DepthCorrection, prior: DegradedDepth, median_m: flo
 def _map_errors(slam: Slam, dataset: RecordedDataset, scale: float) -> Metrics:
     """Depth of the map rendered at its keyframes, compared with the truth."""
     errors = []
-    keyframes = slam.mapper.keyframes
+    submap = slam.atlas.submap(0)
+    keyframes = submap.keyframes
     for number in _spread(len(keyframes)):
         keyframe = keyframes[number]
-        depth = scale * slam.mapper.view(keyframe).depth_m.numpy()
+        depth = scale * slam.mapper.view(submap, keyframe).depth_m.numpy()
         true = dataset[keyframe.index].depth_m
         both = (depth > 0) & (true > 0)
         errors.append(depth[both] / true[both] - 1.0)

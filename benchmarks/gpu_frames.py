@@ -45,6 +45,7 @@ from toolkit.semantics.codes import SemanticCode, binary_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.stages import Stage
 from toolkit.tracking.dense import DenseTracker
@@ -154,7 +155,7 @@ def system(
     )
     options = replace(options, centred=first_order is None)
     mapper = Mapper(options, None, backend_name, watch, semantics, device)
-    return Slam(tracker, mapper, watch), watch
+    return Slam(FrontEnd(tracker), mapper, recorder=watch), watch
 
 
 def _quick(options: MapperOptions, plan: Plan) -> MapperOptions:

@@ -306,9 +306,9 @@ def counted_ring(seed: int) -> CountedRing:
     counts: dict[Counted, dict[int, NDArray[np.int64]]] = {"pixels": {}, "gaussians": {}}
     for index in range(len(dataset)):
         if slam.process_frame(dataset[index]).mapping is not None:
-            newest = slam.mapper.keyframes[-1]
+            newest = slam.atlas.keyframes[-1]
             for counted, counter in counters.items():
-                counts[counted][index] = counter.counts(newest, slam.mapper.gaussians)
+                counts[counted][index] = counter.counts(newest, slam.atlas.gaussians)
     arrays = arrays_below(slam.state()[0], "closer/detector/")
     rows = list(
         zip(

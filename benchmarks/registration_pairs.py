@@ -128,16 +128,15 @@ def piece(
     """Some frames mapped at their true poses, in an arbitrary coordinate frame."""
     settings = RunSettings()
     mapper = Mapper(settings.mapping, generator, semantics=recording.semantics)
+    submap = mapper.first_submap()
     T_submap_world = anywhere(generator) @ se3.inverse(recording.T_world_camera[numbers[0]])
     for i in numbers:
         frame = recording.frames[i]
         frame = replace(frame, depth_m=denoised(frame.depth_m))
-        mapper.add_keyframe(
-            Keyframe.from_frame(frame, T_submap_world @ recording.T_world_camera[i])
-        )
-    pictures = torch.stack([keyframe.rgb for keyframe in mapper.keyframes]) / 255.0
-    descriptors = describer.describe(pictures).numpy()
-    submap = Submap(0, np.eye(4), mapper.gaussians, mapper.keyframes, descriptors=descriptors)
+        keyframe = Keyframe.from_frame(frame, T_submap_world @ recording.T_world_camera[i])
+        mapper.add_keyframe(submap, keyframe)
+    pictures = torch.stack([keyframe.rgb for keyframe in submap.keyframes]) / 255.0
+    submap.descriptors = describer.describe(pictures).numpy()
     return Piece(submap, se3.inverse(T_submap_world), frozenset(numbers))
 
 

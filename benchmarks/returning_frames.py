@@ -20,6 +20,7 @@ from toolkit.evaluation.images import psnr_db
 from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import render
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.depth_filter import DepthFilter
@@ -46,7 +47,7 @@ def main() -> None:
     dataset = open_dataset(recording.kind, recording.path, recording.image_size)
     half = len(dataset) // 2
     tracker = DenseTracker()
-    slam = Slam(tracker, Mapper(), placement=KeyframePlacement())
+    slam = Slam(FrontEnd(tracker, placement=KeyframePlacement()), Mapper())
     for index in range(half):
         slam.process_frame(dataset[index])
     gaussians = slam.finish().gaussians

@@ -49,6 +49,7 @@ from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.submap import Submap
 
 TableName = Literal["summary", "loops", "ablation", "allocation", "registration"]
 
@@ -256,17 +257,16 @@ def loop_counts(run: FinishedSlam) -> Metrics:
 
 def add_drift(atlas: Atlas, metres: float, seed: int) -> None:
     """Displace each new submap from where the camera is."""
-    start_next, generator = atlas.start_next, np.random.default_rng(seed)
+    start, generator = atlas.start, np.random.default_rng(seed)
 
-    def begin_displaced() -> NDArray[np.float64]:
-        T_new_old = start_next()
+    def start_displaced(submap: Submap) -> None:
         directions = generator.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         error = se3.exp(metres * np.concatenate([directions[0], RADIANS_PER_METRE * directions[1]]))
-        atlas.move(atlas.active, atlas.T_world_submap(atlas.active) @ error)
-        return T_new_old
+        submap.T_world_submap = submap.T_world_submap @ error
+        start(submap)
 
-    atlas.start_next = begin_displaced  # type: ignore[method-assign]
+    atlas.start = start_displaced  # type: ignore[method-assign]
 
 
 def at_boundaries(result: SlamResult, dataset: Dataset, settings: RunSettings) -> Metrics:

@@ -73,9 +73,10 @@ class MappedView:
             },
         )
         self._mapper = self._build(settings, taxonomy)
-        self._mapper.add_keyframe(Keyframe.from_frame(dataset[0], np.eye(4)))
+        self._submap = self._mapper.first_submap()
+        self._mapper.add_keyframe(self._submap, Keyframe.from_frame(dataset[0], np.eye(4)))
         self.channels = 4 + self._mapper.semantics.channels
-        cloud = self._mapper.gaussians
+        cloud = self._submap.gaussians
         self.map_mb = len(cloud) * (8 + self._mapper.semantics.channels) * 4 / 1e6
 
     @staticmethod
@@ -87,8 +88,8 @@ class MappedView:
 
     def step(self) -> dict[str, float]:
         """Seconds of the renderer's two passes by themselves and of a whole mapping step."""
-        mapper = self._mapper
-        cloud, keyframe = mapper.gaussians, mapper.keyframes[0]
+        mapper, submap = self._mapper, self._submap
+        cloud, keyframe = submap.gaussians, submap.keyframes[0]
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         times = {}
         start = time.perf_counter()
@@ -101,9 +102,8 @@ class MappedView:
         times["renderer"] = times["forward"] + times["backward"]
         del drawn
         start = time.perf_counter()
-        mapper.step(
-            keyframe, (0, 4), Objective(False)
-        )  # the first step of a call includes semantics
+        # The first step of a call includes semantics.
+        mapper.step(submap, keyframe, (0, 4), Objective(False))
         times["step"] = time.perf_counter() - start
         return times
 

@@ -21,6 +21,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.options import DenseOptions, TrackingOptions
@@ -120,7 +121,7 @@ def measure(job: list[str], seed: int) -> Metrics:
     indices = [i for i in range(0, len(dataset), sequence.every) if i not in missing]
     mapping = MapperOptions(centred=settings.kind == "dense")
     mapper = Mapper(mapping, np.random.default_rng(seed), "auto")
-    slam = Slam(build_tracker(settings), mapper)
+    slam = Slam(FrontEnd(build_tracker(settings)), mapper)
     renders = []
     for place, index in enumerate(tqdm(indices, file=sys.stderr, leave=False)):
         # Keyframes count frames: those left out are as if never taken.

@@ -39,7 +39,7 @@ API = {
         "toolkit.live.camera.LiveCamera",
         "toolkit.live.camera.CapturedFrame",
         "toolkit.runs.observers.ProgressObserver",
-        "toolkit.runs.observers.RunProgress",
+        "toolkit.runs.observers.ObservedRun",
     ),
     "Maps": (
         "toolkit.gaussians.cloud.GaussianCloud",

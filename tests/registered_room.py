@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
@@ -15,7 +16,6 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.semantics.codes import flat_code
@@ -70,7 +70,7 @@ def submap_of(
     semantics: SemanticMapping | None = None,
 ) -> Submap:
     """A submap mapped from frames at their true poses."""
-    mapper = Mapper(QUICK, np.random.default_rng(number), semantics=semantics)
+    mapper = MappedSubmap(QUICK, np.random.default_rng(number), semantics=semantics)
     T_submap_world = se3.inverse(poses[numbers[0]])
     for place in numbers:
         mapper.add_keyframe(Keyframe.from_frame(frames[place], T_submap_world @ poses[place]))

@@ -6,6 +6,7 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
@@ -14,7 +15,6 @@ from toolkit.gaussians.options import SeedingOptions
 from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import RenderOptions, backend, render, render_surface
 from toolkit.synthetic_rooms import tiny_room
@@ -38,7 +38,7 @@ def first_steps(count: int = 6, width: int = 160, height: int = 120) -> Room:
 @functools.cache
 def map_of_first_frame() -> GaussianCloud:
     """A map of the first frame alone."""
-    room, mapper = first_steps(), Mapper(MapperOptions(first_iterations=40))
+    room, mapper = first_steps(), MappedSubmap(MapperOptions(first_iterations=40))
     mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
     return mapper.gaussians
 

@@ -7,13 +7,13 @@ import importlib
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 from painted_box import box_frames, path
 from torch import Tensor
 
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import map_device
 from toolkit.tracking.dense import DenseTracker
@@ -34,7 +34,7 @@ def walk():
     return box_frames(T_map_camera, *SIZE), T_map_camera
 
 
-def mapped(device: str, walk) -> Mapper:
+def mapped(device: str, walk) -> MappedSubmap:
     """Two keyframes mapped, refined, written down and read again."""
     options = MapperOptions(
         first_iterations=2,
@@ -42,18 +42,20 @@ def mapped(device: str, walk) -> Mapper:
         final_iterations=1,
         bundle_adjustment=True,
     )
-    mapper, again = (Mapper(options, np.random.default_rng(0), device=device) for _ in range(2))
+    mapper, again = (
+        MappedSubmap(options, np.random.default_rng(0), device=device) for _ in range(2)
+    )
     for frame, pose in zip(*walk, strict=True):
         mapper.add_keyframe(Keyframe.from_frame(frame, pose))
     mapper.refine()
     again.restore(*mapper.state())
     again.optimise_window(1)
-    again.replace_content(again.content)
+    again.submap.optimiser.release()
     again.optimise_window(1)
     return again
 
 
-def shown(mapper: Mapper) -> tuple[Tensor, Tensor]:
+def shown(mapper: MappedSubmap) -> tuple[Tensor, Tensor]:
     """Colour [K, 3, H, W] and depth [K, H, W] of the keyframes' views, on the CPU."""
     views = [mapper.view(keyframe) for keyframe in mapper.keyframes]
     colours = torch.stack([view.images[:3].cpu() for view in views])
@@ -71,7 +73,7 @@ def test_mapping(walk, mapped_here):
     mapper = mapped(GPU, walk)
     for field in PARAMETERS:
         assert getattr(mapper.gaussians, field).is_cuda, field
-    assert mapper.map.seeded_by.is_cuda and mapper.map.optimiser.steps.is_cuda
+    assert mapper.submap.seeded_by.is_cuda and mapper.submap.optimiser.steps.is_cuda
     assert len(mapper.gaussians) == pytest.approx(len(mapped_here.gaussians), rel=0.01)
     for actual, expected in zip(shown(mapper), shown(mapped_here), strict=True):
         errors = (actual - expected).abs()
@@ -83,7 +85,7 @@ def test_mapping(walk, mapped_here):
 def one_view(walk):
     """A map of the first frame, and where trackers on the CPU find the second."""
     frames, poses = walk
-    mapper = Mapper(MapperOptions(first_iterations=10))
+    mapper = MappedSubmap(MapperOptions(first_iterations=10))
     mapper.add_keyframe(Keyframe.from_frame(frames[0], poses[0]))
     return mapper.gaussians, {kind: tracked(kind, frames, mapper.gaussians) for kind in KINDS}
 

@@ -30,6 +30,7 @@ from toolkit.rendering.surface import SurfaceView, surface_depth
 from toolkit.rendering.texture import resample_at_centres
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.submaps.optimiser_state import OptimiserState
 
 META = torch.device("meta")
 CAMERA = Camera(50.0, 52.0, 23.5, 17.5, 48, 36)
@@ -104,8 +105,7 @@ def test_what_a_keyframe_observed() -> None:
 
 
 def test_a_step_of_the_map() -> None:
-    adam = SparseAdam(LearningRates(), 4, META)
-    adam.extend(100)
+    state = OptimiserState(torch.zeros(100, dtype=torch.int32, device=META))
     widths = {
         "means": (3,),
         "log_radii": (),
@@ -115,5 +115,7 @@ def test_a_step_of_the_map() -> None:
     }
     cloud = GaussianCloud(**{n: torch.empty(100, *w, device=META) for n, w in widths.items()})
     seen = {n: torch.empty(70, *w, device=META) for n, w in widths.items()}
-    adam.step(cloud, seen, torch.empty(70, dtype=torch.int64, device=META))
-    assert adam.steps.device == META
+    SparseAdam(LearningRates()).step(
+        state, cloud, seen, torch.empty(70, dtype=torch.int64, device=META)
+    )
+    assert state.steps.device == META

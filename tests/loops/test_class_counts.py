@@ -99,8 +99,8 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
     reading = semantics(CLASS_NAMES)
     taxonomy = Taxonomy({"everything": list(CLASS_NAMES)}, classes=CLASS_NAMES)
     mapper = Mapper(MapperOptions(first_iterations=1), semantics=reading)
-    atlas = Atlas(mapper)
-    mapper.add_keyframe(Keyframe.from_frame(labelled_frame, np.eye(4)))
+    atlas = Atlas(mapper.first_submap())
+    mapper.add_keyframe(atlas.current, Keyframe.from_frame(labelled_frame, np.eye(4)))
     settings = LoopClosureOptions(landmarks=LandmarkOptions(counted=counted))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
     closer.keyframe_added(atlas)
@@ -108,7 +108,7 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
         "pixels": PixelClassCounter(len(taxonomy)),
         "gaussians": GaussianClassCounter(reading, len(taxonomy), backend()),
     }[counted]
-    expected = counter.counts(mapper.keyframes[0], mapper.gaussians)
+    expected = counter.counts(atlas.keyframes[0], atlas.gaussians)
     assert closer.state()[0]["detector/class_counts"].tolist() == [expected.tolist()]
-    others = PixelClassCounter(len(taxonomy)).counts(mapper.keyframes[0], mapper.gaussians)
+    others = PixelClassCounter(len(taxonomy)).counts(atlas.keyframes[0], atlas.gaussians)
     assert (expected.tolist() == others.tolist()) is (counted == "pixels")

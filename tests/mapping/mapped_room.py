@@ -6,30 +6,30 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import render
 
 
-def fed(mapper: Mapper, room: Any, numbers: Iterable[int]) -> Mapper:
+def fed(mapper: MappedSubmap, room: Any, numbers: Iterable[int]) -> MappedSubmap:
     """The mapper after these frames of a room."""
     for number in numbers:
         mapper.add_keyframe(Keyframe.from_frame(room.frames[number], room.T_map_camera[number]))
     return mapper
 
 
-def psnr_db(mapper: Mapper, frame: Frame, T_map_camera: NDArray[np.float64]) -> float:
+def psnr_db(mapper: MappedSubmap, frame: Frame, T_map_camera: NDArray[np.float64]) -> float:
     """PSNR of the map against a frame, over all pixels."""
     drawn = render(mapper.gaussians, frame.camera, se3.inverse(T_map_camera))
     return float(-10 * np.log10(((drawn.colour.numpy() - frame.rgb) ** 2).mean()))
 
 
 def depth_error_m(
-    mapper: Mapper, frame: Frame, T_map_camera: NDArray[np.float64]
+    mapper: MappedSubmap, frame: Frame, T_map_camera: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Drawn minus measured depth where both are, [M]."""
     drawn = render(mapper.gaussians, frame.camera, se3.inverse(T_map_camera))
@@ -37,7 +37,7 @@ def depth_error_m(
     return (drawn.depth_m.numpy() - frame.depth_m)[both]
 
 
-def same_bits(one: Mapper, other: Mapper) -> bool:
+def same_bits(one: MappedSubmap, other: MappedSubmap) -> bool:
     """Whether Gaussians, optimiser, keyframes and generator agree to the last bit."""
     (arrays, values), (others, other_values) = one.state(), other.state()
     if arrays.keys() != others.keys() or repr(values) != repr(other_values):

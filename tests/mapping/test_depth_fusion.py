@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
@@ -14,10 +15,9 @@ from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping import depth_fusion
 from toolkit.mapping.depth_fusion import MeasuredCentres, fuse_depth, measured_centres
-from toolkit.mapping.gaussian_map import GaussianMap
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import LearningRates, MapperOptions
+from toolkit.mapping.options import MapperOptions
 from toolkit.native import available_instruction_sets, load_variant
+from toolkit.submaps.submap import Submap
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=19.5, cy=14.5)
 WALL_M = 4.0
@@ -118,7 +118,7 @@ def test_a_noisy_wall_becomes_thinner(room):
     like, pose = room.frames[0], np.eye(4)
     thickness_m = {}
     for fuse in (True, False):
-        mapper = Mapper(MapperOptions(first_iterations=0, iterations=0, fuse_depth=fuse))
+        mapper = MappedSubmap(MapperOptions(first_iterations=0, iterations=0, fuse_depth=fuse))
         for index in range(8):
             noise = generator.normal(0.0, 0.004, like.depth_m.shape).astype(np.float32)
             flat = np.where(like.depth_m > 0, 2.0 + noise, 0.0).astype(np.float32)
@@ -130,13 +130,13 @@ def test_a_noisy_wall_becomes_thinner(room):
 def test_gaussians_measured_anew_belong_to_the_newest_keyframe(room):
     frame, nearer = room.frames[0], np.eye(4)
     nearer[2, 3] = 1.0
-    mapper = Mapper(MapperOptions(first_iterations=0, iterations=0))
+    mapper = MappedSubmap(MapperOptions(first_iterations=0, iterations=0))
     mapper.add_keyframe(Keyframe.from_frame(frame, np.eye(4)))
-    assert (mapper.map.seeded_by == frame.index).all()
+    assert (mapper.submap.seeded_by == frame.index).all()
     closer = replace(frame, index=9, depth_m=np.maximum(frame.depth_m - 1.0, 0.0))
     count = len(mapper.gaussians)
     mapper.add_keyframe(Keyframe.from_frame(closer, nearer))
-    seeded_by = mapper.map.seeded_by[:count]
+    seeded_by = mapper.submap.seeded_by[:count]
     assert (seeded_by == 9).any()
     assert (seeded_by == frame.index).any()
 
@@ -153,8 +153,7 @@ def test_the_kernel_agrees_with_torch(name: str, monkeypatch: pytest.MonkeyPatch
     found = []
     for variant in (None, load_variant(name)):
         monkeypatch.setattr(depth_fusion, "kernels_for", lambda _, variant=variant: variant)
-        fused = GaussianMap(LearningRates(), 0, torch.device("cpu"), centred_colours=False)
-        fused.gaussians, fused.seeded_by, fused.keyframes = cloud, seeded_by, views
+        fused = Submap(0, np.eye(4), cloud, views, seeded_by)
         fuse_depth(fused, views[-1].depth_m)
         found.append((fused.gaussians.means, fused.seeded_by))
     (expected, expected_by), (moved, moved_by) = found

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 
 from tests.mapping.conftest import MappedRoom
 from toolkit.evaluation.free_space import free_space_metrics
@@ -18,7 +19,6 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping import depth_views, free_space
 from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
 from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
 from toolkit.native import available_instruction_sets, load_variant
 
@@ -46,7 +46,7 @@ def test_what_is_in_front_of_a_measured_surface_is_empty_beyond_a_margin():
 def test_the_depth_of_a_prior_rules_out_nothing():
     prior = wall(index=1)
     prior.prior_m = prior.depth_m
-    mapper = Mapper(MapperOptions(first_iterations=1, iterations=1))
+    mapper = MappedSubmap(MapperOptions(first_iterations=1, iterations=1))
     mapper.add_keyframe(wall(1.0))
     mapper.add_keyframe(prior)
     assert is_measured(FreeSpaceOptions(), mapper.keyframes[:1])
@@ -143,7 +143,7 @@ def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom):
     counts = []
     for use in (False, True):
         options = MapperOptions(final_iterations=1, free_space=FreeSpaceOptions(use=use))
-        mapper = Mapper(options)
+        mapper = MappedSubmap(options)
         for frame, pose in zip(frames, room.T_map_camera, strict=False):
             mapper.add_keyframe(Keyframe.from_frame(frame, pose))
         mapper.refine()
@@ -236,7 +236,7 @@ def test_nothing_hides_the_view_of_a_frame():
 
 
 def test_a_blob_before_a_frame_between_keyframes_is_removed(room: MappedRoom):
-    mapper = Mapper(MapperOptions(final_iterations=0, fill_holes=False))
+    mapper = MappedSubmap(MapperOptions(final_iterations=0, fill_holes=False))
     for frame, T in list(zip(room.frames, room.T_map_camera, strict=False))[:2]:
         mapper.add_keyframe(Keyframe.from_frame(frame, T))
     count = len(mapper.gaussians)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 
 from tests.mapping.conftest import MappedRoom
 from toolkit.frame import Frame
@@ -21,7 +22,6 @@ from toolkit.mapping.hole_filling import (
     fill_holes,
     inferred_depth,
 )
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 
 OPTIONS = MapperOptions(first_iterations=5, iterations=2, final_iterations=2)
@@ -34,15 +34,17 @@ def without_depth(frame: Frame, hole: tuple[slice, slice] = HOLE) -> Frame:
     return replace(frame, depth_m=depth_m)
 
 
-def mapped(frames: list[Frame], poses: np.ndarray, options: MapperOptions = OPTIONS) -> Mapper:
-    mapper = Mapper(options)
+def mapped(
+    frames: list[Frame], poses: np.ndarray, options: MapperOptions = OPTIONS
+) -> MappedSubmap:
+    mapper = MappedSubmap(options)
     for frame, pose in zip(frames, poses, strict=True):
         mapper.add_keyframe(Keyframe.from_frame(frame, pose))
     mapper.refine()
     return mapper
 
 
-def colour_error(mapper: Mapper, keyframe: Keyframe) -> float:
+def colour_error(mapper: MappedSubmap, keyframe: Keyframe) -> float:
     colour = mapper.view(keyframe).output.colour.permute(2, 0, 1)
     error = (colour - keyframe.target_rgb()).abs().mean(dim=0)
     return float(error[HOLE].mean())
@@ -102,7 +104,7 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     near[HOLE] = 0.0
     frames = [replace(room.frames[0], depth_m=near), room.frames[0]]
     poses = np.stack([room.T_map_camera[0]] * 2)
-    mapper = Mapper(OPTIONS)
+    mapper = MappedSubmap(OPTIONS)
     keyframes = [Keyframe.from_frame(f, T) for f, T in zip(frames, poses, strict=True)]
     rows, columns = np.mgrid[HOLE]
     rays = keyframes[0].camera.rays()[rows.ravel(), columns.ravel()]
@@ -111,9 +113,9 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     np.testing.assert_array_equal(through, truth - np.maximum(0.05, 0.03 * truth) > inferred_m)
     assert through.any()
     mapper.add_keyframe(keyframes[0])
-    mapper.map.keyframes.append(keyframes[1])
+    mapper.submap.keyframes.append(keyframes[1])
     before = len(mapper.gaussians)
-    mapper._fill_holes()
+    mapper.mapper._fill_holes(mapper.submap)
     added = mapper.gaussians.means[before:]
     assert len(added)
     assert not DepthView.of(keyframes[1]).measures_through(added).any()
@@ -127,12 +129,12 @@ def test_points_measured_through_at_every_factor_are_behind_everything(room: Map
     pose = room.T_map_camera[0]
     frames = [replace(room.frames[0], depth_m=near), replace(room.frames[0], depth_m=far)]
     keyframes = [Keyframe.from_frame(frame, pose) for frame in frames]
-    mapper = Mapper(OPTIONS)
+    mapper = MappedSubmap(OPTIONS)
     mapper.add_keyframe(keyframes[0])
     before = len(mapper.gaussians)
     views = [DepthView.of(keyframes[1])]
     count = fill_holes(
-        mapper.map, keyframes[0], mapper.view(keyframes[0]), mapper._densification, views
+        mapper.submap, keyframes[0], mapper.view(keyframes[0]), mapper.mapper._densification, views
     )
     added = mapper.gaussians.means[before:]
     assert count == len(added) > 0
@@ -151,12 +153,12 @@ def test_every_keyframe_counts_however_many_there_are(room: MappedRoom):
     frames = [replace(room.frames[0], depth_m=near), *40 * [room.frames[0]]]
     poses = [pose, *20 * [away], pose, *19 * [away]]
     keyframes = [Keyframe.from_frame(f, T) for f, T in zip(frames, poses, strict=True)]
-    mapper = Mapper(OPTIONS)
+    mapper = MappedSubmap(OPTIONS)
     mapper.add_keyframe(keyframes[0])
     before = len(mapper.gaussians)
     views = [DepthView.of(keyframe) for keyframe in keyframes[1:]]
     view = mapper.view(keyframes[0])
-    fill_holes(mapper.map, keyframes[0], view, mapper._densification, views)
+    fill_holes(mapper.submap, keyframes[0], view, mapper.mapper._densification, views)
     added = mapper.gaussians.means[before:]
     assert len(added) and not views[20].measures_through(added).any()
 

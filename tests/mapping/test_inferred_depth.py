@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 from painted_box import box_frames
 
 from toolkit.frame import Frame
@@ -14,7 +15,6 @@ from toolkit.keyframe import Keyframe
 from toolkit.losses.depth_gradient import by_observed_depth, weigh_depth
 from toolkit.losses.options import RgbdLossWeights
 from toolkit.losses.photometric import rgbd_loss_torch
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import DepthAdjustmentOptions, MapperOptions
 from toolkit.native.constants import DEPTH_SUM, SILHOUETTE
 
@@ -73,7 +73,7 @@ def test_the_derivative_by_the_observed_depth():
 @pytest.mark.parametrize("inferred", [False, True])
 def test_inferred_depth_does_not_seed_in_front_of_the_map(inferred):
     frame = box()[0]
-    mapper = Mapper(MapperOptions(first_iterations=3, iterations=0))
+    mapper = MappedSubmap(MapperOptions(first_iterations=3, iterations=0))
     mapper.add_keyframe(Keyframe.from_frame(frame, np.eye(4)))
     block = np.zeros(frame.depth_m.shape, bool)
     block[10:30, 10:30] = True
@@ -85,7 +85,7 @@ def test_inferred_depth_does_not_seed_in_front_of_the_map(inferred):
 
 def test_inferred_depth_seeds_where_the_map_is_empty():
     frame = box()[0]
-    mapper = Mapper(MapperOptions(first_iterations=1))
+    mapper = MappedSubmap(MapperOptions(first_iterations=1))
     half = frame.depth_m.copy()
     half[:, 32:] = 0.0
     mapper.add_keyframe(Keyframe.from_frame(replace(frame, depth_m=half), np.eye(4)))
@@ -113,7 +113,7 @@ def adjusted(factor: float, **options) -> Keyframe:
     """A second keyframe whose depth is wrong by a factor, after optimisation with the map."""
     frames = box(2)
     adjustment = DepthAdjustmentOptions(**options)
-    mapper = Mapper(
+    mapper = MappedSubmap(
         MapperOptions(
             first_iterations=10, iterations=40, fuse_depth=False, depth_adjustment=adjustment
         )
@@ -144,7 +144,7 @@ def test_regularisation_keeps_scale_and_shift():
 
 def test_measured_depth_is_not_adjusted():
     frame = box()[0]
-    mapper = Mapper(MapperOptions(first_iterations=3))
+    mapper = MappedSubmap(MapperOptions(first_iterations=3))
     keyframe = Keyframe.from_frame(frame, np.eye(4))
     mapper.add_keyframe(keyframe)
     assert keyframe.depth_moments is None

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mapped_submap import MappedSubmap
 
 from tests.painted_box import box_frames, path
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.effort import Effort
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 
 
@@ -42,7 +42,7 @@ def test_minimum_and_maximum_hold():
 
 def test_a_keyframe_reports_its_steps():
     options = MapperOptions(first_iterations=2, iterations=3, max_iterations=5)
-    mapper = Mapper(options, np.random.default_rng(0))
+    mapper = MappedSubmap(options, np.random.default_rng(0))
     poses = path(2)
     first, second = (
         mapper.add_keyframe(Keyframe.from_frame(frame, T))

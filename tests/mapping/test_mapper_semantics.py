@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from mapped_room import fed, same_bits
+from mapped_submap import MappedSubmap
 
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import RenderOptions, backend, render_surface
@@ -44,18 +44,18 @@ def semantics(code: str = "one-hot", network: bool = False, **weights: float) ->
     return SemanticMapping(loss, "network" if network else "path")
 
 
-def mapper_with(options: MapperOptions = FEW, **kinds) -> Mapper:
-    return Mapper(options, np.random.default_rng(3), semantics=semantics(**kinds))
+def mapper_with(options: MapperOptions = FEW, **kinds) -> MappedSubmap:
+    return MappedSubmap(options, np.random.default_rng(3), semantics=semantics(**kinds))
 
 
-def accuracy(mapper: Mapper, room, number: int) -> float:
+def accuracy(mapper: MappedSubmap, room, number: int) -> float:
     """Share of a frame's labelled pixels that the map shows right."""
     frame = room.frames[number]
     T_camera_map = se3.inverse(room.T_map_camera[number])
     view = render_surface(
         backend(), mapper.gaussians, frame.camera, T_camera_map, RenderOptions(features=True)
     )
-    shown = mapper.semantics.decode_view(view).class_ids.reshape(frame.labels.shape)
+    shown = mapper.mapper.semantics.decode_view(view).class_ids.reshape(frame.labels.shape)
     return float((shown == frame.labels)[frame.labels > 0].mean())
 
 
@@ -71,9 +71,9 @@ def test_a_view_can_be_decoded_among_some_classes_alone(room):
     frame, T_camera_map = room.frames[4], se3.inverse(room.T_map_camera[4])
     options = RenderOptions(features=True)
     view = render_surface(backend(), mapper.gaussians, frame.camera, T_camera_map, options)
-    usual = mapper.semantics.decode_view(view).class_ids
+    usual = mapper.mapper.semantics.decode_view(view).class_ids
     kept = np.unique(usual[usual > 0])[::2]
-    chosen = mapper.semantics.decode_view(view, among=kept).class_ids
+    chosen = mapper.mapper.semantics.decode_view(view, among=kept).class_ids
     assert set(np.unique(chosen[usual > 0])) == set(kept)
     np.testing.assert_array_equal(chosen[np.isin(usual, kept)], usual[np.isin(usual, kept)])
     assert not chosen[usual == 0].any()
@@ -83,8 +83,8 @@ def test_wrong_labels_are_voted_out(room):
     """One keyframe in five calls the floor a sofa, from the first on."""
     sofa, floor = (CLASS_NAMES.index(n) + 1 for n in ("sofa", "floor"))
 
-    def floor_share(mapper: Mapper) -> float:
-        answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
+    def floor_share(mapper: MappedSubmap) -> float:
+        answer = mapper.mapper.semantics.decode_gaussians(mapper.gaussians.features)
         chosen = np.isin(answer.class_ids, [sofa, floor])
         return float((answer.class_ids[chosen] == floor).mean())
 
@@ -109,8 +109,10 @@ def test_a_class_that_only_a_frame_between_keyframes_shows_keeps_its_name(room):
     mask[:20, :20] = frame.depth_m[:20, :20] > 0
     count = len(mapper.gaussians)
     relabelled = replace(frame, labels=np.full_like(frame.labels, new))
-    mapper.seed_pixels(relabelled, room.T_map_camera[4], mask, mapper.keyframes[0])
-    decoded = mapper.semantics.decode_gaussians(mapper.gaussians.features[count:])
+    mapper.mapper.seed_pixels(
+        mapper.submap, relabelled, room.T_map_camera[4], mask, mapper.keyframes[0]
+    )
+    decoded = mapper.mapper.semantics.decode_gaussians(mapper.gaussians.features[count:])
     assert len(decoded.class_ids)
     assert (decoded.class_ids == new).all()
 
@@ -133,7 +135,7 @@ def test_geometry_does_not_hear_of_semantics(room):
     # Cells do not span classes, so that the two maps differ in a few Gaussians at borders;
     # with the very same seeds, every value of geometry is the same.
     single = replace(FEW, seeding=replace(FEW.seeding, max_cell=1))
-    plain = fed(Mapper(single, np.random.default_rng(3)), room, [0, 4])
+    plain = fed(MappedSubmap(single, np.random.default_rng(3)), room, [0, 4])
     mapper = fed(mapper_with(single), room, [0, 4])
     for name in ("means", "log_radii", "opacity_logits", "colours"):
         one, other = getattr(plain.gaussians, name), getattr(mapper.gaussians, name)
@@ -169,11 +171,11 @@ def test_frames_without_labels_leave_features_alone(room):
     before = mapper.gaussians.features.clone()
     bare = replace(room.frames[1], labels=None)
     mapper.add_keyframe(Keyframe.from_frame(bare, room.T_map_camera[1]))
-    answer = mapper.semantics.decode_gaussians(mapper.gaussians.features)
+    answer = mapper.mapper.semantics.decode_gaussians(mapper.gaussians.features)
     assert (answer.class_ids[: len(before)] > 0).mean() > 0.99
 
 
 def test_a_map_without_semantics_keeps_no_labels(room):
-    mapper = fed(Mapper(FEW), room, [0])
+    mapper = fed(MappedSubmap(FEW), room, [0])
     assert mapper.keyframes[0].class_ids is None
     assert mapper.gaussians.features.shape[1] == 0

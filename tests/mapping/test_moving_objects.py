@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 
 from tests.painted_box import box_frames, path
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.moving_objects import _held_s
 from toolkit.mapping.optimisation import Objective
 from toolkit.mapping.options import MapperOptions, MovingObjectOptions
@@ -40,14 +40,18 @@ def walked() -> list[Frame]:
     return [f if i < 8 else with_panel(f, 8 * (i - 8) + 4) for i, f in enumerate(EMPTY)]
 
 
-def mapped(frames: Iterable[Frame], use: bool = True, poses: np.ndarray = T_MAP_CAMERA) -> Mapper:
-    mapper = Mapper(MapperOptions(moving_objects=MovingObjectOptions(use=use), first_iterations=5))
+def mapped(
+    frames: Iterable[Frame], use: bool = True, poses: np.ndarray = T_MAP_CAMERA
+) -> MappedSubmap:
+    mapper = MappedSubmap(
+        MapperOptions(moving_objects=MovingObjectOptions(use=use), first_iterations=5)
+    )
     for frame, pose in zip(frames, poses, strict=False):
         mapper.add_keyframe(Keyframe.from_frame(frame, pose))
     return mapper
 
 
-def on_panel(mapper: Mapper, T_map_camera: np.ndarray) -> int:
+def on_panel(mapper: MappedSubmap, T_map_camera: np.ndarray) -> int:
     """Number of Gaussians at the distance of the panel, in the middle of the view."""
     T = torch.from_numpy(se3.inverse(T_map_camera).astype(np.float32))
     points = mapper.gaussians.means @ T[:3, :3].T + T[:3, 3]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from toolkit.mapping import sparse_adam
 from toolkit.mapping.options import LearningRates
 from toolkit.mapping.sparse_adam import BETA1, BETA2, SparseAdam
 from toolkit.native import available_instruction_sets, load_variant
+from toolkit.submaps.optimiser_state import OptimiserState
 
 PLAIN = ("log_radii", "opacity_logits", "colours", "features")  # parameters in their own unit
 
@@ -64,12 +66,22 @@ def runs_of(count: int, seed: int) -> Tensor:
     return torch.cat([torch.arange(seed, count // 8), torch.arange(count // 2 + seed, count)])
 
 
+class OptimisedCloud:
+    """The optimiser of a cloud, and its state."""
+
+    def __init__(self, count: int, rates: LearningRates | None = None) -> None:
+        self.state = OptimiserState(torch.zeros(count, dtype=torch.int32))
+        self._adam = SparseAdam(rates or LearningRates())
+
+    def step(self, cloud: GaussianCloud, *arguments: Any) -> None:
+        self._adam.step(self.state, cloud, *arguments)
+
+
 def run(
     steps: int = 6, count: int = 103, choose: Callable[[int, int], Tensor] = ids_of
-) -> tuple[GaussianCloud, SparseAdam]:
+) -> tuple[GaussianCloud, OptimisedCloud]:
     cloud = cloud_of(count)
-    optimiser = SparseAdam(LearningRates(), feature_channels=2)
-    optimiser.extend(count)
+    optimiser = OptimisedCloud(count)
     for seed in range(steps):
         ids = choose(count, seed)
         optimiser.step(cloud, gradients_for(cloud, ids, seed), ids)
@@ -87,8 +99,8 @@ def test_kernels_agree_with_torch(use, name, count, choose):
         assert torch.allclose(
             getattr(actual, field), getattr(expected, field), rtol=1e-4, atol=1e-5
         ), field
-    expected_state = slow.state()
-    for name, array in fast.state().items():
+    expected_state = slow.state.state()
+    for name, array in fast.state.state().items():
         assert np.allclose(array, expected_state[name], rtol=1e-4, atol=1e-6), name
 
 
@@ -100,8 +112,7 @@ def test_touching_all_is_plain_adam(any_way, parameter):
     plain = torch.optim.Adam(
         [leaf], lr=getattr(rates, parameter), betas=(BETA1, BETA2), eps=rates.epsilon
     )
-    optimiser = SparseAdam(rates, feature_channels=2)
-    optimiser.extend(31)
+    optimiser = OptimisedCloud(31, rates)
     ids = torch.arange(31)
     for seed in range(8):
         gradient = gradients_for(cloud, ids, seed)[parameter]
@@ -118,8 +129,7 @@ def test_centres_move_in_units_of_their_radius(any_way):
         cloud = cloud_of(20)
         cloud = replace(cloud, means=cloud.means * scale, log_radii=(cloud.radii_m * scale).log())
         before = cloud.means.clone()
-        optimiser = SparseAdam(LearningRates(), feature_channels=2)
-        optimiser.extend(20)
+        optimiser = OptimisedCloud(20)
         ids = torch.arange(20)
         for seed in range(3):
             gradient = gradients_for(cloud, ids, seed)["means"] / scale
@@ -132,8 +142,7 @@ def test_centres_move_in_units_of_their_radius(any_way):
 def test_steps_go_against_the_gradient(any_way):
     cloud, ids = cloud_of(40), torch.arange(40)
     before = {f: getattr(cloud, f).clone() for f in PARAMETERS}
-    optimiser = SparseAdam(LearningRates(), feature_channels=2)
-    optimiser.extend(40)
+    optimiser = OptimisedCloud(40)
     gradients = gradients_for(cloud, ids, 0)
     optimiser.step(cloud, gradients, ids)
     for name, gradient in gradients.items():
@@ -144,8 +153,7 @@ def test_steps_go_against_the_gradient(any_way):
 def test_only_the_named_rows_and_parameters_move(any_way):
     cloud = cloud_of(50)
     before = {f: getattr(cloud, f).clone() for f in PARAMETERS}
-    optimiser = SparseAdam(LearningRates(), feature_channels=2)
-    optimiser.extend(50)
+    optimiser = OptimisedCloud(50)
     ids = torch.tensor([0, 3, 49])
     gradients = gradients_for(cloud, ids, 0)
     del gradients["features"]
@@ -155,14 +163,13 @@ def test_only_the_named_rows_and_parameters_move(any_way):
     for name, values in before.items():
         assert torch.equal(getattr(cloud, name)[still], values[still]), name
     assert torch.equal(cloud.features, before["features"])
-    assert optimiser.steps.tolist() == [int(i in (0, 3, 49)) for i in range(50)]
+    assert optimiser.state.steps.tolist() == [int(i in (0, 3, 49)) for i in range(50)]
 
 
 def test_rates_fall_as_a_gaussian_settles(any_way):
     rates = replace(LearningRates(), settle_steps=5.0)
     cloud = cloud_of(1)
-    optimiser = SparseAdam(rates, feature_channels=2)
-    optimiser.extend(1)
+    optimiser = OptimisedCloud(1, rates)
     strides = []
     for _ in range(21):
         before = cloud.colours.clone()
@@ -178,8 +185,7 @@ def test_the_rate_factor_scales_the_stride_of_every_parameter(any_way):
     for factor in (1.0, 3.0):
         cloud, ids = cloud_of(20), torch.arange(20)
         before = {f: getattr(cloud, f).clone() for f in PARAMETERS}
-        optimiser = SparseAdam(LearningRates(), feature_channels=2)
-        optimiser.extend(20)
+        optimiser = OptimisedCloud(20)
         optimiser.step(cloud, gradients_for(cloud, ids, 0), ids, factor)
         strides.append({f: getattr(cloud, f) - before[f] for f in PARAMETERS})
     for name in PARAMETERS:
@@ -188,17 +194,16 @@ def test_the_rate_factor_scales_the_stride_of_every_parameter(any_way):
 
 def test_nothing_seen_is_no_error(any_way):
     cloud, none = cloud_of(5), torch.zeros(0, dtype=torch.int64)
-    optimiser = SparseAdam(LearningRates(), feature_channels=2)
-    optimiser.extend(5)
+    optimiser = OptimisedCloud(5)
     optimiser.step(cloud, gradients_for(cloud, none, 0), none)
-    assert not optimiser.steps.any()
+    assert not optimiser.state.steps.any()
 
 
 def test_new_gaussians_start_without_a_past(any_way):
     _, optimiser = run(count=20)
-    before = optimiser.state()
-    optimiser.extend(7)
-    after = optimiser.state()
+    before = optimiser.state.state()
+    optimiser.state.extend(7)
+    after = optimiser.state.state()
     assert after["first_means"].shape == after["second_means"].shape == (27, 3)
     for name, array in after.items():
         assert np.array_equal(array[:20], before[name]), name
@@ -208,9 +213,9 @@ def test_new_gaussians_start_without_a_past(any_way):
 def test_kept_gaussians_keep_their_past(any_way):
     _, optimiser = run(count=20)
     mask = torch.arange(20) % 3 != 0
-    expected = {name: array[mask.numpy()] for name, array in optimiser.state().items()}
-    optimiser.keep(mask.nonzero().squeeze(1))
-    kept = optimiser.state()
+    expected = {name: array[mask.numpy()] for name, array in optimiser.state.state().items()}
+    optimiser.state.keep(mask.nonzero().squeeze(1))
+    kept = optimiser.state.state()
     assert kept.keys() == expected.keys()
     for name, array in kept.items():
         assert np.array_equal(array, expected[name]), name
@@ -219,9 +224,19 @@ def test_kept_gaussians_keep_their_past(any_way):
 def test_a_restored_optimiser_goes_on_with_the_same_bits(any_way):
     cloud, optimiser = run()
     twin = GaussianCloud(*(getattr(cloud, f).clone() for f in PARAMETERS))
-    other = SparseAdam(LearningRates(), feature_channels=2)
-    other.restore({name: array.copy() for name, array in optimiser.state().items()})
+    other = OptimisedCloud(0)
+    other.state = OptimiserState.from_state(optimiser.state.state())
     ids = ids_of(len(cloud), 99)
     for chosen, its in ((cloud, optimiser), (twin, other)):
         its.step(chosen, gradients_for(chosen, ids, 99), ids)
     assert all(torch.equal(getattr(cloud, f), getattr(twin, f)) for f in PARAMETERS)
+
+
+def test_moments_exist_from_the_first_step_until_they_are_released(any_way):
+    state = OptimiserState(torch.zeros(20, dtype=torch.int32))
+    state.reset("means")
+    assert state.state().keys() == {"steps"}
+    _, optimiser = run(count=20)
+    assert "second_colours" in optimiser.state.state()
+    optimiser.state.release()
+    assert optimiser.state.state().keys() == {"steps"} and optimiser.state.steps.any()

@@ -34,6 +34,7 @@ room = GaussianCloud.from_values(
 )
 tracker = DenseTracker(DenseOptions(levels=2))
 mapper = Mapper(MapperOptions(first_iterations=3, iterations=2))
+submap = mapper.first_submap()
 for index in range(3):
     truth = se3.exp(np.array([0.01, -0.005, 0.004, 0.002, -0.003, 0.001]) * index)
     view = render(room, camera, se3.inverse(truth))
@@ -42,8 +43,8 @@ for index in range(3):
     if index == 0:
         found = tracker.first_pose(frame)
     else:
-        found = tracker.track(frame, mapper.gaussians).T_map_camera
-    mapper.add_keyframe(Keyframe.from_frame(frame, found))
+        found = tracker.track(frame, submap.gaussians).T_map_camera
+    mapper.add_keyframe(submap, Keyframe.from_frame(frame, found))
     print(1000.0 * np.linalg.norm((found - truth)[:3, 3]))
 """
 

@@ -18,6 +18,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.fusion import fuse_submaps, single_submap
 from toolkit.rendering import render
+from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.submap import Submap
 
 OFF = FreeSpaceOptions(use=False)
@@ -37,7 +38,7 @@ def wall(number, left_m, right_m, steps, colour=0.5):
     T = se3.exp(np.array([0.1, 0.2, 0.3, 0.2, 0.1, 0.3]) * number)
     own = cloud.transformed(se3.inverse(T))
     full = torch.full((count,), steps, dtype=torch.int32)
-    return Submap(number, T, own, [], full, steps=full)
+    return Submap(number, T, own, [], full, optimiser=OptimiserState(full))
 
 
 def fused_of(parts):

@@ -124,11 +124,11 @@ def test_snapshots_have_an_interval_and_end_with_the_viewer(running):
 
 def test_the_map_may_change_while_a_snapshot_is_written(running):
     running.process(0.0)
-    means_m = running.slam.mapper.gaussians.means
+    means_m = running.slam.atlas.gaussians.means
     before_m = means_m.clone()
     arrays, _ = running.writer._state(running.slam)
     means_m.add_(1.0)
-    assert np.array_equal(arrays["mapper/gaussians/means"], before_m)
+    assert np.array_equal(arrays["atlas/active/gaussians/means"], before_m)
 
 
 def test_a_run_that_is_watched_has_the_same_result(tiny_run, tmp_path, monkeypatch):

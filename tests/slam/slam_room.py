@@ -19,6 +19,7 @@ from toolkit.options import validated
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.options import SemanticsOptions
 from toolkit.slam.frame_preparation import FrameSources
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import FrameResult, Slam
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
@@ -48,10 +49,13 @@ def another_place(frame: Frame) -> Frame:
     return replace(frame, rgb=rgb, depth_m=2.0 * frame.depth_m[::-1, ::-1])
 
 
-def new_slam(seed: int = 0, placed: bool = True, **more: Any) -> Slam:
+def new_slam(seed: int = 0, placed: bool = True, **front_end: Any) -> Slam:
     """With keyframes placed by earlier ones, or where they are tracked."""
-    mapper, placement = Mapper(FEW, np.random.default_rng(seed)), KeyframePlacement()
-    return Slam(DenseTracker(), mapper, placement=placement if placed else None, **more)
+    placement = KeyframePlacement() if placed else None
+    return Slam(
+        FrontEnd(DenseTracker(), placement=placement, **front_end),
+        Mapper(FEW, np.random.default_rng(seed)),
+    )
 
 
 def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
@@ -66,7 +70,7 @@ def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
     semantics = build_semantic_mapping(settings, code, 0)
     mapper = Mapper(FEW, np.random.default_rng(seed), semantics=semantics)
     sources = FrameSources(labeller)
-    return Slam(DenseTracker(), mapper, sources=sources, placement=KeyframePlacement())
+    return Slam(FrontEnd(DenseTracker(), placement=KeyframePlacement()), mapper, sources=sources)
 
 
 def fed(slam: Slam, frames: Iterable[Frame], hold_out: int | None = None) -> list[FrameResult]:

@@ -14,6 +14,7 @@ from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.options import validated
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.dense import DenseTracker
@@ -33,7 +34,7 @@ def new_slam(**relocalisation):
         },
     )
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
-    return Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(0)), closer=closer)
+    return Slam(FrontEnd(DenseTracker(), closer), Mapper(FEW, np.random.default_rng(0)))
 
 
 def painted(frame):
@@ -52,10 +53,10 @@ def blank_wall(frame):
 def test_a_frame_in_doubt_extends_no_map_and_is_in_no_result(room):
     slam = new_slam(patience=10)
     fed(slam, room.frames[:5])
-    count, keyframes = len(slam.mapper.gaussians), len(slam.mapper.keyframes)
+    count, keyframes = len(slam.atlas.gaussians), len(slam.atlas.keyframes)
     result = slam.process_frame(painted(room.frames[5]))
     assert (result.doubtful or result.lost) and result.reason and result.mapping is None
-    assert len(slam.mapper.gaussians) == count and len(slam.mapper.keyframes) == keyframes
+    assert len(slam.atlas.gaussians) == count and len(slam.atlas.keyframes) == keyframes
     assert not slam.process_frame(room.frames[6]).reason
     final = slam.result()
     assert 5 not in final.frame_indices and 6 in final.frame_indices

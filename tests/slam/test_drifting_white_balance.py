@@ -14,10 +14,12 @@ from toolkit.exposure import NEUTRAL
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.boundary import start_at, start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import WhiteBalanceOptions
 from toolkit.rendering import render
 from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
@@ -32,7 +34,7 @@ def drifting(frame: Frame) -> Frame:
 
 def mapped(seen: Callable[[Frame], Frame] = drifting, use: bool = True) -> SlamResult:
     options = replace(FEW, white_balance=WhiteBalanceOptions(use=use))
-    slam = Slam(DenseTracker(), Mapper(options, np.random.default_rng(0)))
+    slam = Slam(FrontEnd(DenseTracker()), Mapper(options, np.random.default_rng(0)))
     for frame in FRAMES:
         slam.process_frame(seen(frame))
     return slam.finish()
@@ -80,18 +82,18 @@ def test_constant_white_balance_changes_nothing():
 
 
 def test_submaps_share_the_reference_of_the_first():
-    slam = Slam(DenseTracker(), Mapper(FEW, np.random.default_rng(0)))
+    slam = Slam(FrontEnd(DenseTracker()), Mapper(FEW, np.random.default_rng(0)))
     for frame in FRAMES:
         slam.process_frame(drifting(frame))
-    atlas, last = slam.atlas, slam.mapper.keyframes[-1]
+    atlas, last = slam.atlas, slam.atlas.keyframes[-1]
     frame, T_submap_camera = drifting(FRAMES[last.index]), last.T_map_camera
     balance = last.exposure.balance
     # A submap that starts at the last keyframe, and one where the camera is relocalised.
-    atlas.start_next()
-    assert slam.mapper.keyframes[0].exposure.balance == balance
+    start_next(atlas, slam.mapper)
+    assert slam.atlas.keyframes[0].exposure.balance == balance
     anchor = Keyframe.from_frame(frame, np.eye(4), last.exposure.with_balance(NEUTRAL))
-    atlas.start_at(anchor, 0, T_submap_camera)
-    np.testing.assert_allclose(slam.mapper.keyframes[0].exposure.balance, balance, rtol=0.01)
+    start_at(atlas, slam.mapper, anchor, (0, T_submap_camera))
+    np.testing.assert_allclose(slam.atlas.keyframes[0].exposure.balance, balance, rtol=0.01)
     assert atlas.keyframe_balances(0)[last.index] == balance
 
 

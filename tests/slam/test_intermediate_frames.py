@@ -14,9 +14,11 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.boundary import start_next
 from toolkit.mapping.intermediate_frames import IntermediateFrames
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.tracking.given import GivenPoses
 
@@ -35,19 +37,19 @@ class Turn:
     def slam(self, fill_holes: bool = True) -> Slam:
         times = np.array([frame.timestamp_s for frame in self.frames])
         tracker = GivenPoses(Trajectory(times, self.T_map_camera))
-        return Slam(tracker, Mapper(replace(OPTIONS, fill_holes=fill_holes)))
+        return Slam(FrontEnd(tracker), Mapper(replace(OPTIONS, fill_holes=fill_holes)))
 
     def mapped(self, fill_holes: bool = True) -> Slam:
         slam = self.slam(fill_holes)
         fed(slam, self.frames)
-        assert [k.index for k in slam.mapper.keyframes] == [0, 2]
+        assert [k.index for k in slam.atlas.keyframes] == [0, 2]
         return slam
 
 
 def border_error(slam: Slam, turn: Turn) -> float:
     """Mean colour error of the right border of the second frame."""
     frame, T_map_camera = turn.frames[1], turn.T_map_camera[1]
-    colour = slam.mapper.render(slam.mapper.gaussians, frame.camera, T_map_camera).output.colour
+    colour = slam.mapper.render(slam.result().gaussians, frame.camera, T_map_camera).output.colour
     return float(np.abs(colour.numpy() - frame.rgb)[:, -8:].mean())
 
 
@@ -59,7 +61,7 @@ def test_the_map_contains_the_place_where_the_camera_turned_back():
 
 def test_frames_on_the_way_to_the_next_keyframe_add_nothing():
     turn = Turn(0.0, 5.0, 10.0)
-    first, second = (turn.mapped(fill_holes).mapper.gaussians for fill_holes in (False, True))
+    first, second = (turn.mapped(fill_holes).atlas.gaussians for fill_holes in (False, True))
     np.testing.assert_array_equal(first.means.numpy(), second.means.numpy())
 
 
@@ -110,7 +112,7 @@ def test_the_end_of_the_sequence_is_mapped():
     turn = Turn(0.0, 10.0)
     slam = turn.slam()
     fed(slam, turn.frames)
-    assert [k.index for k in slam.mapper.keyframes] == [0]
+    assert [k.index for k in slam.atlas.keyframes] == [0]
     assert border_error(slam, turn) > 0.3, "the border is black"
     slam.finish()
     assert border_error(slam, turn) < 0.1
@@ -135,7 +137,7 @@ def test_deferred_frames_of_an_ended_submap_are_not_mapped():
     slam = turn.slam()
     slam.defer_work()
     fed(slam, turn.frames)
-    slam.atlas.start_next()
-    before = len(slam.mapper.gaussians)
+    start_next(slam.atlas, slam.mapper)
+    before = len(slam.atlas.gaussians)
     assert slam.map_intermediate_frame()
-    assert len(slam.mapper.gaussians) == before
+    assert len(slam.atlas.gaussians) == before

@@ -15,6 +15,7 @@ from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.options import validated
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
@@ -40,8 +41,8 @@ def new_slam(patience=3, max_keyframes=150, folder=None):
     mapper = Mapper(FEW, np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
     allocation = Allocation(AllocationOptions(max_keyframes=max_keyframes), 0)
-    atlas = Atlas(mapper, allocation, SubmapStore(folder))
-    return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
+    atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder))
+    return Slam(FrontEnd(DenseTracker(), closer), mapper, atlas=atlas)
 
 
 def error_m(slam, room, index):
@@ -75,7 +76,7 @@ def test_found_in_another_submap_a_new_one_begins_there(room):
     slam.tracker.continue_from(9.0, se3.exp(np.array([3.0, 0, 0, 0, 2.0, 0])))
     result = slam.process_frame(later(room.frames[0], 100))
     assert len(slam.atlas) == count + 1
-    assert [k.index for k in slam.mapper.keyframes] == [100]
+    assert [k.index for k in slam.atlas.keyframes] == [100]
     assert [(loop.first, loop.second) for loop in slam.result().loops] == [(0, count)]
     assert not result.tracking.lost and np.array_equal(result.T_map_camera, np.eye(4))
     assert error_m(slam, room, 100) < 0.015
@@ -111,7 +112,7 @@ def test_where_nothing_is_found_a_new_submap_begins(room):
     results = fed(slam, views_of_another_place(room.frames[8:13]))
     assert [result.lost for result in results] == [True, True, False, False, False]
     assert len(slam.atlas) == 2
-    assert slam.mapper.keyframes[0].index == results[2].index
+    assert slam.atlas.keyframes[0].index == results[2].index
     assert results[2].tracking.lost and results[2].tracking.reason, "nothing located this frame"
     final = slam.result()
     (other,) = final.other_parts

@@ -15,6 +15,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.options import validated
 from toolkit.refinement.parts import by_size
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.result import Loss, loss_before
 from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation
@@ -40,8 +41,8 @@ def new_slam(folder=None, max_keyframes=150):
     mapper = Mapper(FEW, np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
     allocation = Allocation(AllocationOptions(max_keyframes=max_keyframes), 0)
-    atlas = Atlas(mapper, allocation, SubmapStore(folder))
-    return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
+    atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder))
+    return Slam(FrontEnd(DenseTracker(), closer), mapper, atlas=atlas)
 
 
 def later(frame, index):
@@ -100,7 +101,7 @@ def test_a_submap_is_refined_with_the_cameras_of_its_part(room, monkeypatch):
     slam = new_slam()
     fed(slam, sequence(room))
     cameras = []
-    monkeypatch.setattr(slam.mapper, "refine", lambda T: cameras.append(T))
+    monkeypatch.setattr(slam.mapper, "refine", lambda submap, T: cameras.append(T))
     slam.finish()
     first, second = cameras
     assert len(first) == len(second) == 4

@@ -120,7 +120,7 @@ def test_random_codes_are_drawn_for_each_gaussian():
     for _ in range(2):
         slam = build_slam(TinyDataset(), shortened("hier-slam", first_iterations=0))
         slam.process_frame(frames[0])
-        features.append(slam.mapper.gaussians.features)
+        features.append(slam.atlas.gaussians.features)
     assert features[0].equal(features[1])  # same seed
     assert features[0].mean().abs() < 0.05 and abs(features[0].std() - 1.0) < 0.05
 

@@ -18,6 +18,7 @@ from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.pacing.clock import SimulatedClock
 from toolkit.pacing.options import PacingOptions
 from toolkit.pacing.paced import PacedSlam
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.placement import KeyframePlacement
@@ -46,7 +47,7 @@ def paced(durations_s: dict[str, float], options: MapperOptions = FEW) -> PacedS
     clock = SimulatedClock()
     stages = SimulatedStages(clock, durations_s)
     mapper = Mapper(options, np.random.default_rng(0), recorder=stages)
-    slam = Slam(DenseTracker(), mapper, stages, placement=KeyframePlacement())
+    slam = Slam(FrontEnd(DenseTracker(), placement=KeyframePlacement()), mapper, recorder=stages)
     return PacedSlam(slam, FPS, PacingOptions(max_delay_s=0.2), clock)
 
 

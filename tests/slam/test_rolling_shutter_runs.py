@@ -11,7 +11,6 @@ from slam_room import SlamRoom, blind_frames, fed, fingerprint, new_slam
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.frame import Frame
 from toolkit.geometry import se3
-from toolkit.slam.frame_preparation import FrameSources
 from toolkit.tracking.initial_velocity import initial_velocity
 from toolkit.tracking.rolling_shutter import as_exposed, velocity_between
 
@@ -33,7 +32,7 @@ def frames(room: SlamRoom) -> list[Frame]:
 
 
 def error_m(frames, truth) -> float:
-    slam = new_slam(sources=FrameSources(start_velocity=initial_velocity(*frames[:2])))
+    slam = new_slam(start_velocity=initial_velocity(*frames[:2]))
     fed(slam, frames)
     return absolute_trajectory_error(slam.result().trajectory, truth, "se3").rmse_m
 

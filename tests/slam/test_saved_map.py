@@ -18,6 +18,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.options import validated
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
@@ -43,8 +44,8 @@ def new_slam(patience=3, max_keyframes=150, folder=None, **loops):
     mapper = Mapper(replace(FEW, keyframes=KeyframePolicy(interval=2)), np.random.default_rng(0))
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
     allocation = Allocation(AllocationOptions(max_keyframes=max_keyframes), 0)
-    atlas = Atlas(mapper, allocation, SubmapStore(folder))
-    return Slam(DenseTracker(), mapper, atlas=atlas, closer=closer)
+    atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder))
+    return Slam(FrontEnd(DenseTracker(), closer), mapper, atlas=atlas)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def saved(room):
 
 
 def copies(saved):
-    return [replace(s, gaussians=s.gaussians.select(s.steps >= 0)) for s in saved]
+    return [replace(s, gaussians=s.gaussians.select(s.optimiser.steps >= 0)) for s in saved]
 
 
 def back(room):
@@ -88,7 +89,7 @@ def test_the_camera_is_found_and_the_world_is_the_saved_ones(room, saved):
     assert slam.atlas.active == len(saved) and slam.atlas.saved == len(saved)
     assert max(errors_m(slam, room)) < 0.03
     assert not slam.atlas.submap(0).gaussians.centred_colours, "the saved map was refined"
-    assert slam.mapper.gaussians.centred_colours
+    assert slam.atlas.gaussians.centred_colours
     assert min(slam.result().keyframe_indices) == 0, "keyframes of the saved map are not its own"
 
 

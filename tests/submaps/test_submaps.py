@@ -20,10 +20,12 @@ from toolkit.rendering import render
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.trees import shipped_taxonomy
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation, path_length_m
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.factory import allocation_options
+from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.options import AllocationOptions, BoundaryOptions
 from toolkit.submaps.overlap import view_overlap
 from toolkit.submaps.saved import SavedSubmaps
@@ -172,7 +174,9 @@ def some_submap(number, count=50, seed=0):
         torch.rand(count, 4, generator=g),
     )
     ids = torch.arange(count, dtype=torch.int32)
-    return Submap(number, se3.exp(np.arange(6) * 0.1), cloud, [], ids, steps=ids + 1)
+    return Submap(
+        number, se3.exp(np.arange(6) * 0.1), cloud, [], ids, optimiser=OptimiserState(ids + 1)
+    )
 
 
 def same(a, b):
@@ -255,8 +259,8 @@ def cut_slam(room, folder=None, every=2, inherit=True):
     mapper = Mapper(FEW, np.random.default_rng(0))
     allocation = Allocation(AllocationOptions(max_keyframes=every), 0)
     boundary = BoundaryOptions(steps=2, inherit=inherit)
-    atlas = Atlas(mapper, allocation, SubmapStore(folder, 0.0), boundary)
-    return Slam(GivenPoses(truth), mapper, atlas=atlas)
+    atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder, 0.0), boundary)
+    return Slam(FrontEnd(GivenPoses(truth)), mapper, atlas=atlas)
 
 
 @pytest.fixture
@@ -300,16 +304,16 @@ class TestAtlas:
             slam.process_frame(frame)
             if len(slam.atlas) > before:
                 break
-        keyframe = slam.mapper.keyframes[0]
-        shown = render(slam.mapper.gaussians, frame.camera, se3.inverse(keyframe.T_map_camera))
+        keyframe = slam.atlas.keyframes[0]
+        shown = render(slam.atlas.gaussians, frame.camera, se3.inverse(keyframe.T_map_camera))
         assert float(shown.silhouette.mean()) > 0.9
-        assert set(slam.mapper.map.seeded_by.tolist()) == {frame.index}
+        assert set(slam.atlas.current.seeded_by.tolist()) == {frame.index}
 
     def test_without_inheritance_the_anchor_alone_seeds(self, room):
         slam = cut_slam(room, inherit=False)
         for frame in room[0][:6]:
             slam.process_frame(frame)
-        assert len(slam.atlas) > 1 and len(slam.mapper.gaussians) > 0
+        assert len(slam.atlas) > 1 and len(slam.atlas.gaussians) > 0
 
     def test_a_moved_anchor_moves_its_frames_alone(self, cut):
         before, atlas = cut.result().trajectory.T_world_camera, cut.atlas
@@ -323,11 +327,11 @@ class TestAtlas:
         assert np.array_equal(atlas.submap(1).state()[0]["gaussians/means"], content)
 
     def test_a_single_submap_is_the_map_itself(self, room):
-        slam = Slam(GivenPoses(room[1]), Mapper(FEW, np.random.default_rng(0)))
+        slam = Slam(FrontEnd(GivenPoses(room[1])), Mapper(FEW, np.random.default_rng(0)))
         for frame in room[0][:4]:
             slam.process_frame(frame)
         slam.finish()
-        assert slam.result().gaussians is slam.mapper.gaussians
+        assert slam.result().gaussians is slam.atlas.submap(0).gaussians
         assert slam.result().map.submap.unique().tolist() == [0]
 
     def test_it_goes_on_from_a_checkpoint_to_the_same_bits(self, room, tmp_path):
@@ -382,7 +386,7 @@ class TestFusion:
         assert -10 * np.log10(np.mean(errors)) > 22.0
 
     def test_overlaps_are_fused_once(self, cut, room):
-        whole = Slam(GivenPoses(room[1]), Mapper(FEW, np.random.default_rng(0)))
+        whole = Slam(FrontEnd(GivenPoses(room[1])), Mapper(FEW, np.random.default_rng(0)))
         for frame in room[0]:
             whole.process_frame(frame)
         together, separate = whole.finish().gaussians, cut.finish().gaussians

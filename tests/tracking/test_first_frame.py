@@ -13,6 +13,7 @@ from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.first_order_tracker import FirstOrderTracker
@@ -60,10 +61,10 @@ def test_such_a_frame_is_refused_in_one_line(room, tracker, caplog, make, fault)
 
 @pytest.mark.parametrize("make", [make for make, _ in FAULTS])
 def test_the_next_frame_starts_the_map(room, tracker, make):
-    slam = Slam(tracker, Mapper(MapperOptions(first_iterations=2, iterations=1)))
+    slam = Slam(FrontEnd(tracker), Mapper(MapperOptions(first_iterations=2, iterations=1)))
     assert slam.process_frame(make(room.frames[0])).lost
-    assert len(slam.mapper.gaussians) == 0
+    assert len(slam.atlas.gaussians) == 0
     assert not slam.process_frame(room.frames[1]).lost
-    assert [k.index for k in slam.mapper.keyframes] == [1]
+    assert [k.index for k in slam.atlas.keyframes] == [1]
     assert list(slam.result().lost_frames) == [0]
-    assert len(slam.mapper.gaussians) > 1000
+    assert len(slam.atlas.gaussians) > 1000

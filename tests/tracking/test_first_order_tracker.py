@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from mapped_submap import MappedSubmap
 from tracked_room import (
     Room,
     assert_same_place,
@@ -28,7 +29,6 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import backend
 from toolkit.semantics.codes import binary_code
@@ -166,7 +166,7 @@ def test_an_empty_map_costs_one_render(room):
 def test_judgement_agrees_with_the_dense_tracker(room):
     pose = room.T_map_camera[1]
     # The loss holds pixels against each other as they are drawn, so the map is fitted like that.
-    mapper = Mapper(MapperOptions(centred=False))
+    mapper = MappedSubmap(MapperOptions(centred=False))
     mapper.add_keyframe(Keyframe.from_frame(room.frames[0], room.T_map_camera[0]))
     gaussians = mapper.gaussians
     first = FirstOrderTracker(FirstOrderOptions(iterations=1)).locate(

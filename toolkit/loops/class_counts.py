@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.mapping.boundary import visible_gaussians
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import render_surface
 from toolkit.rendering.backend import Backend
 from toolkit.semantics.histograms import class_counts
-from toolkit.submaps.atlas import visible_gaussians
 
 
 class ClassCounter(Protocol):

@@ -49,11 +49,11 @@ class LoopDetector:
 
     def observe(self, atlas: Atlas) -> list[LoopCandidate]:
         """Store the newest keyframe of the active submap; returns candidates if a search is due."""
-        keyframe = atlas.mapper.keyframes[-1]
+        keyframe = atlas.keyframes[-1]
         descriptor = self._descriptor(keyframe)
         atlas.describe(descriptor)
         T_world_camera = atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera
-        counts = self._counter.counts(keyframe, atlas.mapper.gaussians)
+        counts = self._counter.counts(keyframe, atlas.gaussians)
         return self._finder.add(
             self._describe_keyframe(keyframe, atlas.active, T_world_camera, descriptor, counts)
         )

@@ -15,10 +15,10 @@ from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import seed
 from toolkit.keyframe import Keyframe, Observed
-from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
+from toolkit.submaps.submap import Submap
 
 
 class Densification:
@@ -37,7 +37,7 @@ class Densification:
 
     def seed(
         self,
-        gaussian_map: GaussianMap,
+        submap: Submap,
         keyframe: Keyframe,
         view: SurfaceView,
         observed: Observed,
@@ -65,7 +65,7 @@ class Densification:
         if in_empty_space is not None and len(seeds):
             seeds = seeds.select(~in_empty_space(seeds.means))
         if len(seeds):
-            gaussian_map.append(seeds, keyframe)
+            submap.append(seeds, keyframe)
         return len(seeds)
 
     def seeds(
@@ -84,13 +84,13 @@ class Densification:
         """Mask [H, W] of the pixels of a rendered view that the map covers."""
         return view.output.silhouette >= self._options.min_silhouette
 
-    def prune(self, gaussian_map: GaussianMap) -> int:
+    def prune(self, submap: Submap) -> int:
         """Remove transparent, very large and non-finite Gaussians; return how many."""
         options = self._options
-        mask = prune_mask(gaussian_map.gaussians, options.min_opacity, options.max_radius_m)
+        mask = prune_mask(submap.gaussians, options.min_opacity, options.max_radius_m)
         count = int(mask.sum())
         if count:
-            gaussian_map.remove(mask)
+            submap.remove(mask)
         return count
 
 

@@ -21,8 +21,8 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.native import address, kernels_for
+from toolkit.submaps.submap import Submap
 
 # Weight of a new measurement at the same distance as before, similar to a mean over the last ten.
 _WEIGHT = 0.2
@@ -53,23 +53,23 @@ class MeasuredCentres:
     replaced: Tensor
 
 
-def fuse_depth(gaussian_map: GaussianMap, depth_m: Tensor) -> None:
+def fuse_depth(submap: Submap, depth_m: Tensor) -> None:
     """Move the centres that the newest keyframe of a map measures.
 
     Args:
         depth_m: [H, W] measured depth of that keyframe, on the map's device.
     """
-    keyframes, means = gaussian_map.keyframes, gaussian_map.gaussians.means
+    keyframes, means = submap.keyframes, submap.gaussians.means
     module = kernels_for(means)
     if module is not None:
-        moved, seeded_by = means.clone(), gaussian_map.seeded_by.clone()
+        moved, seeded_by = means.clone(), submap.seeded_by.clone()
         _fuse_depth_native(module, moved, seeded_by, keyframes, depth_m)
-        gaussian_map.move(moved)
-        gaussian_map.seeded_by = seeded_by
+        submap.move(moved)
+        submap.seeded_by = seeded_by
         return
-    found = measured_centres(gaussian_map.gaussians, gaussian_map.seeded_by, keyframes, depth_m)
-    gaussian_map.move(means.index_copy(0, found.indices, found.centres))
-    gaussian_map.seeded_by = gaussian_map.seeded_by.index_fill(
+    found = measured_centres(submap.gaussians, submap.seeded_by, keyframes, depth_m)
+    submap.move(means.index_copy(0, found.indices, found.centres))
+    submap.seeded_by = submap.seeded_by.index_fill(
         0, found.indices[found.replaced], keyframes[-1].index
     )
 

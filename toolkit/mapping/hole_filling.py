@@ -21,8 +21,8 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.rendering import SurfaceView
+from toolkit.submaps.submap import Submap
 
 # Smaller holes are covered by the Gaussians around them, as a fraction of the image.
 _MIN_HOLE = 0.002
@@ -40,7 +40,7 @@ _MAX_SHADOW = 0.06
 
 
 def fill_holes(
-    gaussian_map: GaussianMap,
+    submap: Submap,
     keyframe: Keyframe,
     view: SurfaceView,
     densification: Densification,
@@ -49,7 +49,7 @@ def fill_holes(
     """Seed the pixels of a keyframe that have neither a measured nor a rendered depth.
 
     Args:
-        gaussian_map: the complete map, to which the Gaussians are added.
+        submap: the complete map, to which the Gaussians are added.
         view: the map rendered from the keyframe.
         densification: of the map; creates the Gaussians.
         others: depth of the other keyframes of the map.
@@ -70,7 +70,7 @@ def fill_holes(
     seeds = densification.seeds(frame, keyframe.T_map_camera, holes)
     seeds = _outside_free_space(seeds, keyframe, others)
     if len(seeds):
-        gaussian_map.append(seeds, keyframe)
+        submap.append(seeds, keyframe)
     return len(seeds)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,16 +17,17 @@ from toolkit.losses.depth_gradient import weigh_depth
 from toolkit.losses.features import FeatureLoss
 from toolkit.losses.photometric import rgbd_loss
 from toolkit.mapping.depth_adjustment import adjust_depth
-from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.observations import KeyframeImages
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.sparse_adam import SparseAdam
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import RenderOptions, render_surface
 from toolkit.rendering.backend import Backend
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import resample_at_centres
 from toolkit.stages import Stage
+from toolkit.submaps.submap import Submap
 
 _GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
@@ -47,7 +48,7 @@ class Objective:
 
 
 class MapOptimisation:
-    """Optimises a map, one keyframe at a time.
+    """Optimises submaps, one keyframe at a time.
 
     Args:
         observations: cache of keyframe images on the map's device.
@@ -63,10 +64,12 @@ class MapOptimisation:
     ) -> None:
         self._options, self._semantics = options, semantics
         self._backend, self._observations, self._recorder = backend, observations, recorder
+        rates = options.rates
+        self._adam = SparseAdam(replace(rates, features=rates.features * semantics.unit))
 
     def step(
         self,
-        gaussian_map: GaussianMap,
+        submap: Submap,
         keyframe: Keyframe,
         progress: tuple[int, int],
         objective: Objective,
@@ -84,7 +87,7 @@ class MapOptimisation:
         with self._recorder.timed(Stage.MAP_FORWARD):
             options = RenderOptions(features=labels is not None)
             view = render_surface(
-                self._backend, gaussian_map.gaussians, keyframe.camera, T_camera_map, options
+                self._backend, submap.gaussians, keyframe.camera, T_camera_map, options
             )
         with self._recorder.timed(Stage.MAP_LOSS):
             images, moving = view.forward_pass.images, observed.transient
@@ -112,10 +115,10 @@ class MapOptimisation:
             with_features = len(gradient) > BASE_CHANNELS
             names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
             named = {name: getattr(gradients, name) for name in names}
-            gaussian_map.optimiser.step(
-                gaussian_map.gaussians, named, gradients.ids, objective.rate_factor
+            self._adam.step(
+                submap.optimiser, submap.gaussians, named, gradients.ids, objective.rate_factor
             )
-            if objective.adjust_poses and keyframe is not gaussian_map.keyframes[0]:
+            if objective.adjust_poses and keyframe is not submap.keyframes[0]:
                 self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
         return loss
 

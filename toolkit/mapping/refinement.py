@@ -8,10 +8,10 @@ import numpy as np
 
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.losses.features import FeatureLoss
-from toolkit.mapping.gaussian_map import GaussianMap
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.surfaces import Surfaces
+from toolkit.submaps.submap import Submap
 
 # Step counts are limited to this number at the start of the refinement, which raises the learning
 # rates again: +0.7 dB of PSNR, and 0.15 mm of depth error, in a synthetic room.
@@ -22,7 +22,7 @@ _START_RATE = 4.0
 
 
 def refine(
-    gaussian_map: GaussianMap,
+    submap: Submap,
     optimisation: MapOptimisation,
     options: MapperOptions,
     generator: np.random.Generator,
@@ -34,9 +34,9 @@ def refine(
     Args:
         generator: chooses the order.
     """
-    optimiser, count = gaussian_map.optimiser, len(gaussian_map.keyframes)
+    optimiser, count = submap.optimiser, len(submap.keyframes)
     steps_before, start_rate = optimiser.steps, 1.0
-    if gaussian_map.gaussians.centred_colours:
+    if submap.gaussians.centred_colours:
         optimiser.steps, start_rate = steps_before.clamp(max=_MAX_STEPS_BEFORE), _START_RATE
     removed_steps = steps_before - optimiser.steps
     feature = None
@@ -48,15 +48,15 @@ def refine(
     )
     rounds, surfaces = options.final_iterations, None
     if rounds:
-        gaussian_map.gaussians = replace(gaussian_map.gaussians, centred_colours=False)
+        submap.gaussians = replace(submap.gaussians, centred_colours=False)
     if options.final_on_surfaces and rounds:
-        surfaces = Surfaces.of(gaussian_map.gaussians.means)
+        surfaces = Surfaces.of(submap.gaussians.means)
     for done in range(rounds):
         for number, index in enumerate(generator.permutation(count)):
             progress = (done * count + number, rounds * count)
             factor = start_rate ** (1.0 - progress[0] / progress[1])
             objective = replace(objective, rate_factor=factor)
-            optimisation.step(gaussian_map, gaussian_map.keyframes[index], progress, objective)
+            optimisation.step(submap, submap.keyframes[index], progress, objective)
         if surfaces is not None:
-            gaussian_map.move(surfaces.project(gaussian_map.gaussians.means))
+            submap.move(surfaces.project(submap.gaussians.means))
     optimiser.steps = optimiser.steps + removed_steps

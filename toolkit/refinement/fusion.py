@@ -157,25 +157,22 @@ def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> b
     return not any(side.all() for side in outside)
 
 
-def fuse(
-    atlas: Atlas, part: Sequence[int] | None = None, voxel_m: float = VOXEL_M
-) -> FusedMap | None:
+def fuse(atlas: Atlas, part: Sequence[int], free_space: FreeSpaceOptions) -> FusedMap | None:
     """Fuse all readable submaps of a part of the map.
 
     Args:
-        part: submap numbers with known relative poses; all submaps by default.
-        voxel_m: voxel size, metres.
+        part: submap numbers with known relative poses.
+        free_space: options of the removal of Gaussians from empty space.
 
     Returns:
         The map; None if no submap of the part is readable.
     """
-    part = range(len(atlas)) if part is None else part
     numbers = [number for number in part if number not in atlas.unreadable]
     if not numbers:
         return None
     if len(part) == 1:
         return single_submap(numbers[0], atlas.submap)
-    return fuse_submaps(numbers, atlas.submap, voxel_m, atlas.mapper.options.free_space)
+    return fuse_submaps(numbers, atlas.submap, VOXEL_M, free_space)
 
 
 def single_submap(number: int, submap: Callable[[int], Submap]) -> FusedMap:
@@ -301,7 +298,7 @@ def _voxel_statistics(submap: Submap, voxel_m: float) -> _VoxelStatistics:
     opacity = submap.gaussians.opacities.double().numpy()
     total = np.bincount(inverse, opacity)
     solid = total >= _MIN_OPACITY
-    steps = np.bincount(inverse, opacity * submap.steps.double().numpy())
+    steps = np.bincount(inverse, opacity * submap.optimiser.steps.double().numpy())
     colours = submap.gaussians.colours.double().numpy()
     sums = [np.bincount(inverse, opacity * channel) for channel in colours.T]
     mean = np.stack(sums, axis=1) / np.maximum(total, 1e-9)[:, None]

@@ -61,6 +61,7 @@ def build_slam(
             folder,
             # The unit may follow from the first frame, long before the first record.
             lambda record: slam.unit.record_in_metres(record),
+            correction,
         )
     )
     mapper = Mapper(
@@ -72,16 +73,9 @@ def build_slam(
         map_device(settings.device, settings.backend),
         gains=front_end.gains,
     )
-    slam = Slam(
-        front_end.tracker,
-        mapper,
-        recorder,
-        FrameSources(labeller, settings.denoise, correction, front_end.start_velocity),
-        build_atlas(settings.submaps, mapper, labeller, folder.submaps if folder else None),
-        front_end.closer,
-        front_end.placement,
-        front_end.unit,
-    )
+    submaps = folder.submaps if folder else None
+    atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
+    slam = Slam(front_end, mapper, atlas, FrameSources(labeller, settings.denoise), recorder)
     return slam
 
 

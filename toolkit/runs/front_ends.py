@@ -10,50 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.errors import DatasetError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
 from toolkit.loops.closing.given_parts import GivenParts
-from toolkit.loops.closing.interface import LoopClosing
+from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
 from toolkit.loops.log import LoopLog
 from toolkit.monocular.sequence import MonocularSequence
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import SemanticCode
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
 from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.guided import GuidedTracker
 from toolkit.tracking.initial_velocity import initial_velocity
 from toolkit.tracking.placement import KeyframePlacement
-from toolkit.tracking.tracker import Tracker
-
-
-@dataclass(frozen=True)
-class FrontEnd:
-    """What finds the poses of frames, and what the map needs for it.
-
-    Attributes:
-        tracker: estimates the pose of each frame.
-        closer: closes loops, or knows the parts of the trajectory; None for neither.
-        placement: refines the poses of new keyframes; None if they are final.
-        start_velocity: see `FrameSources`.
-        centred: whether colours of Gaussians may be centred, which suits the dense tracker only:
-            the papers' tracker compares rendered pixels directly, and given poses need no
-            comparison.
-        gains: whether the exposures of keyframes are estimated. Without tracking, and in the
-            papers' tracker, they are not.
-        unit: of length, in which the system works; None for the one that suits the first frame.
-    """
-
-    tracker: Tracker
-    closer: LoopClosing | None = None
-    placement: KeyframePlacement | None = None
-    start_velocity: NDArray[np.float64] | None = None
-    centred: bool = False
-    gains: bool = False
-    unit: LengthUnit | None = METRE
 
 
 @dataclass(frozen=True)
@@ -68,6 +43,7 @@ class FrontEndParts:
         code: of the semantic features; None without semantics.
         folder: stores the loop log; None keeps it nowhere.
         record_in_metres: converts a record of the loop log from the unit of the system.
+        correction: see `FrontEnd`.
     """
 
     settings: RunSettings
@@ -77,6 +53,7 @@ class FrontEndParts:
     code: SemanticCode | None
     folder: RunFolder | None
     record_in_metres: Callable[[Mapping[str, Any]], dict[str, Any]]
+    correction: DepthCorrection | None
 
 
 def build_front_end(parts: FrontEndParts) -> FrontEnd:
@@ -97,7 +74,7 @@ def _with_depth(parts: FrontEndParts) -> FrontEnd:
     # A map that is extended may be loaded before the first frame.
     fixed = parts.dataset is None and settings.map is not None
     unit = METRE if fixed else LengthUnit.of(parts.dataset)
-    closer = None
+    closer: LoopClosing = NoLoopClosing()
     if settings.loops.use:
         log = None
         if parts.folder is not None:
@@ -109,7 +86,7 @@ def _with_depth(parts: FrontEndParts) -> FrontEnd:
         build_tracker(settings.tracking, settings.backend, parts.recorder, parts.code),
         closer,
         KeyframePlacement(settings.placement) if dense and settings.placement.use else None,
-        _start_velocity(parts.dataset, unit),
+        start_velocity=_start_velocity(parts.dataset, unit),
         centred=dense,
         gains=dense and settings.tracking.dense.exposure,
         unit=unit,
@@ -118,18 +95,19 @@ def _with_depth(parts: FrontEndParts) -> FrontEnd:
 
 def _from_images(parts: FrontEndParts) -> FrontEnd:
     settings, dataset = parts.settings, parts.dataset
-    trajectories, closer = [_poses_of(dataset)], None
+    trajectories = [_poses_of(dataset)]
+    closer: LoopClosing = NoLoopClosing()
     if isinstance(dataset, MonocularSequence):
         trajectories = list(dataset.trajectories)
         closer = GivenParts(dataset.part_of_keyframe)
     tracker = GuidedTracker(trajectories, settings.backend, parts.recorder)
-    return FrontEnd(tracker, closer, gains=True)
+    return FrontEnd(tracker, closer, correction=parts.correction, gains=True)
 
 
 def _given(parts: FrontEndParts) -> FrontEnd:
     trajectory = _poses_of(parts.dataset)
     if parts.settings.depth == "none":
-        return FrontEnd(GivenPoses(trajectory))
+        return FrontEnd(GivenPoses(trajectory), correction=parts.correction)
     unit = LengthUnit.of(parts.dataset)
     return FrontEnd(GivenPoses((unit or METRE).trajectory(trajectory)), unit=unit)
 

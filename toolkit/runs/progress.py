@@ -29,8 +29,8 @@ from toolkit.submaps.store import SubmapStore
 
 # Arrays of a checkpoint that describe the map and the cameras; the rest is much larger.
 _WANTED = re.compile(
-    r"mapper/(gaussians/.*|semantics/.*|keyframes/\d+/(T_map_camera|rgb))"
-    r"|atlas/(anchors|indices/\d+|poses/\d+)|path/T_keyframe_camera"
+    r"atlas/(anchors|indices/\d+|poses/\d+)|mapper/semantics/.*|path/T_keyframe_camera"
+    r"|atlas/active/(gaussians/.*|keyframes/\d+/(T_map_camera|rgb))"
 )
 
 
@@ -166,13 +166,14 @@ class ProgressReader:
         values = metadata["values"]
         atlas = arrays_below(arrays, "atlas/")
         anchors = [np.array(T) for T in atlas["anchors"]]
-        keyframes = _keyframes(arrays, values["mapper"]["keyframes"], atlas, anchors)
+        active = values["atlas"].get("active", {"keyframes": []})["keyframes"]
+        keyframes = _keyframes(active, atlas, anchors)
         poses = {k.index: k.T_world_camera for k in keyframes}
         tracked = values["path"]["tracked"]
         relative = arrays["path/T_keyframe_camera"]
         known = [i for i, row in enumerate(tracked) if row["keyframe"] in poses]
         path = [poses[tracked[i]["keyframe"]] @ relative[i] for i in known]
-        first = next(iter(values["mapper"]["keyframes"]), None)
+        first = next(iter(active), None)
         taxonomy, decode = self._decoder(arrays_below(arrays, "mapper/semantics/"))
         return RunProgress(
             next_frame=int(metadata["next_frame"]),
@@ -194,9 +195,8 @@ class ProgressReader:
         clouds = self._stored({int(n): int(v) for n, v in versions.items()})
         active = len(anchors) - 1
         if str(active) not in versions:  # it is, until the camera is relocalised in a saved map
-            tensors = (
-                torch.from_numpy(np.array(arrays[f"mapper/gaussians/{n}"])) for n in PARAMETERS
-            )
+            content = arrays_below(arrays, "atlas/active/gaussians/")
+            tensors = (torch.from_numpy(np.array(content[name])) for name in PARAMETERS)
             clouds[active] = GaussianCloud(*tensors)
         return [MapPart(number, anchors[number], cloud) for number, cloud in clouds.items()]
 
@@ -238,7 +238,6 @@ def read_serial(slot: Path) -> int | None:
 
 
 def _keyframes(
-    arrays: dict[str, NDArray],
     values: list[dict[str, Any]],
     atlas: dict[str, NDArray],
     anchors: list[NDArray],
@@ -254,8 +253,8 @@ def _keyframes(
             for index, T in zip(indices, poses, strict=True)
         ]
     for place, row in enumerate(values):
-        T_map_camera = arrays[f"mapper/keyframes/{place}/T_map_camera"]
-        rgb = arrays[f"mapper/keyframes/{place}/rgb"]
+        T_map_camera = atlas[f"active/keyframes/{place}/T_map_camera"]
+        rgb = atlas[f"active/keyframes/{place}/rgb"]
         found.append(
             ProgressKeyframe(int(row["index"]), active, anchors[active] @ T_map_camera, rgb)
         )

@@ -133,18 +133,19 @@ class SnapshotWriter:
 
     def _state(self, slam: Slam) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Copies of what is shown, named as in checkpoints."""
-        mapper, atlas, path = slam.mapper, slam.atlas, slam.camera_path
-        gaussians, metres = slam.unit.cloud_in_metres(mapper.gaussians), slam.unit.pose_in_metres
+        atlas, path = slam.atlas, slam.camera_path
+        gaussians, metres = slam.unit.cloud_in_metres(atlas.gaussians), slam.unit.pose_in_metres
         arrays: dict[str, NDArray] = {
-            f"mapper/gaussians/{name}": getattr(gaussians, name).cpu().numpy().copy()
+            f"atlas/active/gaussians/{name}": getattr(gaussians, name).cpu().numpy().copy()
             for name in PARAMETERS
         }
-        decoder = mapper.semantics.state()
+        decoder = slam.mapper.semantics.state()
         arrays |= {f"mapper/semantics/{name}": np.array(a) for name, a in decoder.items()}
-        self._images = {k.index: self._image(k) for k in mapper.keyframes}
-        for place, keyframe in enumerate(mapper.keyframes):
-            arrays[f"mapper/keyframes/{place}/T_map_camera"] = metres(keyframe.T_map_camera).copy()
-            arrays[f"mapper/keyframes/{place}/rgb"] = self._images[keyframe.index]
+        self._images = {k.index: self._image(k) for k in atlas.keyframes}
+        for place, keyframe in enumerate(atlas.keyframes):
+            name = f"atlas/active/keyframes/{place}"
+            arrays[f"{name}/T_map_camera"] = metres(keyframe.T_map_camera).copy()
+            arrays[f"{name}/rgb"] = self._images[keyframe.index]
         anchors = [metres(atlas.T_world_submap(n)) for n in range(len(atlas))]
         arrays["atlas/anchors"] = np.array(anchors)
         versions = atlas.stored_versions
@@ -155,10 +156,9 @@ class SnapshotWriter:
             arrays[f"atlas/poses/{number}"] = metres(stored)
         arrays["path/T_keyframe_camera"] = metres(path.T_keyframe_camera)
         rows, doubts = zip(path.indices, path.keyframes, strict=True), path.doubtful_frames
-        keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in mapper.keyframes]
+        keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in atlas.keyframes]
         return arrays, {
-            "mapper": {"keyframes": keyframes},
-            "atlas": {"store": versions},
+            "atlas": {"store": versions, "active": {"keyframes": keyframes}},
             "path": {
                 "tracked": [
                     {"index": i, "keyframe": k, "doubt": doubts.get(i, "")} for i, k in rows

@@ -84,7 +84,7 @@ class CameraPath:
             T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
             steps: number of optimisation steps on a keyframe.
         """
-        last = atlas.mapper.keyframes[-1]
+        last = atlas.keyframes[-1]
         # The map follows the exposures of its keyframes, not those of tracking.
         exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
         doubt = tracking.reason if tracking is not None and tracking.doubtful else ""

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
+from toolkit.depth_priors.correction import RenderedDepth
 from toolkit.frame import Frame, Recorder
+from toolkit.mapping.mapper import Mapper
 from toolkit.semantics.labeller import Labeller
 from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.depth_filter import DepthFilter
@@ -27,49 +29,37 @@ class FrameSources:
     Attributes:
         labeller: segments frames; None for a map without semantics.
         denoise: filter the depth of each frame according to its noise.
-        correction: gives frames that may become keyframes the depth of their priors, aligned with
-            the map; None if depth is measured.
-        start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling shutter
-            has bent; None if it is not known.
     """
 
     labeller: Labeller | None = None
     denoise: bool = True
-    correction: DepthCorrection | None = None
-    start_velocity: Array | None = None
 
 
 class FramePreparation:
     """Prepares frames before they are tracked, before they may be mapped, and as keyframes.
 
-    Args:
-        tracks_labels: whether frames must have labels before they are tracked.
+    Attributes:
+        labeller: segments frames; None for a map without semantics.
+        correction: aligns depth priors with the map; None if depth is measured.
     """
 
     def __init__(
         self,
         sources: FrameSources,
+        front_end: FrontEnd,
+        mapper: Mapper,
         atlas: Atlas,
         path: CameraPath,
         recorder: Recorder,
-        tracks_labels: bool,
     ) -> None:
-        self._sources, self._atlas, self._path = sources, atlas, path
+        self._mapper, self._atlas, self._path = mapper, atlas, path
         self._recorder = recorder
+        self.labeller, self.correction = sources.labeller, front_end.correction
+        self._start_velocity = front_end.start_velocity
         self._filter = DepthFilter() if sources.denoise else None
-        labeller = sources.labeller
+        labeller, tracks_labels = sources.labeller, front_end.tracker.wants_labels
         # All frames are labelled before they are tracked, not only keyframes.
         self._labels_first = labeller is not None and (labeller.every_frame or tracks_labels)
-
-    @property
-    def labeller(self) -> Labeller | None:
-        """Segments frames; None for a map without semantics."""
-        return self._sources.labeller
-
-    @property
-    def correction(self) -> DepthCorrection | None:
-        """Aligns depth priors with the map; None if depth is measured."""
-        return self._sources.correction
 
     def ahead(self, frame: Frame) -> Frame:
         """A later frame after the work that depends on no other frame; from any thread."""
@@ -83,7 +73,7 @@ class FramePreparation:
         frame = self._denoised(frame)
         if self._labels_first:
             frame = self._segmented(frame, None)
-        if self.correction is None or self._atlas.mapper.keyframes:
+        if self.correction is None or self._atlas.keyframes:
             return frame
         # The first map follows from the prior alone.
         with self._recorder.timed(Stage.DEPTH_PRIOR):
@@ -96,13 +86,13 @@ class FramePreparation:
         Args:
             T_map_camera: [4, 4] pose of the frame.
         """
-        mapper = self._atlas.mapper
-        if self.correction is None or not mapper.keyframes:
+        atlas, mapper = self._atlas, self._mapper
+        if self.correction is None or not atlas.keyframes:
             return frame
-        if not mapper.wants_view(frame.index, T_map_camera):
+        if not mapper.wants_view(atlas.keyframes, frame.index, T_map_camera):
             return frame
         with self._recorder.timed(Stage.DEPTH_PRIOR):
-            view = mapper.render(mapper.gaussians, frame.camera, T_map_camera)
+            view = mapper.render(atlas.gaussians, frame.camera, T_map_camera)
             corrected = self.correction.correct(frame, RenderedDepth.of(view))
         return self._denoised(corrected, measured=False)
 
@@ -134,7 +124,7 @@ class FramePreparation:
     def _last_velocity(self, frame: Frame) -> Array | None:
         velocity = self._path.velocity(self._atlas, frame)
         if velocity is None and len(self._path.indices) < 2 and not self._path.lost_frames:
-            return self._sources.start_velocity
+            return self._start_velocity
         return velocity
 
     def _denoised(self, frame: Frame, measured: bool = True) -> Frame:

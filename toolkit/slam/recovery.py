@@ -16,15 +16,17 @@ from toolkit.frame import Frame, FrameStamp, Recorder
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.relocalisation import Relocalisation
+from toolkit.mapping.boundary import start_at
+from toolkit.mapping.mapper import Mapper
 from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import Health, TrackingResult
-from toolkit.tracking.tracker import LocatingTracker, PartTracker, Tracker
+from toolkit.tracking.tracker import LocatingTracker, PartTracker
 
 _log = logging.getLogger(__name__)
 
@@ -60,15 +62,16 @@ class Recovery:
 
     def __init__(
         self,
-        tracker: Tracker,
+        front_end: FrontEnd,
+        mapper: Mapper,
         atlas: Atlas,
         path: CameraPath,
-        closer: LoopClosing,
         label: Callable[[Frame], Frame],
         recorder: Recorder,
     ) -> None:
-        self._tracker, self._atlas, self._path = tracker, atlas, path
-        self._closer, self._label, self._recorder = closer, label, recorder
+        self._tracker, self._closer = front_end.tracker, front_end.closer
+        self._mapper, self._atlas, self._path = mapper, atlas, path
+        self._label, self._recorder = label, recorder
         self._unreliable: Frame | None = None
 
     def out_of_patience(self, frame: FrameStamp) -> bool:
@@ -196,7 +199,7 @@ class Recovery:
         atlas = self._atlas
         exposure = IDENTITY if found is None else found.result.exposure
         anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
-        self._closer.submap_ending(atlas)
+        self._closer.submap_ending(atlas, self._mapper)
         with self._recorder.timed(Stage.MAPPING):
-            atlas.start_at(anchor, *place, inherit=found is not None)
+            start_at(atlas, self._mapper, anchor, place, inherit=found is not None)
         self._closer.submap_recovered(atlas, found)

@@ -18,8 +18,9 @@ from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
-from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.pose_graph.graph import PoseEdge
+from toolkit.mapping.boundary import start_next
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.mapper import Mapper, MappingResult
@@ -28,6 +29,7 @@ from toolkit.refinement.parts import T_part_world, by_size, separate
 from toolkit.refinement.within import refine_submaps
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
+from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
 from toolkit.slam.recovery import Located, Recovery
 from toolkit.slam.result import (
@@ -42,10 +44,9 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
 from toolkit.tracking.health import is_black
-from toolkit.tracking.placement import KeyframePlacement
 from toolkit.tracking.proposals import FeatureProposals
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
-from toolkit.tracking.tracker import LocatingTracker, Tracker
+from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
 
@@ -55,50 +56,37 @@ _Part = Recovery | Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrame
 class Slam:
     """RGB-D Gaussian SLAM: call `process_frame` for each frame in order, then `finish`."""
 
-    def __init__(  # noqa: PLR0913 - all parts of the system meet here
+    def __init__(
         self,
-        tracker: Tracker,
+        front_end: FrontEnd,
         mapper: Mapper,
-        recorder: Recorder | None = None,
-        sources: FrameSources | None = None,
         atlas: Atlas | None = None,
-        closer: LoopClosing | None = None,
-        placement: KeyframePlacement | None = None,
-        unit: LengthUnit | None = METRE,
+        sources: FrameSources | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
         """Assemble the system.
 
         Args:
-            tracker: estimates the pose of each frame against the map.
-            mapper: holds and optimises the active submap.
-            recorder: receives times and counts.
-            sources: what frames are prepared with; by default, they are denoised.
+            front_end: finds the poses of frames.
+            mapper: extends and optimises submaps.
             atlas: holds all submaps; a single submap by default.
-            closer: closes loops and relocalises the camera; by default neither is done.
-            placement: refines the poses of new keyframes against earlier keyframes.
-            unit: in which the parts of the system work; frames and results are in metres. None
-                for the one that suits the first frame with depth.
+            sources: what frames are prepared with; by default, they are denoised.
+            recorder: receives times and counts.
         """
-        self.tracker = tracker
         self.mapper = mapper
-        self.atlas = Atlas(mapper) if atlas is None else atlas
+        self.tracker = front_end.tracker
+        self.atlas = Atlas(mapper.first_submap()) if atlas is None else atlas
         self._recorder = recorder or NullRecorder()
-        self._closer: LoopClosing = NoLoopClosing() if closer is None else closer
-        self._placement, self._unit = placement, unit
+        self._closer = front_end.closer
+        self._placement, self._unit = front_end.placement, front_end.unit
         self._features = FeatureProposals()
         self._path = CameraPath()
         self._between = IntermediateFrames()
         self._preparation = FramePreparation(
-            sources or FrameSources(), self.atlas, self._path, self._recorder, tracker.wants_labels
+            sources or FrameSources(), front_end, mapper, self.atlas, self._path, self._recorder
         )
-        self._recovery = Recovery(
-            tracker,
-            self.atlas,
-            self._path,
-            self._closer,
-            self._preparation.labelled,
-            self._recorder,
-        )
+        label = self._preparation.labelled
+        self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
         self._fused: list[FusedMap | None] = []
 
     @property
@@ -183,19 +171,19 @@ class Slam:
         may_map &= not located.doubtful and not is_black(frame)
         if may_map:
             frame = self._preparation.for_mapping(frame, T_map_camera)
-        if may_map and self.mapper.wants(frame, T_map_camera):
+        if may_map and self.mapper.wants(self.atlas.keyframes, frame, T_map_camera):
             frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
             mapping = self._add_keyframe(frame, T_map_camera, tracking)
             self._start_submap_if_due(tracking)
-            T_map_camera = self.mapper.keyframes[-1].T_map_camera
+            T_map_camera = self.atlas.keyframes[-1].T_map_camera
         elif may_map and self.mapper.options.fill_holes:
-            last, exposure = self.mapper.keyframes[-1], exposure_of(tracking)
+            last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
 
         steps = 0 if mapping is None else mapping.steps
         self._path.add(frame, self.atlas, T_map_camera, tracking, steps)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
-        is_keyframe = self.mapper.keyframes[-1].index == frame.index
+        is_keyframe = self.atlas.keyframes[-1].index == frame.index
         return FrameResult(
             frame.index,
             T_map_camera,
@@ -242,7 +230,7 @@ class Slam:
     def take_deferred_step(self) -> None:
         """Take one of the deferred optimisation steps, if there are any."""
         with self._recorder.timed(Stage.MAPPING):
-            self.mapper.take_deferred_step()
+            self.mapper.take_deferred_step(self.atlas.current)
 
     @single_threaded_blas()
     def map_intermediate_frame(self) -> bool:
@@ -250,30 +238,33 @@ class Slam:
         between = self._between.take()
         if between is None:
             return False
-        keyframes = self.mapper.keyframes_from(between.keyframe)
+        keyframes = self.atlas.current.keyframes_from(between.keyframe)
         if not keyframes:
             return True  # of another submap
         T_map_camera = keyframes[0].T_map_camera @ between.T_keyframe_camera
         with self._recorder.timed(Stage.MAPPING):
-            mask = self.mapper.unmapped_pixels(between.frame, T_map_camera, keyframes)
+            mask = self.mapper.unmapped_pixels(
+                self.atlas.gaussians, between.frame, T_map_camera, keyframes
+            )
         if mask.mean() >= MIN_OUTSIDE:
             frame = self._preparation.labelled(between.at_map_exposure(), T_map_camera)
             with self._recorder.timed(Stage.MAPPING):
-                self.mapper.seed_pixels(frame, T_map_camera, mask, keyframes[0])
+                self.mapper.seed_pixels(self.atlas.current, frame, T_map_camera, mask, keyframes[0])
         return True
 
     @single_threaded_blas()
     def finish(self) -> SlamResult:
         """Close the remaining loops, refine every submap over its keyframes, and fuse each part."""
-        if self.mapper.keyframes:
-            self._between.select(self.mapper.keyframes[-1])
+        if self.atlas.keyframes:
+            self._between.select(self.atlas.keyframes[-1])
             self._map_intermediate_frames()
             with self._recorder.timed(Stage.REFINEMENT):
-                self._closer.finish(self.atlas)
+                self._closer.finish(self.atlas, self.mapper)
                 parts = self.parts
                 separate(self.atlas, parts)
-                refine_submaps(self.atlas, self._poses_beside)
-                self._fused = [fuse(self.atlas, part) for part in parts]
+                refine_submaps(self.atlas, self.mapper, self._poses_beside)
+                free_space = self.mapper.options.free_space
+                self._fused = [fuse(self.atlas, part, free_space) for part in parts]
         return self.result()
 
     def _poses_beside(self, number: int) -> NDArray[np.float64]:
@@ -322,7 +313,7 @@ class Slam:
             submaps=submaps,
             allocation=list(atlas.verdicts),
             loops=list(self._closer.loops),
-            map=InMemoryScene(self.mapper.content.gaussians) if fused is None else fused,
+            map=InMemoryScene(atlas.gaussians.to("cpu")) if fused is None else fused,
             semantics=self.mapper.semantics,
             taxonomy=None if labeller is None else labeller.taxonomy,
             covariances=main.covariances,
@@ -348,7 +339,7 @@ class Slam:
         if not self.atlas.has_active_submap:
             lost = not_tracked("the camera has not been relocalised in the loaded map")
             return self._recovery.recover(frame, lost, may_map)
-        if not self.mapper.keyframes:
+        if not self.atlas.keyframes:
             if not may_map:
                 return Located(None, not_tracked("it is held out, and the map has not started"))
             first = self.tracker.first_pose(frame)
@@ -357,7 +348,7 @@ class Slam:
             )
             return Located(first, None if first is not None else unusable)
         with self._recorder.timed(Stage.TRACKING):
-            gaussians = self.mapper.gaussians
+            gaussians = self.atlas.gaussians
             tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
         if tracking.lost or tracking.doubtful:
             found = self._recovery.recover(frame, tracking, may_map)
@@ -367,13 +358,13 @@ class Slam:
 
     def _proposals(self, frame: Frame) -> Iterator[NDArray[np.float64]]:
         """Initial poses T_map_camera [4, 4] of a frame from its features."""
-        keyframes = self.mapper.keyframes
+        keyframes = self.atlas.keyframes
         similar = partial(self._closer.similar_keyframes, self.atlas)
         return self._features.poses(frame, keyframes, similar)
 
     def _balanced(self, frame: Frame) -> Frame:
         """The frame at the white balance of the last keyframe, which is near its own."""
-        balance = self.mapper.keyframes[-1].exposure.balance
+        balance = self.atlas.keyframes[-1].exposure.balance
         if balance == NEUTRAL:
             return frame
         return replace(frame, rgb=IDENTITY.with_balance(balance).apply(frame.rgb))
@@ -383,17 +374,17 @@ class Slam:
     ) -> MappingResult:
         """Create a keyframe, refine its pose, and extend the map with it."""
         exposure = exposure_of(tracking)
-        if self.mapper.keyframes:
+        if self.atlas.keyframes:
             # Until the mapper estimates that of the new keyframe.
-            exposure = exposure.with_balance(self.mapper.keyframes[-1].exposure.balance)
+            exposure = exposure.with_balance(self.atlas.keyframes[-1].exposure.balance)
         keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
         if self._preparation.correction is not None:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
-        if self.mapper.keyframes:
-            self._between.select(self.mapper.keyframes[-1], keyframe)
+        if self.atlas.keyframes:
+            self._between.select(self.atlas.keyframes[-1], keyframe)
         with self._recorder.timed(Stage.MAPPING):
-            mapping = self.mapper.add_keyframe(keyframe)
+            mapping = self.mapper.add_keyframe(self.atlas.current, keyframe)
         if self.mapper.deferred is None:
             self._map_intermediate_frames()
         self._closer.keyframe_added(self.atlas)
@@ -405,11 +396,11 @@ class Slam:
 
     def _refine_pose(self, keyframe: Keyframe) -> None:
         """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
-        if self._placement is None or not self.mapper.keyframes:
+        if self._placement is None or not self.atlas.keyframes:
             return
         T_tracked = keyframe.T_map_camera
         with self._recorder.timed(Stage.PLACING):
-            keyframe.T_map_camera = self._placement.place(self.mapper.keyframes, keyframe)
+            keyframe.T_map_camera = self._placement.place(self.atlas.keyframes, keyframe)
         self.tracker.change_frame(keyframe.T_map_camera @ se3.inverse(T_tracked))
 
     def _start_submap_if_due(self, tracking: TrackingResult | None) -> None:
@@ -417,11 +408,11 @@ class Slam:
         verdict = self.atlas.judge()
         if verdict is None or not verdict.starts_submap:
             return
-        T_new_old = self._closer.submap_ending(self.atlas)
+        T_new_old = self._closer.submap_ending(self.atlas, self.mapper)
         if T_new_old is not None:
             self.tracker.change_frame(T_new_old)
         with self._recorder.timed(Stage.MAPPING):
-            self.tracker.change_frame(self.atlas.start_next())
+            self.tracker.change_frame(start_next(self.atlas, self.mapper))
         _log.info(
             "Started submap %d at frame %d: %s.", self.atlas.active, verdict.index, verdict.reason
         )

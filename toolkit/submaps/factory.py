@@ -5,23 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from toolkit.mapping.mapper import Mapper
 from toolkit.semantics.labeller import Labeller
 from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.options import AllocationOptions, SubmapOptions
 from toolkit.submaps.store import SubmapStore
+from toolkit.submaps.submap import Submap
 
 
 def build_atlas(
     options: SubmapOptions,
-    mapper: Mapper,
+    first: Submap,
     labeller: Labeller | None,
     folder: Path | None = None,
 ) -> Atlas:
     """Build the atlas described by the options.
 
     Args:
+        first: the first submap, empty.
         labeller: segments frames; None for a map without labels.
         folder: where inactive submaps are stored; None keeps them in memory.
     """
@@ -30,7 +31,7 @@ def build_atlas(
         classes = len(labeller.taxonomy) if labeller else 0
         allocation = Allocation(allocation_options(options.allocation, labeller), classes)
     store = SubmapStore(folder, options.memory_mb)
-    return Atlas(mapper, allocation, store, options.boundary)
+    return Atlas(first, allocation, store, options.boundary)
 
 
 def allocation_options(options: AllocationOptions, labeller: Labeller | None) -> AllocationOptions:

@@ -1,7 +1,8 @@
-"""A submap: Gaussians and keyframes in their own coordinate frame (G-III.A)."""
+"""A submap: Gaussians, keyframes and the state of their optimiser, in their own frame (G-III.A)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.rows import append_rows, select_rows
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.gaussian_map import MapContent
+from toolkit.submaps.optimiser_state import OptimiserState
 
 
 def _none() -> Tensor:
@@ -27,12 +29,12 @@ class Submap:
     Attributes:
         number: index in the sequence of submaps, from 0.
         T_world_submap: [4, 4] float64 pose of the anchor; loop closure between submaps changes it.
-        gaussians: N Gaussians.
-        keyframes: in order; their `T_map_camera` is `T_submap_camera`.
+        gaussians: N Gaussians, on the device that optimises them.
+        keyframes: in order; their `T_map_camera` is `T_submap_camera`. Their images are on the CPU.
         seeded_by: [N] int32 frame index of the keyframe that seeded each Gaussian, or of the one
-            that has measured it since from much nearer.
+            that has measured its centre since from much nearer.
         descriptors: [K, D] float32 of unit length, one row per keyframe; D may be 0.
-        steps: [N] int32 number of optimisation steps of each Gaussian.
+        optimiser: state of the Gaussians' optimiser; by default, no steps were taken.
     """
 
     number: int
@@ -41,16 +43,77 @@ class Submap:
     keyframes: list[Keyframe]
     seeded_by: Tensor = field(default_factory=_none)
     descriptors: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    steps: Tensor = field(default_factory=_none)
+    optimiser: OptimiserState = field(default_factory=lambda: OptimiserState(_none()))
+
+    def __post_init__(self) -> None:
+        if len(self.optimiser.steps) == 0:
+            steps = torch.zeros(len(self.gaussians), dtype=torch.int32, device=self.device)
+            self.optimiser = OptimiserState(steps)
+
+    @classmethod
+    def empty(
+        cls, number: int, channels: int, device: torch.device, centred_colours: bool
+    ) -> Submap:
+        """A submap without Gaussians and keyframes, at the world frame.
+
+        Args:
+            channels: number of semantic channels S of its Gaussians.
+        """
+        cloud = replace(GaussianCloud.empty(channels, device), centred_colours=centred_colours)
+        seeded_by = torch.zeros(0, dtype=torch.int32, device=device)
+        return cls(number, np.eye(4), cloud, [], seeded_by)
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the Gaussians."""
+        return self.gaussians.means.device
+
+    def to(self, device: str | torch.device) -> Submap:
+        """The submap with its Gaussians on a device, without moments; itself if they are there."""
+        if self.device.type == torch.device(device).type:
+            return self
+        return replace(
+            self,
+            gaussians=self.gaussians.to(device),
+            seeded_by=self.seeded_by.to(device),
+            optimiser=self.optimiser.to(device),
+        )
+
+    def append(self, seeds: GaussianCloud, keyframe: Keyframe) -> None:
+        """Add Gaussians that a keyframe seeded."""
+        seeds, cloud = seeds.to(self.device), self.gaussians
+        self.gaussians = GaussianCloud(
+            *(append_rows(getattr(cloud, name), getattr(seeds, name)) for name in PARAMETERS),
+            centred_colours=cloud.centred_colours,
+        )
+        self.optimiser.extend(len(seeds))
+        seeded_by = self.seeded_by.new_full((len(seeds),), keyframe.index)
+        self.seeded_by = append_rows(self.seeded_by, seeded_by)
+
+    def remove(self, mask: Tensor) -> None:
+        """Remove the Gaussians in a mask [N]."""
+        kept, cloud = (~mask).nonzero().squeeze(1), self.gaussians
+        self.gaussians = GaussianCloud(
+            *(select_rows(getattr(cloud, name), kept) for name in PARAMETERS),
+            centred_colours=cloud.centred_colours,
+        )
+        self.optimiser.keep(kept)
+        self.seeded_by = select_rows(self.seeded_by, kept)
+
+    def move(self, means: Tensor) -> None:
+        """Replace the centres [N, 3] of the Gaussians."""
+        self.gaussians = replace(self.gaussians, means=means)
 
     def T_world_camera(self, keyframe: Keyframe) -> NDArray[np.float64]:
         """Pose [4, 4] of one of the submap's keyframes in the world frame."""
         return self.T_world_submap @ keyframe.T_map_camera
 
-    @property
-    def content(self) -> MapContent:
-        """The content in the form that a mapper expects; shared, not copied."""
-        return MapContent(self.gaussians, self.keyframes, self.seeded_by, self.steps)
+    def keyframes_from(self, index: int) -> list[Keyframe]:
+        """The keyframe of a frame index and the one after it, as far as they exist."""
+        for position in reversed(range(len(self.keyframes))):
+            if self.keyframes[position].index == index:
+                return self.keyframes[position : position + 2]
+        return []
 
     def renumbered(self, number: int, offset: int) -> Submap:
         """The same submap with another number, and with an offset added to all frame indices."""
@@ -69,12 +132,14 @@ class Submap:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values for `from_state`; shared, not copied."""
-        arrays = {f"gaussians/{name}": getattr(self.gaussians, name).numpy() for name in PARAMETERS}
+        arrays = {
+            f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS
+        }
+        arrays |= {f"optimiser/{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {
             "T_world_submap": self.T_world_submap,
-            "seeded_by": self.seeded_by.numpy(),
+            "seeded_by": self.seeded_by.cpu().numpy(),
             "descriptors": self.descriptors,
-            "steps": self.steps.numpy(),
         }
         for number, keyframe in enumerate(self.keyframes):
             arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
@@ -85,11 +150,16 @@ class Submap:
         }
 
     @classmethod
-    def from_state(cls, arrays: dict[str, NDArray], values: dict[str, Any]) -> Submap:
-        """Restore a submap from its `state`."""
+    def from_state(
+        cls,
+        arrays: Mapping[str, NDArray],
+        values: Mapping[str, Any],
+        device: str | torch.device = "cpu",
+    ) -> Submap:
+        """Restore a submap from its `state`, with the Gaussians on a device."""
 
         def tensor(name: str) -> Tensor:
-            return torch.from_numpy(np.array(arrays[name]))
+            return torch.from_numpy(np.array(arrays[name])).to(device)
 
         keyframes = [
             Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), value)
@@ -100,11 +170,10 @@ class Submap:
             T_world_submap=np.array(arrays["T_world_submap"]),
             gaussians=GaussianCloud(
                 **{n: tensor(f"gaussians/{n}") for n in PARAMETERS},
-                # Files of older versions contain refined submaps without this key.
-                centred_colours=bool(values.get("centred_colours", False)),
+                centred_colours=bool(values["centred_colours"]),
             ),
             keyframes=keyframes,
             seeded_by=tensor("seeded_by"),
             descriptors=np.array(arrays["descriptors"]),
-            steps=tensor("steps"),
+            optimiser=OptimiserState.from_state(arrays_below(arrays, "optimiser/"), device),
         )

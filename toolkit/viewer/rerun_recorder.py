@@ -133,13 +133,13 @@ class RerunRecorder:
         self._keyframes += 1
         self._record_path(np.array(self._positions))
         self._log("counts/keyframes", rr.Scalars(self._keyframes))
-        self._log("counts/gaussians", rr.Scalars(len(slam.mapper.gaussians)))
+        self._log("counts/gaussians", rr.Scalars(len(slam.atlas.gaussians)))
         new_submap = atlas.active != self._submap
         if new_submap:
             self._submap = atlas.active
             self._event(f"Submap {atlas.active} started at frame {frame.index}.")
         if new_submap or self._keyframes % _MAP_EVERY == 0:
-            points = _points(rr, slam.mapper.gaussians, _MAX_GAUSSIANS)
+            points = _points(rr, slam.atlas.gaussians, _MAX_GAUSSIANS)
             self._log(f"world/submaps/{atlas.active}", points)
             for number in range(len(atlas)):
                 pose = _transform(rr, atlas.T_world_submap(number))

@@ -30,6 +30,7 @@ from toolkit.loops.pose_graph.options import ConsistencyOptions, LoopNoiseOption
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.relocalisation import LastPosition, Relocaliser
+from toolkit.mapping.boundary import start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.submaps.allocation import Allocation
@@ -100,8 +101,9 @@ def closed(
 
     The second registrar has the errors of the first unless `nearby_changes` are given.
     """
+    mapper = Mapper(FEW, np.random.default_rng(0))
     atlas = Atlas(
-        Mapper(FEW, np.random.default_rng(0)),
+        mapper.first_submap(),
         Allocation(AllocationOptions(max_keyframes=max_keyframes), 0),
         boundary=BoundaryOptions(steps=0),
     )
@@ -126,11 +128,11 @@ def closed(
     T_map_world = np.eye(4)
     for frame, T_world_camera in frames:
         drift = DRIFT if frame.index >= 20 else np.eye(4)
-        mapper = atlas.mapper
-        mapper.add_keyframe(Keyframe.from_frame(frame, T_map_world @ drift @ T_world_camera))
+        keyframe = Keyframe.from_frame(frame, T_map_world @ drift @ T_world_camera)
+        mapper.add_keyframe(atlas.current, keyframe)
         closer.keyframe_added(atlas)
         if atlas.judge().starts_submap:
-            atlas.start_next()
+            start_next(atlas, mapper)
             closer.add_odometry(atlas, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))
@@ -162,11 +164,11 @@ class TestBetween:
         if deferred:
             closer.defer()
         ended = atlas.active
-        atlas.start_next()
+        start_next(atlas, Mapper(FEW))
         registrar.truth[atlas.active] = frames[-1][1]
         closer.submap_started(atlas, np.eye(6) * 1e6)
         assert bool(registrar.asked) is not deferred
-        closer.finish(atlas)
+        closer.finish(atlas, Mapper(FEW))
         assert any(second == ended for _, second in registrar.asked)
         assert closer.loops
 
@@ -274,7 +276,7 @@ class TestWithin:
         log = LoopLog(tmp_path / "loops.jsonl")
         atlas, closer, _ = closed(moved, log=log, max_keyframes=100)
         before = bits(atlas)
-        assert not closer.close_within(atlas) and bits(atlas) == before
+        assert not closer.close_within(atlas, Mapper(FEW)) and bits(atlas) == before
         records = read_loop_log(tmp_path / "loops.jsonl")
         taken = {(r["match"], r["query"]) for r in records if r["kind"] == "within"}
         refused = {(r["match"], r["query"]) for r in records if r["kind"] == "consistency"}
@@ -298,13 +300,13 @@ class TestWithin:
         stepped: list[int] = []
         step = Mapper.step
 
-        def counted(mapper, keyframe, *arguments, **options):
+        def counted(mapper, submap, keyframe, *arguments, **options):
             stepped.append(keyframe.index)
             corrected.setdefault(keyframe.index, keyframe.T_map_camera.copy())
-            return step(mapper, keyframe, *arguments, **options)
+            return step(mapper, submap, keyframe, *arguments, **options)
 
         monkeypatch.setattr(Mapper, "step", counted)
-        assert closer.close_within(atlas)
+        assert closer.close_within(atlas, Mapper(FEW))
         after = atlas.keyframe_poses(0)
         moved = [index for index, T in before.items() if not np.array_equal(T, after[index])]
         assert len(moved) > 1

@@ -184,11 +184,10 @@ def refine_submap(task: SubmapTask) -> int:
         work.source.semantics(),
         map_device(settings.device, settings.backend),
     )
-    mapper.replace_content(submap.content)
-    mapper.refine()
-    content = mapper.content
-    submap.gaussians, submap.keyframes = content.gaussians, content.keyframes
-    submap.seeded_by, submap.steps = content.seeded_by, content.steps
+    submap = submap.to(mapper.device)
+    mapper.refine(submap)
+    submap = submap.to("cpu")
+    submap.optimiser.release()
     arrays, values = work.source.unit.submap_in_metres(submap).state()
     storage.write_tree(refined_place(work.out, task.number), arrays, values)
     return len(submap.gaussians)

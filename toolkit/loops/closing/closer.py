@@ -36,6 +36,7 @@ from toolkit.loops.pose_graph.correction import (
 )
 from toolkit.loops.pose_graph.graph import PoseEdge, connected_parts
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
+from toolkit.mapping.mapper import Mapper
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 
@@ -73,7 +74,7 @@ class LoopCloser:
 
     def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
         """Keyframes of the active submap that look most similar to a view; see `LoopClosing`."""
-        keyframes = {keyframe.index: keyframe for keyframe in atlas.mapper.keyframes}
+        keyframes = {keyframe.index: keyframe for keyframe in atlas.keyframes}
         found = self._detector.most_similar(view, _SIMILAR)
         return [keyframes[s.frame] for s in found if s.frame in keyframes]
 
@@ -93,21 +94,21 @@ class LoopCloser:
         with self._recorder.timed(Stage.LOOP_DETECTION):
             considered = self._detector.observe(atlas)
         if self._detector.searched:
-            query = atlas.mapper.keyframes[-1].index
+            query = atlas.keyframes[-1].index
             self._record("search", {"query": query, "considered": len(considered)})
         for candidate in considered:
             self._record("candidate", candidate.record())
         self._pending += [c for c in considered if c.accepted]
 
-    def submap_ending(self, atlas: Atlas) -> Array | None:
+    def submap_ending(self, atlas: Atlas, mapper: Mapper) -> Array | None:
         """Close the loops inside the active submap; see `LoopClosing`."""
-        keyframes = atlas.mapper.keyframes
+        keyframes = atlas.keyframes
         if not keyframes:
             return None
         T_map_camera = keyframes[-1].T_map_camera
-        if not self.close_within(atlas):
+        if not self.close_within(atlas, mapper):
             return None
-        return atlas.mapper.keyframes[-1].T_map_camera @ se3.inverse(T_map_camera)
+        return atlas.keyframes[-1].T_map_camera @ se3.inverse(T_map_camera)
 
     def submap_started(self, atlas: Atlas, information: Array) -> None:
         """Add the odometry edge to the new submap, and close the loops of the previous submap."""
@@ -125,15 +126,15 @@ class LoopCloser:
         if not self._deferred:
             self.close_between(atlas, atlas.active - 1)
 
-    def finish(self, atlas: Atlas) -> None:
+    def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """Close all remaining loops, and register overlapping submaps once more."""
         # Before refinement, which changes the map that frames and submaps are registered against.
-        self.submap_ending(atlas)
+        self.submap_ending(atlas, mapper)
         for number in sorted({c.query_submap for c in self._pending} | {atlas.active}):
             self.close_between(atlas, number)
         self.register_overlaps(atlas)
 
-    def close_within(self, atlas: Atlas) -> bool:
+    def close_within(self, atlas: Atlas, mapper: Mapper) -> bool:
         """Close the loops inside the active submap; return whether its keyframes moved."""
         number = atlas.active
         candidates = [c for c in self._pending if c.query_submap == c.match_submap == number]
@@ -141,7 +142,8 @@ class LoopCloser:
         if not candidates or not self.options.within:
             return False
         with self._recorder.timed(Stage.LOOPS_WITHIN):
-            return KeyframeLoops(self._parts, self.options, self._record).close(atlas, candidates)
+            loops = KeyframeLoops(self._parts, self.options, self._record)
+            return loops.close(atlas.current, mapper, candidates)
 
     def add_odometry(self, atlas: Atlas, information: Array) -> None:
         """Add the odometry edge from the previous submap's anchor to the active submap's anchor.

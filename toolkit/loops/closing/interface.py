@@ -12,6 +12,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.loops.closing.uncertainty import PathPose
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
+from toolkit.mapping.mapper import Mapper
 from toolkit.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
@@ -46,8 +47,11 @@ class LoopClosing(Protocol):
         """The active submap has a new keyframe."""
         ...
 
-    def submap_ending(self, atlas: Atlas) -> Array | None:
+    def submap_ending(self, atlas: Atlas, mapper: Mapper) -> Array | None:
         """The active submap is about to end.
+
+        Args:
+            mapper: optimises the submap again if its keyframes move.
 
         Returns:
             The motion T_new_old [4, 4] of its newest keyframe; None if the keyframe did not move.
@@ -70,7 +74,7 @@ class LoopClosing(Protocol):
         """
         ...
 
-    def finish(self, atlas: Atlas) -> None:
+    def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """The sequence has ended; the submaps are not refined yet."""
         ...
 
@@ -120,7 +124,7 @@ class NoLoopClosing:
     def keyframe_added(self, atlas: Atlas) -> None:
         """Do nothing."""
 
-    def submap_ending(self, atlas: Atlas) -> Array | None:
+    def submap_ending(self, atlas: Atlas, mapper: Mapper) -> Array | None:
         """Move nothing."""
         return None
 
@@ -130,7 +134,7 @@ class NoLoopClosing:
     def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """Do nothing."""
 
-    def finish(self, atlas: Atlas) -> None:
+    def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """Do nothing."""
 
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:

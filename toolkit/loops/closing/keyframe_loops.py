@@ -14,7 +14,7 @@ from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.loops.pose_graph.correction import PoseCorrection, correct_keyframes, keyframe_graph
 from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.submaps.atlas import Atlas
+from toolkit.mapping.mapper import Mapper
 from toolkit.submaps.submap import Submap
 
 
@@ -24,17 +24,15 @@ class KeyframeLoops:
     def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
         self._parts, self._options, self._record = parts, options, record
 
-    def close(self, atlas: Atlas, candidates: list[LoopCandidate]) -> bool:
-        """Close the loops among the candidate pairs; return whether keyframes moved."""
-        submap = atlas.submap(atlas.active)
+    def close(self, submap: Submap, mapper: Mapper, candidates: list[LoopCandidate]) -> bool:
+        """Close the loops among pairs of a submap; return whether its keyframes moved."""
         keyframes = {keyframe.index: keyframe for keyframe in submap.keyframes}
         loops = self._loop_edges(keyframes, candidates)
         correction = self._correct(submap, loops) if loops else None
         if correction is None:
             return False
-        atlas.put(submap)
         # G, III.C: optimise the map again over the moved keyframes, at fixed poses.
-        atlas.mapper.optimise_keyframes(correction.moved, self._options.mapping_iterations)
+        mapper.optimise_moved(submap, correction.moved, self._options.mapping_iterations)
         return True
 
     def _loop_edges(

@@ -1,0 +1,127 @@
+"""Transitions between submaps: the next one starts with what its first keyframe sees of another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.keyframe import Keyframe
+from toolkit.mapping.mapper import Mapper
+from toolkit.rendering import SurfaceView
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.optimiser_state import OptimiserState
+from toolkit.submaps.submap import Submap
+
+# Maximum distance of a visible Gaussian behind the rendered surface, as a fraction of depth.
+_MAX_BEHIND = 0.05
+_NO_INDICES = torch.zeros(0, dtype=torch.int64)
+
+
+def start_next(atlas: Atlas, mapper: Mapper) -> NDArray[np.float64]:
+    """Start the next submap at the newest keyframe, which then belongs to both submaps.
+
+    Returns:
+        T_new_old [4, 4], from the frame of the old submap to that of the new one.
+    """
+    boundary, old = atlas.boundary, atlas.current
+    mapper.optimise_window(old, boundary.steps, boundary.bundle_adjustment)
+    last = old.keyframes[-1]
+    anchor = replace(last, T_map_camera=np.eye(4), pose_moments=None)
+    _start(atlas, mapper, anchor, atlas.submap(atlas.active), last.T_map_camera)
+    return se3.inverse(last.T_map_camera)
+
+
+def start_at(
+    atlas: Atlas,
+    mapper: Mapper,
+    anchor: Keyframe,
+    place: tuple[int, NDArray[np.float64]],
+    inherit: bool = True,
+) -> None:
+    """Start a submap at a keyframe that was located in an existing submap.
+
+    Args:
+        anchor: the first keyframe, at the identity.
+        place: number of the existing submap, and the keyframe's T_submap_camera [4, 4] in it.
+        inherit: False if the pose is uncertain, so that no Gaussians are copied.
+    """
+    number, T_submap_camera = place
+    source = atlas.submap(number)
+    if not inherit:
+        empty = source.gaussians.select(_NO_INDICES)
+        source = replace(source, gaussians=empty, optimiser=OptimiserState(_NO_INDICES.int()))
+    else:
+        located = replace(anchor, T_map_camera=T_submap_camera)
+        mapper.exposures.estimate(located, source.keyframes)
+        anchor = replace(located, T_map_camera=anchor.T_map_camera)
+    _start(atlas, mapper, anchor, source, T_submap_camera)
+
+
+def _start(
+    atlas: Atlas,
+    mapper: Mapper,
+    anchor: Keyframe,
+    source: Submap,
+    T_source_camera: NDArray[np.float64],
+) -> None:
+    """Start a submap at a keyframe that has a pose in an existing submap."""
+    copies, steps = _inherited(atlas, mapper, anchor, source, T_source_camera)
+    submap = Submap(
+        len(atlas),
+        atlas.T_world_submap(source.number) @ T_source_camera,
+        copies,
+        [],
+        torch.full((len(copies),), anchor.index, dtype=torch.int32),
+        _boundary_row(atlas, anchor.index),
+        OptimiserState(steps),
+    )
+    mapper.skip_deferred_steps()
+    atlas.start(submap.to(atlas.device))
+    mapper.add_keyframe(atlas.current, anchor)
+
+
+def _inherited(
+    atlas: Atlas,
+    mapper: Mapper,
+    anchor: Keyframe,
+    source: Submap,
+    T_source_camera: NDArray[np.float64],
+) -> tuple[GaussianCloud, Tensor]:
+    """Copies of the Gaussians that the first keyframe sees, in its frame, and their steps [N]."""
+    cloud, T_camera_source = source.gaussians, se3.inverse(T_source_camera)
+    index = _NO_INDICES
+    if atlas.boundary.inherit:
+        view = mapper.render(cloud, anchor.camera, T_source_camera)
+        index = visible_gaussians(view, cloud, anchor.camera, T_camera_source)
+    copies = cloud.select(index).transformed(T_camera_source)
+    copies = replace(copies, centred_colours=mapper.options.centred)
+    return copies, source.optimiser.steps.index_select(0, index)
+
+
+def _boundary_row(atlas: Atlas, index: int) -> NDArray[np.float32]:
+    """Descriptor [1, D] of the keyframe that two submaps share; [0, D] if there is none."""
+    descriptors, poses = atlas.descriptors(atlas.active), atlas.keyframe_poses(atlas.active)
+    shared = next(reversed(poses), None) == index
+    return descriptors[-1:].copy() if shared else descriptors[:0].copy()
+
+
+def visible_gaussians(
+    view: SurfaceView, cloud: GaussianCloud, camera: Camera, T_camera_map: NDArray[np.float64]
+) -> Tensor:
+    """Indices [V] of the Gaussians on the surface visible in a rendered view of the map."""
+    points = cloud.transformed(T_camera_map).means.double().numpy()
+    height, width = view.depth_m.shape
+    ahead = points[:, 2] > 0
+    uv = camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
+    column, row = np.rint(uv).astype(np.int64).T
+    inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    depth_m = view.depth_m.numpy()[row[inside], column[inside]]
+    inside[inside] = points[inside, 2] <= (1.0 + _MAX_BEHIND) * depth_m
+    return torch.from_numpy(inside.nonzero()[0])

@@ -1,0 +1,46 @@
+"""What finds the poses of frames: a tracker, and what else depends on where poses come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.depth_priors.correction import DepthCorrection
+from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.tracking.placement import KeyframePlacement
+from toolkit.tracking.tracker import Tracker
+
+
+@dataclass(frozen=True)
+class FrontEnd:
+    """What finds the poses of frames, and what the map needs for it.
+
+    Attributes:
+        tracker: estimates the pose of each frame against the map.
+        closer: closes loops and relocalises the camera, or knows the parts of the trajectory; by
+            default neither.
+        placement: refines the poses of new keyframes against earlier ones; None if they are final.
+        correction: gives frames that may become keyframes the depth of their priors, aligned with
+            the map; None if depth is measured.
+        start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling shutter
+            has bent; None if it is not known.
+        centred: whether colours of Gaussians may be centred, which suits the dense tracker only:
+            the papers' tracker compares rendered pixels directly, and given poses need no
+            comparison.
+        gains: whether the exposures of keyframes are estimated. Without tracking, and in the
+            papers' tracker, they are not.
+        unit: of length, in which the system works; frames and results are in metres. None for the
+            one that suits the first frame with depth.
+    """
+
+    tracker: Tracker
+    closer: LoopClosing = field(default_factory=NoLoopClosing)
+    placement: KeyframePlacement | None = None
+    correction: DepthCorrection | None = None
+    start_velocity: NDArray[np.float64] | None = None
+    centred: bool = False
+    gains: bool = False
+    unit: LengthUnit | None = METRE

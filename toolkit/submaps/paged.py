@@ -1,0 +1,85 @@
+"""A submap of the atlas, whose content is in memory while it is active and stored afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.exposure import Balance
+from toolkit.submaps.store import SubmapStore
+from toolkit.submaps.submap import Submap
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class PagedSubmap:
+    """Pages the content of a submap; anchor, descriptors and keyframe poses stay in memory.
+
+    Those are small and used at every frame.
+
+    Attributes:
+        number: of the submap.
+        T_world_submap: [4, 4] pose of the anchor.
+        descriptors: [K, D] of the keyframes so far.
+        store: of the contents of all inactive submaps.
+        active: the content; None once it is stored.
+        stored_poses: T_submap_camera [4, 4] of stored keyframes by frame index, in order.
+        stored_balances: white balance of stored keyframes by frame index, in order.
+    """
+
+    number: int
+    T_world_submap: Array
+    descriptors: NDArray[np.float32]
+    store: SubmapStore
+    active: Submap | None = None
+    stored_poses: dict[int, Array] = field(default_factory=dict)
+    stored_balances: dict[int, Balance] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, submap: Submap, store: SubmapStore) -> PagedSubmap:
+        """A submap that becomes active."""
+        return cls(submap.number, submap.T_world_submap, submap.descriptors, store, submap)
+
+    @property
+    def keyframe_poses(self) -> dict[int, Array]:
+        """T_submap_camera [4, 4] of the keyframes by frame index, in order."""
+        return self.stored_poses if self.active is None else _poses(self.active)
+
+    @property
+    def keyframe_balances(self) -> dict[int, Balance]:
+        """White balance of the keyframes by frame index, in order."""
+        return self.stored_balances if self.active is None else _balances(self.active)
+
+    @property
+    def content(self) -> Submap:
+        """The submap on the CPU; shared if it is active there.
+
+        Raises:
+            ToolkitError: it is stored on disk and cannot be read.
+        """
+        submap = self.store.get(self.number) if self.active is None else self.active
+        submap.T_world_submap, submap.descriptors = self.T_world_submap, self.descriptors
+        return submap.to("cpu")
+
+    def page_out(self) -> None:
+        """Store the active content, without the moments of its optimiser."""
+        self.put(self.content)
+
+    def put(self, submap: Submap) -> None:
+        """Store another content of the submap, which is not active afterwards."""
+        submap.optimiser.release()
+        self.T_world_submap, self.descriptors = submap.T_world_submap, submap.descriptors
+        self.stored_poses, self.stored_balances = _poses(submap), _balances(submap)
+        self.store.put(submap)
+        self.active = None
+
+
+def _poses(submap: Submap) -> dict[int, Array]:
+    return {keyframe.index: keyframe.T_map_camera for keyframe in submap.keyframes}
+
+
+def _balances(submap: Submap) -> dict[int, Balance]:
+    return {keyframe.index: keyframe.exposure.balance for keyframe in submap.keyframes}
