@@ -29,11 +29,12 @@ from toolkit.pacing.record import count_of
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.evaluation import load_lpips
-from toolkit.runs.execution import Progress, check_settings, no_progress
+from toolkit.runs.execution import check_settings
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import absolute, with_absolute_paths
 from toolkit.runs.lock import locked
-from toolkit.runs.observers import Observers, ProgressObserver
+from toolkit.runs.modes import mode_of
+from toolkit.runs.observers import Observers, Progress, ProgressObserver, no_progress
 from toolkit.runs.results import RunRecord, write_results
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session
@@ -135,7 +136,7 @@ def check_live_settings(settings: RunSettings) -> None:
     Raises:
         SettingsError: with the option to remove.
     """
-    if settings.depth != "sensor":
+    if not mode_of(settings).needs_depth:
         raise SettingsError("live cameras need depth; remove --depth none")
     check_settings(settings)
 

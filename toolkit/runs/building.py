@@ -14,7 +14,7 @@ from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import map_device
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.front_ends import FrontEndParts, build_front_end
+from toolkit.runs.modes import FrontEndParts, mode_of
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.labeller import Labeller
@@ -51,7 +51,7 @@ def build_slam(
     taxonomy = labeller.taxonomy if labeller else None
     code = build_code(settings.semantics.code, taxonomy) if taxonomy else None
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
-    front_end = build_front_end(
+    front_end = mode_of(settings).front_end(
         FrontEndParts(
             settings,
             dataset,

@@ -25,12 +25,12 @@ from toolkit.evaluation.run_metrics import (
     open_unseen,
 )
 from toolkit.evaluation.semantic_views import SemanticEvaluation
-from toolkit.evaluation.trajectory import AlignmentKind
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.meshing import MeshOptions, surface_mesh
+from toolkit.runs.modes import mode_of
 from toolkit.runs.separate_parts import separate_part_metrics
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
@@ -80,7 +80,7 @@ def evaluate(
         | evaluate_loops(run.folder.loops, dataset, settings)
         | _mesh_metrics(run, dataset, settings, mesh)
         | state_metrics(run.states, run.parts)
-        | separate_part_metrics(separate, dataset.ground_truth, alignment_kind(settings))
+        | separate_part_metrics(separate, dataset.ground_truth, mode_of(settings).alignment)
         | {
             "frames": len(run.states),
             "keyframes": len(run.keyframes),
@@ -94,7 +94,7 @@ def _mesh_metrics(
 ) -> Metrics:
     """Fuse a mesh from renders and compare it with the true one, if there is one."""
     truth = mesh or true_mesh(settings)
-    kind = alignment_kind(settings)
+    kind = mode_of(settings).alignment
     alignment = map_alignment(run.trajectory, dataset.ground_truth, kind)
     if truth is None or alignment is None:
         return {}
@@ -152,7 +152,12 @@ def evaluate_scene(
     unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
     lpips = load_lpips(settings)
     options = MeasureOptions(
-        settings.backend, alignment_kind(settings), max_views, semantics, true_mesh(settings), lpips
+        settings.backend,
+        mode_of(settings).alignment,
+        max_views,
+        semantics,
+        true_mesh(settings),
+        lpips,
     )
     return measure_run(scene, tracked, dataset, unseen, options)
 
@@ -164,7 +169,7 @@ def evaluate_loops(log: Path, dataset: Dataset, settings: RunSettings) -> Metric
         DatasetError: a frame cannot be read.
         FormatError: a line of the log is not complete.
     """
-    if settings.poses == "given" or not settings.loops.use or not log.exists():
+    if not log.exists():
         return {}
     candidates = settings.loops.candidates
     options = LoopTruthOptions(
@@ -174,7 +179,7 @@ def evaluate_loops(log: Path, dataset: Dataset, settings: RunSettings) -> Metric
         metrics = run_loop_metrics(read_loop_log(log), dataset, options, settings.evaluation.truth)
     except KeyError as error:
         raise FormatError(f"{log} has a line without {error}; remove the line") from error
-    if alignment_kind(settings) == "sim3":
+    if mode_of(settings).alignment == "sim3":
         # Without a scale, lengths of edges cannot be compared with the truth.
         return {key: value for key, value in metrics.items() if not key.startswith("loop_edge")}
     return metrics
@@ -189,13 +194,3 @@ def load_lpips(settings: RunSettings) -> Lpips | None:
     """
     weights = settings.evaluation.lpips_weights
     return Lpips.load(weights) if weights else None
-
-
-def alignment_kind(settings: RunSettings) -> AlignmentKind:
-    """Return how a run's trajectory is aligned.
-
-    Maps from given poses need no alignment. Without depth, the scale is unknown.
-    """
-    if settings.poses == "given":
-        return "none"
-    return "sim3" if settings.depth == "none" else "se3"

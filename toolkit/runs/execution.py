@@ -4,36 +4,31 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset, RecordedDataset
-from toolkit.datasets.findings import quick_findings
-from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.prefetch import prefetched
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
-from toolkit.monocular.given import motion_of_given_poses
-from toolkit.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
-from toolkit.monocular.options import ScaleOptions
-from toolkit.monocular.scale import check_scale, with_metric_scale
-from toolkit.monocular.sequence import MonocularSequence
+from toolkit.monocular.scale import check_scale
 from toolkit.pacing.paced import PacedSlam
 from toolkit.pacing.record import PaceSummary, count_of
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
-from toolkit.runs.expected_time import ExpectedTime, with_expected_motion_time
+from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
-from toolkit.runs.observers import Observers, ProgressObserver
+from toolkit.runs.modes import RunContext, RunMode, mode_of
+from toolkit.runs.observers import Observers, Progress, ProgressObserver, no_progress
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import (
     RunRecord,
@@ -45,17 +40,9 @@ from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
 from toolkit.slam.system import Slam
-from toolkit.stages import Stage
 from toolkit.synthetic_rooms import RoomSettings, make_room
 
 _log = logging.getLogger(__name__)
-
-# Wraps frames in a progress bar; arguments: frames, total number if known, index of the first one.
-Progress = Callable[[Iterable[Frame], int | None, int], Iterable[Frame]]
-
-
-def no_progress(frames: Iterable[Frame], _total: int | None, _first: int) -> Iterable[Frame]:
-    return frames
 
 
 def run(
@@ -112,21 +99,16 @@ def _execute(
     progress: Progress,
     observers: Observers,
 ) -> None:
-    findings = _findings(dataset, settings)
-    recorder = StageRecorder()
-    sequence: Dataset = dataset
-    motion, correction = None, None
+    mode, recorder = mode_of(settings), StageRecorder()
+    findings = mode.findings(dataset, settings)
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
-    if settings.depth == "none":
-        with recorder.timed(Stage.MOTION), logged_to(folder.log):
-            motion = _motion(dataset, settings, progress)
-            if not motion.views:
-                write_motion_alone(motion, folder)
-                return
-        monocular = MonocularSequence(dataset, motion, provider, settings.depth_prior)
-        sequence, correction = monocular, monocular.correction()
-    slam = build_slam(sequence, settings, folder, recorder, correction)
+    with logged_to(folder.log):
+        source = mode.open(RunContext(settings, dataset, recorder, provider, progress))
+    if source.motion is not None and not source.motion.views:
+        write_motion_alone(source.motion, folder)
+        return
+    slam = build_slam(source.frames, settings, folder, recorder, source.correction)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     system = slam if paced is None else paced
     folder.check_taxonomy(slam.result().taxonomy)
@@ -137,14 +119,7 @@ def _execute(
         dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
     )
     with session.open():
-        for finding in findings:
-            _log.warning("%s: %s", dataset.name, finding)
-        if settings.poses == "given" and dataset.origin_m.any():
-            _log.info(
-                "The map is relative to the origin %s, because its coordinates are too large; "
-                "exports contain them again.",
-                " ".join(f"{value:.0f}" for value in dataset.origin_m),
-            )
+        _log_findings(mode, dataset, findings)
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
@@ -153,16 +128,10 @@ def _execute(
             checkpoints.save(system, 0)
         indices = range(start or 0, len(dataset))
         expected = ExpectedTime(settings, dataset.camera, indices, recorder)
-        frames = progress(
-            prefetched(sequence, indices, prepare=slam.prepare), len(dataset), indices.start
-        )
+        read = prefetched(source.frames, indices, prepare=slam.prepare)
+        frames = progress(read, len(dataset), indices.start)
         if paced is not None:
-            _log.info(
-                "Frames arrive at %g per second; the results depend on the speed of this machine "
-                "and are not reproducible.",
-                settings.pace,
-            )
-            frames = paced.arriving(frames)
+            frames = _arriving(frames, paced, settings)
         session.process(frames, checkpoints, expected)
         if not slam.result().keyframe_indices:
             raise DatasetError(
@@ -175,132 +144,41 @@ def _execute(
         result = session.finish()
         prior = None
         if provider is not None:
-            prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), correction)
-        record = RunRecord(recorder, costs.costs(), pace, motion, prior, findings)
+            prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), source.correction)
+        record = RunRecord(recorder, costs.costs(), pace, source.motion, prior, findings)
         write_results(result, dataset, folder, settings, record)
         slam.store_in_metres()
 
 
-def _findings(dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
-    """What a few frames show to be wrong with a recording, one line each.
-
-    Raises:
-        DatasetError: poses that the run needs contradict its images.
-    """
-    if settings.depth == "none":
-        return ()
-    findings = quick_findings(dataset)
-    convention = judge_convention(dataset)
-    verdict = convention.verdict() if convention else None
-    if verdict is None:
-        return findings
-    if settings.poses == "given" and settings.dataset.pose_convention == "check":
-        raise DatasetError(
-            f"{settings.dataset.path}: {verdict}; correct them, or convert them with "
-            f"--dataset.pose-convention correct (trust uses them as they are)"
+def _log_findings(mode: RunMode, dataset: RecordedDataset, findings: Sequence[str]) -> None:
+    for finding in findings:
+        _log.warning("%s: %s", dataset.name, finding)
+    origin_m = mode.origin_m(dataset)
+    if origin_m is not None and origin_m.any():
+        _log.info(
+            "The map is relative to the origin %s, because its coordinates are too large; "
+            "exports contain them again.",
+            " ".join(f"{value:.0f}" for value in origin_m),
         )
-    if settings.poses == "slam":
-        verdict += "; the errors of the trajectory are wrong"
-    return (*findings, verdict)
+
+
+def _arriving(frames: Iterable[Frame], paced: PacedSlam, settings: RunSettings) -> Iterable[Frame]:
+    _log.info(
+        "Frames arrive at %g per second; the results depend on the speed of this machine "
+        "and are not reproducible.",
+        settings.pace,
+    )
+    return paced.arriving(frames)
 
 
 def check_settings(settings: RunSettings) -> None:
-    """Reject what does not work without a depth sensor.
+    """Reject options that do not work together.
 
     Raises:
         SettingsError: with the option to remove.
     """
     check_scale(settings.scale)
-    if settings.depth == "sensor":
-        if settings.scale != ScaleOptions():
-            raise SettingsError("--scale is for runs without depth; remove it, or add --depth none")
-        if settings.depth_prior.kind != "none":
-            raise SettingsError("--depth-prior.kind replaces a depth sensor; add --depth none")
-        return
-    for name, used in {
-        "--pace": settings.pace,
-        "--map": settings.map,
-    }.items():
-        if used:
-            raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
-
-
-def _motion(dataset: RecordedDataset, settings: RunSettings, progress: Progress) -> CameraMotion:
-    """Estimate the motion of the camera from the images alone, and log what is not certain."""
-    if settings.poses == "given":
-        return _given_motion(dataset, settings, progress)
-    _log.info("Estimating the motion of the camera from the images.")
-    total = len(dataset)
-    calibrated = dataset.recording.calibrated
-    passes = 1 if calibrated else FOCAL_ROUNDS
-    begun = False
-
-    def watched(frames: Iterable[Frame]) -> Iterable[Frame]:
-        """Frames with a progress bar; the first pass states how long it takes."""
-        nonlocal begun
-        if not begun:
-            frames = with_expected_motion_time(frames, total, passes)
-        begun = True
-        return progress(frames, total, 0)
-
-    motion = estimate_motion(
-        dataset,
-        dataset.camera,
-        calibrated,
-        focal_sigma=dataset.recording.focal_sigma,
-        progress=watched,
-    )
-    if not calibrated:
-        _log.info("The focal length is %.0f pixels.", motion.camera.fx)
-        dataset.camera = motion.camera
-    if motion.views:
-        _log.info(
-            "Found the motion of %d of %d frames, with %d keyframes.",
-            len(motion.trajectory),
-            total,
-            len(motion.views),
-        )
-        if motion.others:
-            _log.info(
-                "%d more frames are in %d other part(s), each with a unit of length of its own.",
-                motion.frames_in_others,
-                len(motion.others),
-            )
-        motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale)
-    if motion.metric_scale is not None:
-        _log.info(
-            "The unit of length is the metre, by %s (uncertain by %.1f %%).",
-            motion.metric_scale.source,
-            100.0 * motion.metric_scale.sigma,
-        )
-    for doubt in motion.doubts:
-        _log.warning("The result is not reliable: %s.", doubt)
-    if motion.doubts and dataset.ground_truth is not None and calibrated:
-        _log.warning("The dataset has poses; --poses given uses them instead.")
-    return motion
-
-
-def _given_motion(
-    dataset: RecordedDataset, settings: RunSettings, progress: Progress
-) -> CameraMotion:
-    """The motion by the poses of the dataset, with keyframes whose depth can be estimated."""
-    if dataset.ground_truth is None:
-        raise DatasetError(f"{settings.dataset.path} has no poses; remove --poses given")
-    if not dataset.recording.calibrated:
-        raise DatasetError(
-            f"{settings.dataset.path} has no intrinsics, which given poses need; add them "
-            "(docs/guides/datasets.md), or specify --dataset.fov-deg"
-        )
-    _log.info("Matching images at the given poses.")
-    # The models of COLMAP, and what was made from them, have an arbitrary unit.
-    metric = settings.dataset.kind not in ("colmap", "nerfstudio")
-    frames = progress(iter(dataset), len(dataset), 0)
-    try:
-        motion = motion_of_given_poses(frames, dataset.camera, dataset.ground_truth, metric)
-    except DatasetError as error:
-        raise DatasetError(f"{settings.dataset.path}: {error}") from error
-    _log.info("The depth of %d keyframes can be estimated.", len(motion.views))
-    return motion
+    mode_of(settings).check(settings)
 
 
 def _restore(system: Slam | PacedSlam, dataset: Dataset, folder: RunFolder) -> int | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,6 +15,13 @@ from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam
 
 _log = logging.getLogger(__name__)
+
+# Wraps frames in a progress bar; arguments: frames, total number if known, index of the first one.
+Progress = Callable[[Iterable[Frame], int | None, int], Iterable[Frame]]
+
+
+def no_progress(frames: Iterable[Frame], _total: int | None, _first: int) -> Iterable[Frame]:
+    return frames
 
 
 @dataclass(frozen=True, eq=False)

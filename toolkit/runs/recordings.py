@@ -8,6 +8,7 @@ import os
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.registry import open_dataset
+from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
 
 _log = logging.getLogger(__name__)
@@ -27,19 +28,19 @@ def open_recording(
     Raises:
         DatasetError: it does not exist or is inconsistent.
     """
-    place = settings.dataset
+    place, needs_depth = settings.dataset, mode_of(settings).needs_depth
     dataset = open_dataset(
         place.kind,
         path,
         image_size or settings.image_size,
         settings.max_frames,
-        needs_depth=settings.depth == "sensor",
+        needs_depth=needs_depth,
         fov_deg=place.fov_deg,
         topics=place.topics,
         depth_offset=place.depth_offset,
         readout_ms=place.readout_ms,
     )
-    if place.pose_convention == "correct" and settings.depth == "sensor":
+    if place.pose_convention == "correct" and needs_depth:
         _correct_poses(dataset)
     return dataset
 

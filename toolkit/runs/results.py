@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit import __version__
-from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.base import Dataset
 from toolkit.evaluation.frame_costs import FrameCosts
 from toolkit.evaluation.frame_states import (
     frame_states,
@@ -46,7 +46,6 @@ from toolkit.pacing.record import DelaySummary
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import (
-    alignment_kind,
     evaluate_loops,
     evaluate_scene,
     semantic_evaluation,
@@ -55,6 +54,7 @@ from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import frame_records
 from toolkit.runs.map_files import labelled_parts
+from toolkit.runs.modes import mode_of
 from toolkit.runs.report_pictures import level_images, loop_pictures, submap_graph
 from toolkit.runs.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.settings import RunSettings, dump_settings
@@ -137,7 +137,7 @@ def write_results(
     metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
     metrics |= state_metrics(states, parts)
     separate = {result.parts.index(p.submaps): p.frames.trajectory for p in result.other_parts}
-    metrics |= separate_part_metrics(separate, dataset.ground_truth, alignment_kind(settings))
+    metrics |= separate_part_metrics(separate, dataset.ground_truth, mode_of(settings).alignment)
     metrics |= evaluate_loops(folder.loops, dataset, settings)
     metrics |= {} if pace is None else pace.metrics()
     if motion is not None:
@@ -172,8 +172,9 @@ def write_results(
 def _origins(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> dict[str, Any]:
     """Where the frames are from, and what their given poses are relative to."""
     origins: dict[str, Any] = {}
-    if settings.poses == "given" and isinstance(dataset, RecordedDataset):
-        origins["origin_m"] = dataset.origin_m.tolist()
+    origin_m = mode_of(settings).origin_m(dataset)
+    if origin_m is not None:
+        origins["origin_m"] = origin_m.tolist()
     if settings.dataset.path is not None:
         origins["dataset_from_run"] = os.path.relpath(settings.dataset.path, folder.path)
     return origins
@@ -289,7 +290,7 @@ def _report(
         metrics=metrics,
         estimate=result.trajectory,
         truth=dataset.ground_truth,
-        alignment=alignment_kind(settings),
+        alignment=mode_of(settings).alignment,
         views=views,
         stage_times=recorder.stage_times(),
         settings=dump_settings(settings),

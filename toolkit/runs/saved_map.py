@@ -9,6 +9,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.errors import SettingsError
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.system import Slam
 from toolkit.submaps.submap import Submap
@@ -29,7 +30,7 @@ def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> FinishedRu
     """
     if settings.map is None:
         return None
-    if settings.poses != "slam" or not settings.loops.use:
+    if not mode_of(settings).locates or not settings.loops.use:
         raise SettingsError(
             "the setting map requires poses 'slam' and loops.use, because the camera is "
             "relocalised in the saved map"

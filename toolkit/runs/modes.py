@@ -1,0 +1,314 @@
+"""Modes of a run: whether depth is measured or images alone are used, and whether poses are given.
+
+`mode_of` is the only place that asks the settings for it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.findings import quick_findings
+from toolkit.datasets.pose_convention import judge_convention
+from toolkit.depth_priors.correction import DepthCorrection
+from toolkit.depth_priors.provider import DepthProvider
+from toolkit.errors import DatasetError, SettingsError, ToolkitError
+from toolkit.evaluation.timing import StageRecorder
+from toolkit.evaluation.trajectory import AlignmentKind
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.loops.closing.given_parts import GivenParts
+from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.loops.log import LoopLog
+from toolkit.monocular.motion import CameraMotion
+from toolkit.monocular.options import ScaleOptions
+from toolkit.monocular.sequence import MonocularSequence
+from toolkit.runs.folder import RunFolder
+from toolkit.runs.motion import estimated_motion, motion_at_given_poses
+from toolkit.runs.observers import Progress
+from toolkit.runs.settings import RunSettings
+from toolkit.semantics.codes import SemanticCode
+from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.stages import Stage
+from toolkit.tracking.factory import build_tracker
+from toolkit.tracking.given import GivenPoses
+from toolkit.tracking.guided import GuidedTracker
+from toolkit.tracking.initial_velocity import initial_velocity
+from toolkit.tracking.placement import KeyframePlacement
+
+
+@dataclass(frozen=True)
+class RunInput:
+    """A dataset, ready to be processed.
+
+    Attributes:
+        frames: what is tracked and mapped.
+        motion: of the camera, where it is found before the first frame is mapped.
+        correction: see `FrontEnd`.
+    """
+
+    frames: Dataset
+    motion: CameraMotion | None = None
+    correction: DepthCorrection | None = None
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What the input of a run is opened with.
+
+    Attributes:
+        provider: of depth priors, None without.
+        progress: wraps frames in a progress bar.
+    """
+
+    settings: RunSettings
+    dataset: RecordedDataset
+    recorder: StageRecorder
+    provider: DepthProvider | None
+    progress: Progress
+
+
+@dataclass(frozen=True)
+class FrontEndParts:
+    """What front ends are built from.
+
+    Attributes:
+        settings: of the run.
+        dataset: the sequence; None for frames of another source.
+        recorder: measures the time of each stage.
+        context: of loop closure.
+        code: of the semantic features; None without semantics.
+        folder: stores the loop log; None keeps it nowhere.
+        record_in_metres: converts a record of the loop log from the unit of the system.
+        correction: see `FrontEnd`.
+    """
+
+    settings: RunSettings
+    dataset: Dataset | None
+    recorder: StageRecorder
+    context: ClosingContext
+    code: SemanticCode | None
+    folder: RunFolder | None
+    record_in_metres: Callable[[Mapping[str, Any]], dict[str, Any]]
+    correction: DepthCorrection | None
+
+
+class RunMode(ABC):
+    """What depends on where depth and poses come from.
+
+    Attributes:
+        alignment: how the trajectory is aligned with the ground truth.
+        needs_depth: whether frames must have depth.
+        locates: whether the camera is located in the map, so that it can be relocalised.
+    """
+
+    alignment: ClassVar[AlignmentKind]
+    needs_depth: ClassVar[bool]
+    locates: ClassVar[bool] = False
+
+    @abstractmethod
+    def check(self, settings: RunSettings) -> None:
+        """Reject options that do not work in this mode.
+
+        Raises:
+            SettingsError: with the option to remove.
+        """
+
+    @abstractmethod
+    def open(self, run: RunContext) -> RunInput:
+        """Prepare the dataset, without depth by finding the motion of the camera."""
+
+    @abstractmethod
+    def front_end(self, parts: FrontEndParts) -> FrontEnd:
+        """Build what finds the poses of frames.
+
+        Raises:
+            ToolkitError: the settings need something that the dataset lacks.
+        """
+
+    def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
+        """What a few frames show to be wrong with a recording, one line each.
+
+        Raises:
+            DatasetError: poses that the run needs contradict its images.
+        """
+        return ()
+
+    def origin_m(self, dataset: Dataset) -> NDArray[np.float64] | None:
+        """The point [3] that was subtracted from given poses; None without given poses."""
+        return None
+
+
+class DepthCamera(RunMode):
+    """Depth is measured, and the camera is located in the map."""
+
+    alignment: ClassVar[AlignmentKind] = "se3"
+    needs_depth = True
+    locates = True
+
+    def check(self, settings: RunSettings) -> None:
+        """Reject options of runs without depth."""
+        if settings.scale != ScaleOptions():
+            raise SettingsError("--scale is for runs without depth; remove it, or add --depth none")
+        if settings.depth_prior.kind != "none":
+            raise SettingsError("--depth-prior.kind replaces a depth sensor; add --depth none")
+
+    def open(self, run: RunContext) -> RunInput:
+        """The dataset as it is."""
+        return RunInput(run.dataset)
+
+    def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
+        """Those of the quick checks, and poses that contradict the images."""
+        verdict = _verdict_on_poses(dataset)
+        wrong = "" if verdict is None else f"{verdict}; the errors of the trajectory are wrong"
+        return (*quick_findings(dataset), *filter(None, [wrong]))
+
+    def front_end(self, parts: FrontEndParts) -> FrontEnd:
+        """The tracker of the settings, with loop closure."""
+        settings = parts.settings
+        # A map that is extended may be loaded before the first frame.
+        fixed = parts.dataset is None and settings.map is not None
+        unit = METRE if fixed else LengthUnit.of(parts.dataset)
+        closer: LoopClosing = NoLoopClosing()
+        if settings.loops.use:
+            log = None
+            if parts.folder is not None:
+                log = LoopLog(parts.folder.loops, convert=parts.record_in_metres)
+            closer = build_loop_closer(settings.loops, parts.context, log, parts.recorder)
+        # The papers' tracker is a baseline, whose keyframe poses are not refined.
+        dense = settings.tracking.kind == "dense"
+        return FrontEnd(
+            build_tracker(settings.tracking, settings.backend, parts.recorder, parts.code),
+            closer,
+            KeyframePlacement(settings.placement) if dense and settings.placement.use else None,
+            start_velocity=_start_velocity(parts.dataset, unit),
+            centred=dense,
+            gains=dense and settings.tracking.dense.exposure,
+            unit=unit,
+        )
+
+
+class DepthAtGivenPoses(DepthCamera):
+    """Depth is measured, and the dataset has the poses."""
+
+    alignment = "none"
+    locates = False
+
+    def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
+        """Those of the quick checks."""
+        findings, verdict = quick_findings(dataset), _verdict_on_poses(dataset)
+        if verdict is None:
+            return findings
+        if settings.dataset.pose_convention == "check":
+            raise DatasetError(
+                f"{settings.dataset.path}: {verdict}; correct them, or convert them with "
+                f"--dataset.pose-convention correct (trust uses them as they are)"
+            )
+        return (*findings, verdict)
+
+    def origin_m(self, dataset: Dataset) -> NDArray[np.float64] | None:
+        """Subtracted, because coordinates may be too large for single precision."""
+        return dataset.origin_m if isinstance(dataset, RecordedDataset) else None
+
+    def front_end(self, parts: FrontEndParts) -> FrontEnd:
+        """Looks the poses up."""
+        unit = LengthUnit.of(parts.dataset)
+        trajectory = (unit or METRE).trajectory(_poses_of(parts.dataset))
+        return FrontEnd(GivenPoses(trajectory), unit=unit)
+
+
+class ImagesAlone(RunMode):
+    """Motion and depth are found from the images."""
+
+    alignment: ClassVar[AlignmentKind] = "sim3"
+    needs_depth = False
+
+    def check(self, settings: RunSettings) -> None:
+        """Reject what needs depth images."""
+        for name, used in {"--pace": settings.pace, "--map": settings.map}.items():
+            if used:
+                raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
+
+    def open(self, run: RunContext) -> RunInput:
+        """The keyframes of the motion, whose depth is estimated."""
+        with run.recorder.timed(Stage.MOTION):
+            motion = self._motion(run)
+        if not motion.views:
+            return RunInput(run.dataset, motion)
+        sequence = MonocularSequence(run.dataset, motion, run.provider, run.settings.depth_prior)
+        return RunInput(sequence, motion, sequence.correction())
+
+    def _motion(self, run: RunContext) -> CameraMotion:
+        return estimated_motion(run.dataset, run.settings, run.progress)
+
+    def front_end(self, parts: FrontEndParts) -> FrontEnd:
+        """Refines the poses of the motion against the map, in the parts of the motion."""
+        sequence = parts.dataset
+        if not isinstance(sequence, MonocularSequence):
+            raise DatasetError("a run without depth needs a MonocularSequence of the dataset")
+        return FrontEnd(
+            GuidedTracker(sequence.trajectories, parts.settings.backend, parts.recorder),
+            GivenParts(sequence.part_of_keyframe),
+            correction=parts.correction,
+            gains=True,
+        )
+
+
+class ImagesAtGivenPoses(ImagesAlone):
+    """Depth is found from the images at the poses of the dataset."""
+
+    alignment = "none"
+
+    def _motion(self, run: RunContext) -> CameraMotion:
+        return motion_at_given_poses(run.dataset, run.settings, run.progress)
+
+    def origin_m(self, dataset: Dataset) -> NDArray[np.float64] | None:
+        """Subtracted, because coordinates may be too large for single precision."""
+        return dataset.origin_m if isinstance(dataset, RecordedDataset) else None
+
+    def front_end(self, parts: FrontEndParts) -> FrontEnd:
+        """Looks the poses up."""
+        return FrontEnd(GivenPoses(_poses_of(parts.dataset)), correction=parts.correction)
+
+
+def mode_of(settings: RunSettings) -> RunMode:
+    """The mode that the settings describe."""
+    given = settings.poses == "given"
+    if settings.depth == "none":
+        return ImagesAtGivenPoses() if given else ImagesAlone()
+    return DepthAtGivenPoses() if given else DepthCamera()
+
+
+def _verdict_on_poses(dataset: RecordedDataset) -> str | None:
+    """What depth and colour say against the poses of a dataset; None for nothing."""
+    convention = judge_convention(dataset)
+    return convention.verdict() if convention else None
+
+
+def _poses_of(dataset: Dataset | None) -> Trajectory:
+    if dataset is None or dataset.ground_truth is None:
+        name = "this sequence" if dataset is None else dataset.name
+        raise DatasetError(f"poses 'given' needs poses, but {name} has none; set poses to 'slam'")
+    return dataset.ground_truth
+
+
+def _start_velocity(dataset: Dataset | None, unit: LengthUnit | None) -> NDArray[np.float64] | None:
+    """Velocity [6] of a camera with a rolling shutter at the start of a sequence, if known.
+
+    It is estimated before any thread reads the dataset.
+    """
+    if unit is None:
+        return None
+    if not isinstance(dataset, RecordedDataset) or dataset.readout_s == 0.0:
+        return None
+    try:
+        return initial_velocity(unit.frame(dataset[0]), unit.frame(dataset[1]))
+    except (ToolkitError, IndexError):
+        return None  # the file is named when the frame is processed

@@ -1,0 +1,100 @@
+"""The motion of the camera of a sequence without depth, before its first frame is mapped."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+
+from toolkit.datasets.base import RecordedDataset
+from toolkit.errors import DatasetError
+from toolkit.frame import Frame
+from toolkit.monocular.given import motion_of_given_poses
+from toolkit.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
+from toolkit.monocular.scale import with_metric_scale
+from toolkit.runs.expected_time import with_expected_motion_time
+from toolkit.runs.observers import Progress
+from toolkit.runs.settings import RunSettings
+
+_log = logging.getLogger(__name__)
+
+
+def estimated_motion(
+    dataset: RecordedDataset, settings: RunSettings, progress: Progress
+) -> CameraMotion:
+    """Estimate the motion of the camera from the images alone, and log what is not certain."""
+    _log.info("Estimating the motion of the camera from the images.")
+    total = len(dataset)
+    calibrated = dataset.recording.calibrated
+    passes = 1 if calibrated else FOCAL_ROUNDS
+    begun = False
+
+    def watched(frames: Iterable[Frame]) -> Iterable[Frame]:
+        """Frames with a progress bar; the first pass states how long it takes."""
+        nonlocal begun
+        if not begun:
+            frames = with_expected_motion_time(frames, total, passes)
+        begun = True
+        return progress(frames, total, 0)
+
+    motion = estimate_motion(
+        dataset,
+        dataset.camera,
+        calibrated,
+        focal_sigma=dataset.recording.focal_sigma,
+        progress=watched,
+    )
+    if not calibrated:
+        _log.info("The focal length is %.0f pixels.", motion.camera.fx)
+        dataset.camera = motion.camera
+    if motion.views:
+        _log.info(
+            "Found the motion of %d of %d frames, with %d keyframes.",
+            len(motion.trajectory),
+            total,
+            len(motion.views),
+        )
+        if motion.others:
+            _log.info(
+                "%d more frames are in %d other part(s), each with a unit of length of its own.",
+                motion.frames_in_others,
+                len(motion.others),
+            )
+        motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale)
+    if motion.metric_scale is not None:
+        _log.info(
+            "The unit of length is the metre, by %s (uncertain by %.1f %%).",
+            motion.metric_scale.source,
+            100.0 * motion.metric_scale.sigma,
+        )
+    for doubt in motion.doubts:
+        _log.warning("The result is not reliable: %s.", doubt)
+    if motion.doubts and dataset.ground_truth is not None and calibrated:
+        _log.warning("The dataset has poses; --poses given uses them instead.")
+    return motion
+
+
+def motion_at_given_poses(
+    dataset: RecordedDataset, settings: RunSettings, progress: Progress
+) -> CameraMotion:
+    """The motion by the poses of the dataset, with keyframes whose depth can be estimated.
+
+    Raises:
+        DatasetError: it has no poses or intrinsics, or they do not suit its images.
+    """
+    if dataset.ground_truth is None:
+        raise DatasetError(f"{settings.dataset.path} has no poses; remove --poses given")
+    if not dataset.recording.calibrated:
+        raise DatasetError(
+            f"{settings.dataset.path} has no intrinsics, which given poses need; add them "
+            "(docs/guides/datasets.md), or specify --dataset.fov-deg"
+        )
+    _log.info("Matching images at the given poses.")
+    # The models of COLMAP, and what was made from them, have an arbitrary unit.
+    metric = settings.dataset.kind not in ("colmap", "nerfstudio")
+    frames = progress(iter(dataset), len(dataset), 0)
+    try:
+        motion = motion_of_given_poses(frames, dataset.camera, dataset.ground_truth, metric)
+    except DatasetError as error:
+        raise DatasetError(f"{settings.dataset.path}: {error}") from error
+    _log.info("The depth of %d keyframes can be estimated.", len(motion.views))
+    return motion
