@@ -25,7 +25,7 @@ from benchmarks.gpu_scene import (
     walk,
 )
 from toolkit.alignment import reference
-from toolkit.alignment.data import INITIAL_SCALES, FrameLevel, ModelLevel
+from toolkit.alignment.data import INITIAL_SCALES, FrameLevel, LevelProblem, ModelLevel
 from toolkit.alignment.levels import finest_level, model_level
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.images import psnr_db
@@ -264,7 +264,7 @@ def recording_table(plan: Plan, recordings: Sequence[tuple[str, str]]) -> None:
 
 def check_alignment(plan: Plan) -> bool:
     """The sums of a Gauss-Newton step against float64 in numpy; whether they are within bounds."""
-    from toolkit.alignment.cuda.aligner import linearise
+    from toolkit.alignment.cuda.sums import linearise
 
     camera = camera_of(*((320, 180) if plan.timed else (24, 16)))
     frames = walk(backend("cuda"), camera, 2, plan.device, 2)
@@ -281,7 +281,8 @@ def check_alignment(plan: Plan) -> bool:
     )
     there = ModelLevel(camera, model.texture.to(plan.device), model.surface.to(plan.device))
     frame_there = FrameLevel(camera, frame.intensity.to(plan.device), frame.depth_m.to(plan.device))
-    linear = linearise(there, frame_there, pose, INITIAL_SCALES, exposure, gate)
+    problem = LevelProblem(there, frame_there, pose, INITIAL_SCALES, exposure, gate)
+    linear = linearise(problem)
     actual = np.concatenate([linear.H[np.triu_indices(8)], linear.g])
     error = float(np.linalg.norm(actual - sums[:44]) / np.linalg.norm(sums[:44]))
     good = error <= _BOUND

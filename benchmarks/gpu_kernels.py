@@ -17,7 +17,7 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
-from toolkit.alignment.cuda import accumulation, stepping
+from toolkit.alignment.cuda import accumulation
 from toolkit.rendering.cuda import compositing, differentiation, projection, reduction
 from toolkit.rendering.cuda.backend import Tuning, block_of
 
@@ -132,5 +132,4 @@ def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compile
         compiled(reduction.finish, capability, 2, SIDE=side, COLOURS=True, BLOCK=64),
         compiled(reduction.add_rows, capability, BLOCK=16, BLOCK_C=64),
         compiled(accumulation.accumulate, capability, 2, BLOCK=64),
-        compiled(stepping.advance, capability, 8, ROWS=32, EXPOSURE=True),
     ]

@@ -17,6 +17,7 @@ from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     Linearisation,
     ModelLevel,
     ResidualScales,
@@ -93,10 +94,10 @@ class TestAgainstNumpy:
         pose = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ pose
         use(None)
         model = model_level(view)
-        expected = linearise(model, frame, pose, LIGHT, Exposure(1.1, -0.02), 0.05)
+        expected = linearise(LevelProblem(model, frame, pose, LIGHT, Exposure(1.1, -0.02), 0.05))
         assert expected.depth_pixels > 1000 and expected.intensity_pixels > 1000
         use(module)
-        actual = linearise(model, frame, pose, LIGHT, Exposure(1.1, -0.02), 0.05)
+        actual = linearise(LevelProblem(model, frame, pose, LIGHT, Exposure(1.1, -0.02), 0.05))
         assert_same_sums(actual, expected, 2e-3)
 
     def test_halving(self, room, module, use):
@@ -139,7 +140,9 @@ class TestAgainstNumpy:
             use(chosen)
             model = model_level(level)
             half = halved(level)
-            results.append((half, linearise(model, level, pose, SCALES, IDENTITY, 0.1)))
+            results.append(
+                (half, linearise(LevelProblem(model, level, pose, SCALES, IDENTITY, 0.1)))
+            )
         (half, expected), (native_half, actual) = results
         assert torch.allclose(half.intensity, native_half.intensity, atol=1e-6)
         assert torch.allclose(half.depth_m, native_half.depth_m, atol=1e-5)
@@ -237,7 +240,7 @@ def test_the_number_of_threads_does_not_change_a_bit(room, module, use):
         torch.set_num_threads(threads)
         model = model_level(level)
         half = halved(level)
-        linear = linearise(model, level, pose, SCALES, IDENTITY, 0.05)
+        linear = linearise(LevelProblem(model, level, pose, SCALES, IDENTITY, 0.05))
         images = (model.texture, model.surface, half.intensity, half.depth_m)
         return [linear.H.tobytes(), linear.g.tobytes(), *(i.numpy().tobytes() for i in images)]
 
@@ -283,7 +286,9 @@ def test_gradient_is_the_derivative_of_the_cost(use, parameter):
         move = np.zeros(8)
         move[parameter] = step
         exposure = Exposure(EXPOSURE.gain + move[6], EXPOSURE.bias + move[7])
-        return linearise(model, frame, se3.exp(move[:6]) @ base, scales, exposure, 0.2)
+        return linearise(
+            LevelProblem(model, frame, se3.exp(move[:6]) @ base, scales, exposure, 0.2)
+        )
 
     step = 1e-5
     numerical = (total(at(step)) - total(at(-step))) / (2 * step)
@@ -295,11 +300,11 @@ def test_hessian_predicts_the_gradient_beside_the_optimum(use):
     use(None)
     level = wall(CAMERA)
     model = model_level(level)
-    at_optimum = linearise(model, level, np.eye(4), WIDE, IDENTITY, 0.2)
+    at_optimum = linearise(LevelProblem(model, level, np.eye(4), WIDE, IDENTITY, 0.2))
     for parameter in range(6):
         xi = np.zeros(6)
         xi[parameter] = 1e-3
-        beside = linearise(model, level, se3.exp(xi), WIDE, IDENTITY, 0.2)
+        beside = linearise(LevelProblem(model, level, se3.exp(xi), WIDE, IDENTITY, 0.2))
         expected = at_optimum.H[:6, :6] @ xi
         reach = np.linalg.norm(expected)
         assert np.linalg.norm(beside.g[:6] - at_optimum.g[:6] - expected) < 0.1 * reach
@@ -310,14 +315,16 @@ def test_outliers_weigh_little(use):
     model, frame = model_level(wall(CAMERA)), wall(CAMERA)
     spoilt = frame.intensity.clone()
     spoilt[10:14, 10:40] = 1.0
-    clean = linearise(model, frame, np.eye(4), SCALES, IDENTITY, 0.05)
+    clean = linearise(LevelProblem(model, frame, np.eye(4), SCALES, IDENTITY, 0.05))
     dirty = linearise(
-        model,
-        FrameLevel(CAMERA, spoilt, frame.depth_m),
-        np.eye(4),
-        SCALES,
-        IDENTITY,
-        0.05,
+        LevelProblem(
+            model,
+            FrameLevel(CAMERA, spoilt, frame.depth_m),
+            np.eye(4),
+            SCALES,
+            IDENTITY,
+            0.05,
+        )
     )
     assert clean.cost < 0.01
     # 4 % of the pixels are off by some 15 scales: squared, they would cost 9 on average.
@@ -333,7 +340,7 @@ def test_noise_of_the_frames_depth_moves_nothing(use, module, native):
     sums = []
     for depth_m in (level.depth_m + change, level.depth_m - change):
         frame = FrameLevel(CAMERA, level.intensity, depth_m)
-        sums.append(linearise(model, frame, np.eye(4), WIDE, IDENTITY, 0.2).g[:6])
+        sums.append(linearise(LevelProblem(model, frame, np.eye(4), WIDE, IDENTITY, 0.2)).g[:6])
     assert np.linalg.norm(sums[0] + sums[1]) < 2e-3 * np.linalg.norm(sums[0])
 
 
@@ -342,7 +349,11 @@ def test_the_photometric_term_can_weigh_less(use):
     use(None)
     model, frame = model_level(wall(CAMERA)), wall(CAMERA, offset_m=0.01)
     full, none, part = (
-        linearise(model, frame, np.eye(4), replace(SCALES, photometric_weight=w), IDENTITY, 0.05)
+        linearise(
+            LevelProblem(
+                model, frame, np.eye(4), replace(SCALES, photometric_weight=w), IDENTITY, 0.05
+            )
+        )
         for w in (1.0, 0.0, 0.25)
     )
     assert np.allclose(part.H, 0.25 * full.H + 0.75 * none.H)
@@ -354,14 +365,14 @@ def test_surfaces_behind_the_gate_take_no_part(use, room):
     use(None)
     level = level_of(room, 0)
     far = FrameLevel(level.camera, level.intensity, level.depth_m * 1.5)
-    linear = linearise(model_level(level), far, np.eye(4), SCALES, IDENTITY, 0.05)
+    linear = linearise(LevelProblem(model_level(level), far, np.eye(4), SCALES, IDENTITY, 0.05))
     assert linear.depth_pixels < 0.05 * linear.frame_pixels
 
 
 def test_cost_of_nothing_is_infinite(use):
     use(None)
     empty = FrameLevel(CAMERA, torch.zeros(48, 64), torch.zeros(48, 64))
-    linear = linearise(model_level(empty), empty, np.eye(4), SCALES, IDENTITY, 0.05)
+    linear = linearise(LevelProblem(model_level(empty), empty, np.eye(4), SCALES, IDENTITY, 0.05))
     assert linear.cost == float("inf")
 
 
@@ -399,7 +410,9 @@ def test_walls_along_the_view_count_on_every_level(use, module, native):
     levels = pyramid(corridor(Camera(60.0, 60.0, 95.0, 63.0, 128, 96)), 3)
     for number, level in enumerate(levels):
         gate = 0.05 * 2**number
-        linear = linearise(model_level(level), level, np.eye(4), SCALES, IDENTITY, gate)
+        linear = linearise(
+            LevelProblem(model_level(level), level, np.eye(4), SCALES, IDENTITY, gate)
+        )
         inner = (level.camera.width - 2) * (level.camera.height - 2)
         assert linear.depth_pixels > 0.9 * inner
         assert linear.intensity_pixels > 0.8 * inner

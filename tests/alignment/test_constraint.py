@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from toolkit.alignment.constraint import weakest_rise
-from toolkit.alignment.data import FrameLevel, ResidualScales
+from toolkit.alignment.data import FrameLevel, LevelProblem, ResidualScales
 from toolkit.alignment.levels import model_level
 from toolkit.exposure import IDENTITY
 from toolkit.geometry.camera import Camera
@@ -27,7 +27,7 @@ def wall(seed: int, texture: float) -> FrameLevel:
 
 def rise(texture: float) -> float:
     model, frame = model_level(wall(0, texture)), wall(1, texture)
-    return weakest_rise(model, frame, np.eye(4), SCALES, IDENTITY, 0.1)
+    return weakest_rise(LevelProblem(model, frame, np.eye(4), SCALES, IDENTITY, 0.1))
 
 
 def test_noise_determines_nothing_and_texture_does():
@@ -37,4 +37,6 @@ def test_noise_determines_nothing_and_texture_does():
 
 def test_nothing_in_common_determines_nothing():
     empty = FrameLevel(CAMERA, torch.zeros(72, 96), torch.zeros(72, 96))
-    assert weakest_rise(model_level(wall(0, 0.1)), empty, np.eye(4), SCALES, IDENTITY, 0.1) == 0.0
+    model = model_level(wall(0, 0.1))
+    problem = LevelProblem(model, empty, np.eye(4), SCALES, IDENTITY, 0.1)
+    assert weakest_rise(problem) == 0.0

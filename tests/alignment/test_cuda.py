@@ -19,6 +19,7 @@ from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     ModelLevel,
 )
 from toolkit.alignment.levels import finest_level, model_level, pyramid
@@ -39,16 +40,16 @@ def room() -> Room:
 
 
 @pytest.fixture
-def aligner():
+def backend():
     """The launcher of the kernels, in memory that holds NaN where nothing was written."""
     pytest.importorskip("triton", reason="triton is not installed")
-    backend = pytest.importorskip("toolkit.rendering.cuda.backend")
-    if DEVICE == "cpu" and not backend.interpreted():
+    rendering = pytest.importorskip("toolkit.rendering.cuda.backend")
+    if DEVICE == "cpu" and not rendering.interpreted():
         pytest.skip("no GPU, and triton was imported to compile")
-    from toolkit.alignment.cuda import aligner
+    from toolkit.alignment.cuda.backend import CudaAlignment
 
     torch.set_deterministic_debug_mode("warn")
-    yield aligner
+    yield CudaAlignment()
     torch.set_deterministic_debug_mode("default")
 
 
@@ -66,20 +67,20 @@ def skewed(level: FrameLevel) -> FrameLevel:
     return replace(level, camera=camera)
 
 
-def test_sums(room, aligner):
+def test_sums(room, backend):
     frame, view = skewed(level_of(room, 1, 45, 33)), skewed(level_of(room, 0, 45, 33))
     pose = se3.inverse(room.T_map_camera[0]) @ room.T_map_camera[1]
     pose = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ pose
     model = model_level(view)
     arguments = (pose, SCALES, Exposure(1.1, -0.02), 0.05)
-    expected = linearise(model, frame, *arguments)
+    expected = linearise(LevelProblem(model, frame, *arguments))
     assert expected.depth_pixels > 500 and expected.intensity_pixels > 500
-    actual = aligner.linearise(model_there(model), there(frame), *arguments)
+    actual = backend.linearise(LevelProblem(model_there(model), there(frame), *arguments))
     assert_same_sums(actual, expected, 2e-3)
 
 
 @pytest.mark.parametrize(("levels", "exposure"), [(2, True), (1, False)])
-def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
+def test_all_steps_end_where_the_cpu_ends(room, backend, levels, exposure):
     """Level by level, with exposure and scales, as often, to a hundredth of a millimetre."""
     previous = IDENTITY if exposure else None
     rules = GaussNewtonOptions(5, 0.05, 0.4, previous, 50, 2e-5, 1e-5)
@@ -89,7 +90,7 @@ def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     start = Alignment(offset, INITIAL_SCALES)
     expected = align(view, frames, start, rules)
     views_there, frames_there = [model_there(v) for v in view], [there(f) for f in frames]
-    actual = aligner.align(views_there, frames_there, start, rules)
+    actual = backend.align(views_there, frames_there, start, rules)
     assert distance_mm(actual.T_view_camera, expected.T_view_camera) < 0.01
     assert angle_deg(actual.T_view_camera, expected.T_view_camera) < 0.001
     assert actual.exposure.gain == pytest.approx(expected.exposure.gain, abs=1e-4)
@@ -102,31 +103,31 @@ def test_all_steps_end_where_the_cpu_ends(room, aligner, levels, exposure):
     assert_same_sums(actual.last, expected.last, 2e-3)
 
 
-def test_a_large_step_is_a_rigid_motion(room, aligner):
+def test_a_large_step_is_a_rigid_motion(room, backend):
     """Products of rotation and translation show only in large steps."""
     view, frame = model_level(level_of(room, 0, 32, 24)), level_of(room, 1, 32, 24)
     away = se3.exp(np.array([0.06, -0.05, 0.07, 0.09, -0.08, 0.1]))
     rules = GaussNewtonOptions(1, 1.0, 1.0, None, 50, 1e-5, 1e-5)
     start = Alignment(away, INITIAL_SCALES)
     expected = align([view], [frame], start, rules)
-    found = aligner.align([model_there(view)], [there(frame)], start, rules)
+    found = backend.align([model_there(view)], [there(frame)], start, rules)
     step = expected.T_view_camera @ se3.inverse(away)
     assert np.linalg.norm(step[:3, 3]) > 0.05 and se3.rotation_angle_rad(step[:3, :3]) > 0.05
     assert distance_mm(found.T_view_camera, expected.T_view_camera) < 0.2
     assert angle_deg(found.T_view_camera, expected.T_view_camera) < 0.02
 
 
-def test_too_few_pixels_change_nothing(room, aligner):
+def test_too_few_pixels_change_nothing(room, backend):
     frame, view = level_of(room, 1, 20, 16), level_of(room, 0, 20, 16)
     frame.depth_m[:] = 0.0
     start = Alignment(np.eye(4), INITIAL_SCALES)
     rules = GaussNewtonOptions(3, 0.05, 1.0, IDENTITY, 50, 1e-5, 1e-5)
-    found = aligner.align([model_there(model_level(view))], [there(frame)], start, rules)
+    found = backend.align([model_there(model_level(view))], [there(frame)], start, rules)
     assert np.array_equal(found.T_view_camera, np.eye(4))
     assert (found.iterations, found.converged, found.exposure) == (1, False, IDENTITY)
 
 
-def test_too_few_pixels_end_the_alignment(room, aligner):
+def test_too_few_pixels_end_the_alignment(room, backend):
     """Of a coarse level, although the finer one has enough."""
     view = [model_level(level) for level in pyramid(level_of(room, 0, 32, 24), 2)]
     frames = pyramid(level_of(room, 1, 32, 24), 2)
@@ -134,7 +135,7 @@ def test_too_few_pixels_end_the_alignment(room, aligner):
     start = Alignment(np.eye(4), INITIAL_SCALES)
     rules = GaussNewtonOptions(3, 0.05, 1.0, IDENTITY, 50, 1e-5, 1e-5)
     expected = align(view, frames, start, rules)
-    found = aligner.align([model_there(v) for v in view], [there(f) for f in frames], start, rules)
+    found = backend.align([model_there(v) for v in view], [there(f) for f in frames], start, rules)
     assert (found.iterations, found.converged) == (expected.iterations, False) == (1, False)
     assert np.array_equal(found.T_view_camera, np.eye(4))
 
@@ -164,7 +165,7 @@ def test_kernels_of_the_cpu_keep_away_from_other_devices():
 
 
 @pytest.mark.parametrize("widths", [(24, 32), (32, 24)])
-def test_cameras_of_model_and_frame_may_differ(aligner, widths):
+def test_cameras_of_model_and_frame_may_differ(backend, widths):
     """Sums and steps: with other focal lengths, and with either image the larger one."""
     model_camera, frame_camera = (
         Camera(0.8 * width, 0.7 * width, 0.52 * width, 0.3 * width, width, 3 * width // 4)
@@ -178,15 +179,15 @@ def test_cameras_of_model_and_frame_may_differ(aligner, widths):
     frames = pyramid(finest_level(box_frame(1, T, frame_camera), cpu), 2)
     models_there, frames_there = [model_there(m) for m in models], [there(f) for f in frames]
     arguments = (se3.exp(np.full(6, 0.003)) @ T, SCALES, Exposure(1.1, -0.02), 0.05)
-    expected = linearise(models[0], frames[0], *arguments)
+    expected = linearise(LevelProblem(models[0], frames[0], *arguments))
     assert expected.depth_pixels > 100 and expected.intensity_pixels > 100
-    actual = aligner.linearise(models_there[0], frames_there[0], *arguments)
+    actual = backend.linearise(LevelProblem(models_there[0], frames_there[0], *arguments))
     assert_same_sums(actual, expected, 2e-3)
     rules = GaussNewtonOptions(
         1, 0.05, 1.0, IDENTITY, min_pixels=50, min_translation_m=2e-5, min_rotation_rad=1e-5
     )
     start = Alignment(np.eye(4), INITIAL_SCALES)
-    found = aligner.align(models_there, frames_there, start, rules)
+    found = backend.align(models_there, frames_there, start, rules)
     assert (
         distance_mm(found.T_view_camera, align(models, frames, start, rules).T_view_camera) < 0.01
     )

@@ -18,6 +18,7 @@ from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     ModelLevel,
     ResidualScales,
 )
@@ -92,7 +93,7 @@ def test_residuals_vanish_at_the_true_pose(cameras, monkeypatch):
     """Every pixel of the frame whose point lies in the model's image has a residual."""
     monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
     models, frames = levels_of(cameras)
-    linear = linearise(models[0], frames[0], T_MODEL_FRAME, SCALES, IDENTITY, 0.05)
+    linear = linearise(LevelProblem(models[0], frames[0], T_MODEL_FRAME, SCALES, IDENTITY, 0.05))
     points = frames[0].camera.unproject(frames[0].depth_m.numpy()).reshape(-1, 3)
     uv = models[0].camera.project(se3.transform_points(T_MODEL_FRAME, points))
     inside = (uv >= 0).all(axis=1) & (uv < np.array(models[0].camera.size) - 1).all(axis=1)
@@ -108,10 +109,10 @@ def test_native_sums_are_those_of_numpy(cameras, module, monkeypatch):
     T = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.003, 0.004])) @ T_MODEL_FRAME
     arguments = (T, SCALES, Exposure(1.1, -0.02), 0.05)
     monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: None)
-    expected = linearise(models[0], frames[0], *arguments)
+    expected = linearise(LevelProblem(models[0], frames[0], *arguments))
     assert expected.depth_pixels > 500 and expected.intensity_pixels > 500
     monkeypatch.setattr(backend_selection, "kernels_for", lambda tensor: module)
-    actual = linearise(guarded_model(models[0]), guarded_frame(frames[0]), *arguments)
+    actual = linearise(LevelProblem(guarded_model(models[0]), guarded_frame(frames[0]), *arguments))
     assert_same_sums(actual, expected, 2e-3)
 
 

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     Linearisation,
     ModelLevel,
-    ResidualScales,
 )
-from toolkit.exposure import Exposure
 from toolkit.native import kernels_for
 
 
@@ -48,15 +45,7 @@ class AlignmentBackend(Protocol):
         """Derivatives of the intensity and planes of the depth of one level."""
         ...
 
-    def linearise(
-        self,
-        model: ModelLevel,
-        frame: FrameLevel,
-        T_model_frame: NDArray[np.float64],
-        scales: ResidualScales,
-        exposure: Exposure,
-        max_distance: float,
-    ) -> Linearisation:
+    def linearise(self, problem: LevelProblem) -> Linearisation:
         """See `linearise`."""
         ...
 
@@ -87,24 +76,9 @@ def backend_for(tensor: Tensor) -> AlignmentBackend:
     return NativeAlignment(module)
 
 
-def linearise(
-    model: ModelLevel,
-    frame: FrameLevel,
-    T_model_frame: NDArray[np.float64],
-    scales: ResidualScales,
-    exposure: Exposure,
-    max_distance: float,
-) -> Linearisation:
-    """Linearise the alignment of a frame to a model at a pose. Their cameras may differ.
-
-    Args:
-        T_model_frame: [4, 4]. The tangent multiplies from the left.
-        scales: of the residuals.
-        exposure: of the frame against the model.
-        max_distance: maximum depth difference of corresponding pixels, as a fraction of depth.
-    """
-    backend = backend_for(frame.depth_m)
-    return backend.linearise(model, frame, T_model_frame, scales, exposure, max_distance)
+def linearise(problem: LevelProblem) -> Linearisation:
+    """Normal equations of a problem at its pose. The tangent multiplies from the left."""
+    return backend_for(problem.frame.depth_m).linearise(problem)
 
 
 def align(

@@ -7,46 +7,34 @@ fits there as well as at the minimum.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
 
 from toolkit.alignment.backend import linearise
-from toolkit.alignment.data import FrameLevel, ModelLevel, ResidualScales
-from toolkit.exposure import Exposure
+from toolkit.alignment.data import LevelProblem
 from toolkit.geometry import se3
-
-Array = NDArray[np.float64]
 
 # Displacement in the weakest direction: 5 cm or 2 degrees.
 _UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
 
 
-def weakest_rise(
-    model: ModelLevel,
-    frame: FrameLevel,
-    T_model_frame: Array,
-    scales: ResidualScales,
-    exposure: Exposure,
-    max_distance: float,
-) -> float:
+def weakest_rise(problem: LevelProblem) -> float:
     """Relative rise of the cost at 5 cm or 2 degrees in the direction that raises it least.
 
     Args:
-        T_model_frame: [4, 4] aligned pose.
-        scales, exposure, max_distance: as in `linearise`.
+        problem: at its aligned pose.
 
     Returns:
         The smaller rise of both signs of the direction; 0 if nothing determines the pose.
     """
-    here = linearise(model, frame, T_model_frame, scales, exposure, max_distance)
+    here = linearise(problem)
     if not np.isfinite(here.cost) or not np.isfinite(here.H).all():
         return 0.0
     _, directions = np.linalg.eigh(here.H[:6, :6] * np.outer(_UNITS, _UNITS))
     step = _UNITS * directions[:, 0]
     costs = [
-        linearise(
-            model, frame, se3.exp(sign * step) @ T_model_frame, scales, exposure, max_distance
-        ).cost
+        linearise(replace(problem, T_model_frame=se3.exp(sign * step) @ problem.T_model_frame)).cost
         for sign in (-1.0, 1.0)
     ]
     return max(min(costs) / max(here.cost, 1e-9) - 1.0, 0.0)

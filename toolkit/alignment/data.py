@@ -90,6 +90,34 @@ class ResidualScales:
     photometric_weight: float = 1.0
 
 
+@dataclass(frozen=True)
+class LevelProblem:
+    """Alignment of a frame to a model at one pyramid level, at a pose. Their cameras may differ.
+
+    Attributes:
+        model, frame: the level of each, on one device.
+        T_model_frame: [4, 4] float64.
+        scales: of the residuals.
+        exposure: of the frame against the model.
+        max_distance: maximum depth difference of corresponding pixels, as a fraction of depth.
+    """
+
+    model: ModelLevel
+    frame: FrameLevel
+    T_model_frame: NDArray[np.float64]
+    scales: ResidualScales
+    exposure: Exposure
+    max_distance: float
+
+    @property
+    def parameters(self) -> tuple[float, float, float, float, float, float]:
+        """Gain, bias, both scales, maximum distance and photometric weight, as kernels expect."""
+        exposure, scales = self.exposure, self.scales
+        sigmas = scales.intensity, scales.depth_m
+        weight = scales.photometric_weight
+        return (exposure.gain, exposure.bias, *sigmas, self.max_distance, weight)
+
+
 # Initial scales, and the range of the re-estimated ones.
 INITIAL_SCALES = ResidualScales(intensity=0.05, depth_m=0.01)
 MIN_SCALES = ResidualScales(MIN_INTENSITY_SCALE, MIN_DEPTH_SCALE)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.backend import linearise
-from toolkit.alignment.data import FrameLevel, ModelLevel, ResidualScales
+from toolkit.alignment.data import FrameLevel, LevelProblem, ModelLevel, ResidualScales
 from toolkit.alignment.normal_equations import BIAS, GAIN
 from toolkit.exposure import IDENTITY, Exposure
 
@@ -182,7 +182,8 @@ def _statistics_at(
     max_distance: float,
 ) -> tuple[IntensityStatistics, IntensityStatistics] | None:
     """Statistics of frame and view at one level; None if too few pixels correspond."""
-    linear = linearise(*levels[level], T_view_camera, scales, exposure, max_distance * 2**level)
+    gate = max_distance * 2**level
+    linear = linearise(LevelProblem(*levels[level], T_view_camera, scales, exposure, gate))
     if linear.intensity_pixels < _MIN_PIXELS:
         return None
     squares = linear.intensity_variance * linear.intensity_pixels

@@ -1,13 +1,16 @@
 """Gauss-Newton from coarse to fine: pose and exposure of a frame against a view.
 
-The reference of `src/alignment/gauss_newton.cpp`. On a GPU, all steps are launched before the host
-reads a result, see `cuda/aligner`.
+The loop of all alignments: backends compute normal equations. On a CPU with the C++ kernels,
+`src/alignment/gauss_newton.cpp` runs it for a single frame, because Python between the iterations
+would take 5 % of the time of a frame; this module is its reference.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +19,9 @@ from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     Linearisation,
     ModelLevel,
-    ResidualScales,
     rescaled,
 )
 from toolkit.alignment.normal_equations import (
@@ -31,20 +34,47 @@ from toolkit.alignment.normal_equations import (
 from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 
+Estimate = TypeVar("Estimate", bound="IterativeEstimate")
 
-class HostGaussNewton(ABC):
-    """Gauss-Newton for backends whose normal equations are in the host's memory."""
+
+class IterativeEstimate(Protocol):
+    """An estimate that is refined iteration by iteration."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last step was small."""
+        ...
+
+
+def coarse_to_fine(
+    levels: int,
+    iterations: int,
+    estimate: Estimate,
+    step: Callable[[int, Estimate], tuple[Estimate, bool]],
+) -> Estimate:
+    """Refine an estimate from the coarsest level to the finest.
+
+    Args:
+        levels: number of levels.
+        iterations: maximum number of iterations per level; a converged estimate ends the level.
+        step: one iteration at a level, and whether the equations could be solved; if they could
+            not, its estimate is the result.
+    """
+    for level in range(levels - 1, -1, -1):
+        for _ in range(iterations):
+            estimate, solved = step(level, estimate)
+            if not solved:
+                return estimate
+            if estimate.converged:
+                break
+    return estimate
+
+
+class GaussNewton(ABC):
+    """Alignment of one frame by backends that compute normal equations."""
 
     @abstractmethod
-    def linearise(
-        self,
-        model: ModelLevel,
-        frame: FrameLevel,
-        T_model_frame: NDArray[np.float64],
-        scales: ResidualScales,
-        exposure: Exposure,
-        max_distance: float,
-    ) -> Linearisation:
+    def linearise(self, problem: LevelProblem) -> Linearisation:
         """See AlignmentBackend."""
 
     def align(
@@ -55,31 +85,28 @@ class HostGaussNewton(ABC):
         options: GaussNewtonOptions,
     ) -> Alignment:
         """See AlignmentBackend."""
-        estimate = start
-        for level in range(len(models) - 1, -1, -1):
-            estimate = replace(estimate, converged=False)
-            for _ in range(options.iterations):
-                linear = self._linearised(models[level], frames[level], estimate, options, level)
-                estimate = replace(estimate, last=linear, iterations=estimate.iterations + 1)
-                step = _solved(linear, estimate, options, adjust_exposure=level == 0)
-                if step is None:
-                    return replace(estimate, converged=False)
-                estimate = _moved(estimate, step, converged=_is_small(step, options, level))
-                if estimate.converged:
-                    break
-        return estimate
 
-    def _linearised(
-        self,
-        model: ModelLevel,
-        frame: FrameLevel,
-        estimate: Alignment,
-        options: GaussNewtonOptions,
-        level: int,
-    ) -> Linearisation:
-        scales = replace(estimate.scales, photometric_weight=options.photometric_weight)
-        max_distance, T = options.max_distance * 2**level, estimate.T_view_camera
-        return self.linearise(model, frame, T, scales, estimate.exposure, max_distance)
+        def step(level: int, estimate: Alignment) -> tuple[Alignment, bool]:
+            scales = replace(estimate.scales, photometric_weight=options.photometric_weight)
+            problem = LevelProblem(
+                models[level],
+                frames[level],
+                estimate.T_view_camera,
+                scales,
+                estimate.exposure,
+                options.max_distance * 2**level,
+            )
+            linear = self.linearise(problem)
+            estimate = replace(
+                estimate, last=linear, iterations=estimate.iterations + 1, converged=False
+            )
+            found = _solved(linear, estimate, options, adjust_exposure=level == 0)
+            if found is None:
+                return estimate, False
+            small = is_small(found, options.min_translation_m, options.min_rotation_rad, level)
+            return _moved(estimate, found, small), True
+
+        return coarse_to_fine(len(models), options.iterations, start, step)
 
 
 def _moved(estimate: Alignment, step: NDArray[np.float64], converged: bool) -> Alignment:
@@ -95,11 +122,17 @@ def _moved(estimate: Alignment, step: NDArray[np.float64], converged: bool) -> A
     )
 
 
-def _is_small(step: NDArray[np.float64], options: GaussNewtonOptions, level: int) -> bool:
-    """Whether a step [8] ends a level. Pixels of coarser levels are larger, and so are steps."""
+def is_small(
+    step: NDArray[np.float64], translation_m: float, rotation_rad: float, level: int
+) -> bool:
+    """Whether a step ends a level. Pixels of coarser levels are larger, and so are steps.
+
+    Args:
+        step: translation and rotation, then any other parameters.
+        translation_m, rotation_rad: limits at the finest level.
+    """
     translation, rotation = np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])
-    small = translation < options.min_translation_m * 4**level
-    return bool(small and rotation < options.min_rotation_rad * 4**level)
+    return bool(translation < translation_m * 4**level and rotation < rotation_rad * 4**level)
 
 
 def _solved(

@@ -16,11 +16,13 @@ from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import (
     INITIAL_SCALES,
     FrameLevel,
+    LevelProblem,
     Linearisation,
     ModelLevel,
     ResidualScales,
     rescaled,
 )
+from toolkit.alignment.gauss_newton import coarse_to_fine, is_small
 from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
 from toolkit.alignment.options import JointOptions
 from toolkit.exposure import Exposure
@@ -85,16 +87,12 @@ def align(
     estimate = start
     if len(start.exposures) != len(pairs):
         estimate = replace(start, exposures=np.tile([1.0, 0.0], (len(pairs), 1)))
-    coarsest = 0 if finest_only else min(options.levels, len(pairs[0].model)) - 1
-    for level in range(coarsest, -1, -1):
-        estimate = replace(estimate, converged=False)
-        for _ in range(options.iterations):
-            estimate, usable = _stepped(pairs, level, estimate, options)
-            if not usable:
-                return estimate
-            if estimate.converged:
-                break
-    return estimate
+    levels = 1 if finest_only else min(options.levels, len(pairs[0].model))
+
+    def step(level: int, estimate: Estimate) -> tuple[Estimate, bool]:
+        return _stepped(pairs, level, estimate, options)
+
+    return coarse_to_fine(levels, options.iterations, estimate, step)
 
 
 def _stepped(
@@ -115,17 +113,15 @@ def _stepped(
     if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < MIN_PIXELS:
         return replace(estimate, converged=False), False
     step = _limited(step, options)
-    # Pixels of coarser levels are larger, and so are small steps.
-    small = np.linalg.norm(step[:3]) < options.small_translation_m * 4**level
-    small &= np.linalg.norm(step[3:]) < options.small_rotation_rad * 4**level
+    small = is_small(step, options.small_translation_m, options.small_rotation_rad, level)
     exposure_steps = np.array([part.exposure_step(step) for part in parts])
-    small &= np.abs(exposure_steps).max() < _MIN_EXPOSURE_STEP
+    small &= bool(np.abs(exposure_steps).max() < _MIN_EXPOSURE_STEP)
     return replace(
         estimate,
         T_target_source=se3.orthonormalise(estimate.T_target_source @ se3.exp(step)),
         scales=_rescaled(estimate.scales, linears),
         exposures=estimate.exposures + exposure_steps,
-        converged=bool(small),
+        converged=small,
     ), True
 
 
@@ -149,12 +145,14 @@ def linearised(
     scales = replace(estimate.scales, photometric_weight=1.0 / weight if photometric else 0.0)
     linears = [
         linearise(
-            pair.model[level],
-            pair.frame[level],
-            pair.T_model_target @ estimate.T_target_source @ pair.T_source_frame,
-            scales,
-            Exposure(*(float(value) for value in estimate.exposures[k])),
-            gate,
+            LevelProblem(
+                pair.model[level],
+                pair.frame[level],
+                pair.T_model_target @ estimate.T_target_source @ pair.T_source_frame,
+                scales,
+                Exposure(*(float(value) for value in estimate.exposures[k])),
+                gate,
+            )
         )
         for k, pair in enumerate(pairs)
     ]

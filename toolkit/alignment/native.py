@@ -7,16 +7,15 @@ from types import ModuleType
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     Linearisation,
     ModelLevel,
-    ResidualScales,
 )
 from toolkit.exposure import Exposure
 from toolkit.geometry.camera import Camera
@@ -71,22 +70,13 @@ class NativeAlignment:
         )
         return ModelLevel(camera, texture, surface)
 
-    def linearise(
-        self,
-        model: ModelLevel,
-        frame: FrameLevel,
-        T_model_frame: NDArray[np.float64],
-        scales: ResidualScales,
-        exposure: Exposure,
-        max_distance: float,
-    ) -> Linearisation:
+    def linearise(self, problem: LevelProblem) -> Linearisation:
         """See AlignmentBackend."""
-        sigmas = scales.intensity, scales.depth_m
         sums = np.empty(ALIGNMENT_SUMS)
         self._module.align_accumulate(
-            _level(model, frame),
-            np.asarray(T_model_frame[:3]).reshape(-1).tolist(),
-            (exposure.gain, exposure.bias, *sigmas, max_distance, scales.photometric_weight),
+            _level(problem.model, problem.frame),
+            np.asarray(problem.T_model_frame[:3]).reshape(-1).tolist(),
+            problem.parameters,
             sums.ctypes.data,
         )
         return Linearisation.from_sums(sums)

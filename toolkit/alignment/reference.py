@@ -7,9 +7,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.alignment.data import FrameLevel, Image, Linearisation, ModelLevel, ResidualScales
-from toolkit.alignment.gauss_newton import HostGaussNewton
-from toolkit.exposure import Exposure
+from toolkit.alignment.data import FrameLevel, Image, LevelProblem, Linearisation, ModelLevel
+from toolkit.alignment.gauss_newton import GaussNewton
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import (
     LUMA_BLUE,
@@ -25,7 +24,7 @@ from toolkit.native.constants import (
 LUMA = np.array([LUMA_RED, LUMA_GREEN, LUMA_BLUE], dtype=np.float32)
 
 
-class NumpyBackend(HostGaussNewton):
+class NumpyBackend(GaussNewton):
     """See AlignmentBackend."""
 
     def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:
@@ -42,23 +41,15 @@ class NumpyBackend(HostGaussNewton):
         images = model(level.camera, level.intensity.numpy(), level.depth_m.numpy())
         return ModelLevel(level.camera, *(torch.from_numpy(image) for image in images))
 
-    def linearise(
-        self,
-        model: ModelLevel,
-        frame: FrameLevel,
-        T_model_frame: NDArray[np.float64],
-        scales: ResidualScales,
-        exposure: Exposure,
-        max_distance: float,
-    ) -> Linearisation:
+    def linearise(self, problem: LevelProblem) -> Linearisation:
         """See AlignmentBackend."""
-        sigmas = scales.intensity, scales.depth_m
+        model, frame = problem.model, problem.frame
         sums = accumulate(
             (model.texture.numpy(), model.surface.numpy()),
             (frame.intensity.numpy(), frame.depth_m.numpy()),
             (model.camera, frame.camera),
-            T_model_frame,
-            (exposure.gain, exposure.bias, *sigmas, max_distance, scales.photometric_weight),
+            problem.T_model_frame,
+            problem.parameters,
         )
         return Linearisation.from_sums(sums)
 

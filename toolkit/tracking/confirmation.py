@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.constraint import weakest_rise
+from toolkit.alignment.data import LevelProblem
 from toolkit.alignment.joint import Estimate, Pair, align
 from toolkit.alignment.levels import finest_level, model_level, pyramid
 from toolkit.alignment.options import HealthLimits, JointOptions
@@ -46,7 +47,9 @@ def shows_same_place(first: Frame, second: Frame, limits: HealthLimits) -> bool:
         found = align([Pair(models, frame, np.eye(4), np.eye(4))], Estimate(start), options)
         T, exposure = found.T_target_source, Exposure(*(float(v) for v in found.exposures[0]))
         similarity = aligned_correlation(models[_LEVEL], frame[_LEVEL], T)
-        rise = weakest_rise(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
+        rise = weakest_rise(
+            LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
+        )
         if not doubt_reason(limits, similarity, rise):
             return True
     return False

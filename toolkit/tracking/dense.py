@@ -21,6 +21,7 @@ from toolkit.alignment.data import (
     INITIAL_SCALES,
     Alignment,
     GaussNewtonOptions,
+    LevelProblem,
     ResidualScales,
 )
 from toolkit.alignment.exposure import estimate_exposure
@@ -250,7 +251,9 @@ class DenseTracker(MovingTracker):
         model, frame = view.levels[-1], task.levels[-1]
         gate = self.options.max_distance * 2 ** (self.options.levels - 1)
         costs = [
-            linearise(model, frame, T_view_map @ T, self._scales, self._exposure, gate).cost
+            linearise(
+                LevelProblem(model, frame, T_view_map @ T, self._scales, self._exposure, gate)
+            ).cost
             for T in starts
         ]
         return starts[int(np.argmin(costs))]

@@ -16,6 +16,7 @@ from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import (
     INITIAL_SCALES,
     FrameLevel,
+    LevelProblem,
     Linearisation,
     ResidualScales,
     rescaled,
@@ -202,7 +203,8 @@ def _evaluate(frame: Frame, view: FrameLevel) -> tuple[Linearisation, ResidualSc
     level = finest_level(frame, view.depth_m.device)
     scales = INITIAL_SCALES
     for _ in range(_SCALE_ITERATIONS):
-        linear = linearise(model, level, np.eye(4), scales, IDENTITY, _MAX_DISTANCE)
+        problem = LevelProblem(model, level, np.eye(4), scales, IDENTITY, _MAX_DISTANCE)
+        linear = linearise(problem)
         scales = rescaled(scales, linear)
     return linear, scales
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.constraint import weakest_rise
-from toolkit.alignment.data import Alignment
+from toolkit.alignment.data import Alignment, LevelProblem
 from toolkit.alignment.health import failure_reason
 from toolkit.alignment.options import HealthLimits
 from toolkit.alignment.similarity import Similarity, aligned_correlation
@@ -69,7 +69,9 @@ def judged(
             if lacks_texture(similarity):
                 scales, exposure = alignment.scales, alignment.exposure
                 gate = max_distance * 2**level
-                rise = weakest_rise(model, frame, T_view_camera, scales, exposure, gate)
+                rise = weakest_rise(
+                    LevelProblem(model, frame, T_view_camera, scales, exposure, gate)
+                )
             reason = doubt_reason(limits, similarity, rise)
             health = Health.DOUBTFUL if reason else health
     return Judgement(health, reason, similarity, visible, information)

@@ -20,6 +20,7 @@ from toolkit.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
+    LevelProblem,
     Linearisation,
     ModelLevel,
 )
@@ -82,7 +83,9 @@ def rotated_starts(
     for rotation in _rotations():
         start = Alignment(T_view_camera @ rotation, INITIAL_SCALES, exposure)
         T = align(view[-1:], frame[-1:], start, coarse).T_view_camera
-        linear = linearise(view[-1], frame[-1], T, INITIAL_SCALES, exposure, coarse.max_distance)
+        linear = linearise(
+            LevelProblem(view[-1], frame[-1], T, INITIAL_SCALES, exposure, coarse.max_distance)
+        )
         measured = float((frame[-1].depth_m > 0).sum())
         found.append((_cost(linear, measured), T))
     found.sort(key=lambda entry: entry[0])

@@ -3,19 +3,19 @@
 import triton
 import triton.language as tl
 
-from toolkit.alignment.cuda.layout import (
-    BIAS,
-    GAIN,
-    PART,
-    PHASE,
-    RESIDUAL,
-    SIGMA_DEPTH,
-    SIGMA_INTENSITY,
-    T_AT,
-    TAIL,
-    WIDE,
-)
 from toolkit.native import constants
+
+# Columns of the Jacobian: translation, rotation, gain, bias, and the residual; padded to the
+# minimum width of a matrix product.
+WIDE = tl.constexpr(16)
+RESIDUAL = tl.constexpr(8)
+# A partial sum is the product J^T J [16, 16]. Its last row, otherwise 0, holds the numbers of
+# intensity and depth residuals, their weighted sums of squares, and the number of frame pixels.
+TAIL = tl.constexpr(15)
+# Places of the scalars: intrinsics of the model view and of the frame, the rows [R | t] of
+# T_model_frame, exposure, and the inverse scales.
+POSE = tl.constexpr(8)
+EXPOSURE = tl.constexpr(20)
 
 STUDENT_T_DOF = tl.constexpr(constants.STUDENT_T_DOF)
 MAX_DEPTH_STEP = tl.constexpr(constants.MAX_DEPTH_STEP)
@@ -55,11 +55,10 @@ def _tap(texture, at, usable):
 
 
 @triton.jit
-def _row(state, row: tl.constexpr):
-    """A row [R | t] of the pose, in float32."""
-    at = state + T_AT + 4 * row
-    r0, r1 = tl.load(at).to(tl.float32), tl.load(at + 1).to(tl.float32)
-    return r0, r1, tl.load(at + 2).to(tl.float32), tl.load(at + 3).to(tl.float32)
+def _row(scalars, row: tl.constexpr):
+    """A row [R | t] of the pose."""
+    at = scalars + POSE + 4 * row
+    return tl.load(at), tl.load(at + 1), tl.load(at + 2), tl.load(at + 3)
 
 
 @triton.jit
@@ -152,8 +151,7 @@ def accumulate(
     surface,
     intensity,
     depth,
-    cameras,
-    state,
+    scalars,
     parts,
     model_width,
     model_height,
@@ -166,19 +164,17 @@ def accumulate(
 ):
     """Compute one partial sum [16, 16] per program, from every n-th chunk of the frame's pixels.
 
-    `cameras` contains fx, fy, cx, cy of the model view and then of the frame; `root_weight` is the
-    square root of the photometric term's weight.
+    `scalars` are in the order above; `root_weight` is the square root of the photometric term's
+    weight.
     """
-    if tl.load(state + PHASE) > 0.5:
-        return
-    fx, fy = tl.load(cameras), tl.load(cameras + 1)
-    cx, cy = tl.load(cameras + 2), tl.load(cameras + 3)
-    frame_fx, frame_fy = tl.load(cameras + 4), tl.load(cameras + 5)
-    frame_cx, frame_cy = tl.load(cameras + 6), tl.load(cameras + 7)
-    row_x, row_y, row_z = _row(state, 0), _row(state, 1), _row(state, 2)
-    gain, bias = tl.load(state + GAIN).to(tl.float32), tl.load(state + BIAS).to(tl.float32)
-    inverse_intensity = (1.0 / tl.load(state + SIGMA_INTENSITY)).to(tl.float32)
-    inverse_depth = (1.0 / tl.load(state + SIGMA_DEPTH)).to(tl.float32)
+    fx, fy = tl.load(scalars), tl.load(scalars + 1)
+    cx, cy = tl.load(scalars + 2), tl.load(scalars + 3)
+    frame_fx, frame_fy = tl.load(scalars + 4), tl.load(scalars + 5)
+    frame_cx, frame_cy = tl.load(scalars + 6), tl.load(scalars + 7)
+    row_x, row_y, row_z = _row(scalars, 0), _row(scalars, 1), _row(scalars, 2)
+    gain, bias = tl.load(scalars + EXPOSURE), tl.load(scalars + EXPOSURE + 1)
+    inverse_intensity = tl.load(scalars + EXPOSURE + 2)
+    inverse_depth = tl.load(scalars + EXPOSURE + 3)
     columns = tl.arange(0, WIDE)[None, :]
     place = tl.arange(0, WIDE)
     total = tl.zeros([WIDE, WIDE], dtype=tl.float32)
@@ -221,4 +217,4 @@ def accumulate(
         tail += _counted(place, 0, bright, squares)
     rows = tl.arange(0, WIDE)[:, None]
     total = tl.where(rows == TAIL, tail[None, :], total)
-    tl.store(parts + tl.program_id(0) * PART + rows * WIDE + columns, total)
+    tl.store(parts + tl.program_id(0) * WIDE * WIDE + rows * WIDE + columns, total)

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alignment.cuda import images as torch_images
-from toolkit.alignment.data import (
-    Alignment,
-    FrameLevel,
-    GaussNewtonOptions,
-    Linearisation,
-    ModelLevel,
-    ResidualScales,
-)
-from toolkit.exposure import Exposure
+from toolkit.alignment.data import FrameLevel, LevelProblem, Linearisation, ModelLevel
+from toolkit.alignment.gauss_newton import GaussNewton
 
 
-class CudaAlignment:
+class CudaAlignment(GaussNewton):
     """See AlignmentBackend."""
 
     def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:
@@ -37,30 +26,8 @@ class CudaAlignment:
         images = torch_images.model(level.camera, level.intensity, level.depth_m)
         return ModelLevel(level.camera, *images)
 
-    def linearise(
-        self,
-        model: ModelLevel,
-        frame: FrameLevel,
-        T_model_frame: NDArray[np.float64],
-        scales: ResidualScales,
-        exposure: Exposure,
-        max_distance: float,
-    ) -> Linearisation:
+    def linearise(self, problem: LevelProblem) -> Linearisation:
         """See AlignmentBackend."""
-        from toolkit.alignment.cuda import aligner
+        from toolkit.alignment.cuda.sums import linearise
 
-        return aligner.linearise(model, frame, T_model_frame, scales, exposure, max_distance)
-
-    def align(
-        self,
-        models: list[ModelLevel],
-        frames: list[FrameLevel],
-        start: Alignment,
-        options: GaussNewtonOptions,
-    ) -> Alignment:
-        """See AlignmentBackend."""
-        from toolkit.alignment.cuda import aligner
-
-        found = aligner.align(models, frames, start, options)
-        iterations = start.iterations + found.iterations
-        return replace(found, iterations=iterations, last=found.last or start.last)
+        return linearise(problem)
