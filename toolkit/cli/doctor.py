@@ -28,7 +28,7 @@ _REQUIRED = {
     "tyro": "tyro",
     "yaml": "PyYAML",
     "tqdm": "tqdm",
-    "rich": "rich",
+    "filelock": "filelock",
     "jinja2": "Jinja2",
     "matplotlib": "matplotlib",
 }
