@@ -8,12 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.batch.locking import locked
 from toolkit.batch.plan import PlannedRun
 from toolkit.batch.report import write_batch_report
 from toolkit.batch.table import run_row, table_csv, table_markdown
 from toolkit.cli.run_many import running_text
-from toolkit.errors import RunFolderError
 from toolkit.runs.settings import RunSettings
 
 
@@ -53,18 +51,6 @@ def test_the_report_names_failures_and_links_finished_runs(rows, tmp_path):
     assert "3 runs, 1 finished, 2 failed" in page
     assert "a | b is &lt;missing&gt;" in page
     assert 'href="good/report.html"' in page and "bad/report.html" not in page
-
-
-def test_a_run_has_one_writer(tmp_path):
-    folder = tmp_path / "run"
-    with (
-        locked(folder),
-        pytest.raises(RunFolderError, match="another process"),
-        locked(folder, patience_s=0.0),
-    ):
-        pass
-    with locked(folder, patience_s=0.0):
-        pass
 
 
 def test_progress_names_three_running_runs():

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.evaluation.charts import Axes, Series, line_chart, ticks
+from toolkit.evaluation.charts import Axes, Series, line_chart
+from toolkit.evaluation.frame_states import FrameState
 from toolkit.evaluation.loop_gallery import LoopPair, LoopPicture
 from toolkit.evaluation.loop_poses import EdgeError, edge_metrics
 from toolkit.evaluation.metrics import trajectory_metrics
@@ -64,7 +65,7 @@ def test_the_page_is_one_file_that_works_offline(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
     assert "http" not in page
     assert "<script" not in page
-    sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
+    sources = re.findall(r'(?:src|href)="([^#"][^"]{0,30})', page)
     assert len(sources) == 5
     assert all(re.match(r"data:image/(png|jpeg);base64,", source) for source in sources)
 
@@ -89,19 +90,58 @@ def test_loops_show_the_error_of_their_pose_before_their_overlap() -> None:
     assert "accepted edges" not in render_report(replace(full_content(), loops=loops))
 
 
+def lines_of(svg: str, colour: str) -> list[np.ndarray]:
+    """The lines [N, 2] of a colour, in pixels, but those of legends; a gap divides a line."""
+    paths = re.findall(rf'd="([^"]+)"[^>]*style="fill: none; stroke: var\(--{colour}\)', svg)
+    lines = [line for path in paths for line in path.split("M") if line.count("L") > 2]
+    return [np.array(re.findall(r"([-\d.]+) ([-\d.]+)", line), float) for line in lines]
+
+
 def test_truth_in_another_frame_lies_over_the_estimate() -> None:
-    lines = re.findall(r'<polyline class="(\w+)" points="([^"]+)"', render_report(full_content()))
-    drawn = {
-        name: np.array([p.split(",") for p in text.split()], float) for name, text in lines[:2]
-    }
-    np.testing.assert_allclose(drawn["truth"], drawn["estimate"], atol=0.11)
+    page = render_report(full_content())
+    (truth,), (estimate, *_) = lines_of(page, "truth"), lines_of(page, "estimate")
+    np.testing.assert_allclose(truth, estimate, atol=0.11)
 
 
 def test_lost_frames_break_the_error_line_and_are_marked() -> None:
     page = render_report(full_content())
-    error_chart = page[page.index("Error over time") :]
-    assert error_chart.count("<polyline") == 2
-    assert error_chart.count('<line class="mark"') == 2
+    chart = page[page.index("Error over time") :]
+    chart = chart[: chart.index("</svg>")]
+    assert len(lines_of(chart, "estimate")) == 2
+    assert "frame lost" in chart
+    assert len(re.findall(r"<use [^>]*stroke: var\(--alarm\)", chart)) == 2 + 1  # and the legend
+
+
+def test_drawings_are_the_same_each_time() -> None:
+    assert render_report(full_content()) == render_report(full_content())
+
+
+def test_drawings_have_the_colours_of_the_page() -> None:
+    page = render_report(full_content())
+    drawings = "".join(re.findall(r"<svg.*?</svg>", page, re.DOTALL))
+    assert set(re.findall(r"(?:fill|stroke): ([^;\"]+)", drawings)) <= {
+        *("none", "var(--soft)", "var(--line)", "var(--ink)", "var(--card)"),
+        *("var(--estimate)", "var(--truth)", "var(--alarm)"),
+    }
+
+
+def test_the_strip_covers_the_sequence_and_escapes_reasons() -> None:
+    kinds = ["tracked", "lost", "lost", "tracked", "doubtful"]
+    parts = [0, None, None, 1, 0]
+    states = [
+        FrameState(index, kind, "<dark>" if kind == "lost" else "", part)
+        for index, (kind, part) in enumerate(zip(kinds, parts, strict=True), start=10)
+    ]
+    page = render_report(replace(full_content(), states=states))
+    sections = re.findall(r'<i class="(\w+)" style="left:([\d.]+)%;width:([\d.]+)%"', page)
+    assert sections == [
+        ("tracked", "0.000", "20.000"),
+        ("lost", "20.000", "40.000"),
+        ("other", "60.000", "20.000"),
+        ("doubtful", "80.000", "20.000"),
+    ]
+    assert 'title="frames 11-12, lost: &lt;dark&gt;"' in page and "<dark>" not in page
+    assert "States of the frames" not in render_report(full_content())
 
 
 def test_a_run_without_truth_poses_or_figures_still_has_a_page() -> None:
@@ -123,32 +163,23 @@ def test_depth_without_a_measurement_is_drawn_as_missing() -> None:
     assert images[2] != images[0]
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
-        (-3.0, 7.0, [-2.0, 0.0, 2.0, 4.0, 6.0]),
-        (0.0, 0.0012, [0.0, 0.0002, 0.0004, 0.0006, 0.0008, 0.001, 0.0012]),
-    ],
-)
-def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
-    assert ticks(low, high) == pytest.approx(expected)
-
-
 def test_equal_axes_draw_a_square_as_a_square() -> None:
     square = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
     svg = line_chart([Series(square, "s", "estimate")], Axes("x", "y", equal=True))
-    points = re.search(r'<polyline[^>]*points="([^"]+)"', svg)
-    assert points is not None
-    pixels = np.array([p.split(",") for p in points.group(1).split()], float)
-    width, height = np.ptp(pixels, axis=0)
+    (line,) = lines_of(svg, "estimate")
+    width, height = np.ptp(line, axis=0)
     assert width == pytest.approx(height, abs=0.2)
 
 
 def test_a_camera_that_stood_still_is_drawn() -> None:
-    still = np.zeros((5, 2))
-    assert "<polyline" in line_chart([Series(still, "s", "estimate")], Axes("x", "y", equal=True))
-    assert "<polyline" in line_chart([Series(still, "s", "estimate")], Axes("x", "y"))
+    still = Series(np.zeros((5, 2)), "s", "estimate")
+    for equal in (True, False):
+        assert "var(--estimate)" in line_chart([still], Axes("x", "y", equal=equal))
+
+
+def test_names_are_shown_as_they_are() -> None:
+    svg = line_chart([Series(np.eye(2), "a$1$ <b>", "estimate")], Axes("x", "y"))
+    assert "a$1$ &lt;b&gt;" in svg
 
 
 def test_the_floor_plan_lists_areas_and_is_left_out_without_one() -> None:

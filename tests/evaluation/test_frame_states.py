@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 from toolkit.evaluation.frame_states import (
     FrameState,
     PartSummary,
@@ -12,7 +10,6 @@ from toolkit.evaluation.frame_states import (
     state_metrics,
     summary_lines,
 )
-from toolkit.evaluation.state_strip import state_strip
 from toolkit.slam.result import Loss
 
 
@@ -92,20 +89,3 @@ def test_metrics_count_frames_by_state_and_part():
         "parts": 2,
         "frames_in_other_parts": 2,
     }
-
-
-def test_the_strip_covers_the_sequence_and_escapes_reasons():
-    states = sequence("ttll1d", {2: "<dark>", 3: "<dark>"})
-    strip = state_strip(states)
-    assert "&lt;dark&gt;" in strip and "<dark>" not in strip
-    boxes = re.findall(r'<rect class="(\w+)" x="([\d.]+)" y="0" width="([\d.]+)"', strip)
-    assert sorted(kind for kind, *_ in boxes) == ["doubtful", "lost", "other", "tracked"]
-    assert sum(float(width) for *_, width in boxes) == 1000.0
-    assert state_strip([]) == ""
-
-
-def test_a_single_lost_frame_of_a_long_sequence_is_visible():
-    strip = state_strip(sequence("t" * 4999 + "l"))
-    found = re.search(r'<rect class="lost" x="([\d.]+)" y="0" width="([\d.]+)"', strip)
-    assert found is not None and float(found[2]) >= 1.0
-    assert float(found[1]) + float(found[2]) <= 1000.0

@@ -22,7 +22,7 @@ from toolkit.evaluation.submap_graph import (
     SubmapGraph,
     SubmapLink,
     SubmapViews,
-    submap_graph_svg,
+    submap_graph_chart,
     submap_links,
 )
 from toolkit.evaluation.timing import StageRecorder
@@ -96,13 +96,15 @@ def test_submaps_are_linked_by_shared_views_and_by_loops():
 def test_the_graph_draws_submaps_at_one_place_apart():
     submaps = [views(n, 0.0) for n in range(4)]
     links = [SubmapLink(0, 3, 0.5, True)]
-    svg = submap_graph_svg(SubmapGraph(submaps, links, np.array([[0.0, 0.0], [2.0, 1.0]])))
-    found = re.findall(r'<circle class="node" cx="([\d.]+)" cy="([\d.]+)" r="([\d.]+)"', svg)
-    places, radius = np.array(found, float)[:, :2], float(found[0][2])
+    svg = submap_graph_chart(SubmapGraph(submaps, links, np.array([[0.0, 0.0], [2.0, 1.0]])))
+    circles = re.findall(
+        r'<title>submap \d: 3 keyframes.*?<use [^>]*x="([\d.]+)" y="([\d.]+)"', svg, re.S
+    )
+    places = np.array(circles, float)
     distances = np.linalg.norm(places[:, None] - places[None], axis=2) + 1e9 * np.eye(4)
-    assert distances.min() > 2 * radius
-    assert svg.count('class="loop"') == svg.count('class="overlap"') == 1
-    assert "submaps 0 and 3: 50 % overlap, loop edge" in svg
+    assert distances.min() > 30.0  # twice the radius
+    assert svg.count("submaps 0 and 3: 50 % overlap, loop edge") == 1
+    assert all(name in svg for name in ("overlap, wider is more", ">loop edge<"))
 
 
 def test_costs_are_those_of_each_frame():
@@ -132,10 +134,12 @@ def some_costs(count: int) -> FrameCosts:
 
 def test_a_slow_frame_is_marked_and_does_not_flatten_the_chart():
     svg = time_chart(some_costs(300))
-    assert svg.count('<line class="mark"') == 1
-    assert "up to 9000 ms" in svg
-    assert '<text class="tick end" x="50.0" y' in svg and ">9000<" not in svg
-    assert svg.count("<polyline") == 4  # the gap divides one of three lines
+    assert "longer, up to 9000 ms" in svg
+    assert len(re.findall(r"<use [^>]*stroke: var\(--alarm\)", svg)) == 1 + 1  # and the legend
+    ticks = [float(tick) for tick in re.findall(r">(\d+)</text>", svg)]
+    assert max(ticks) < 400.0  # frames to 299, times to 50 ms
+    (path,) = (p for p in re.findall(r'd="([^"]+)"[^>]*var\(--truth\)', svg) if p.count("L") > 2)
+    assert path.count("M") == 2  # the gap divides the line
 
 
 def test_charts_of_long_runs_stay_small_and_empty_ones_are_left_out():

@@ -142,15 +142,15 @@ def test_the_summary_names_ranges_and_reasons(divided):
 def test_the_report_shows_states_and_reasons(divided):
     run, _ = divided
     page = (run / "report.html").read_text(encoding="utf-8")
-    strip = page[page.index('<svg class="states"') :]
-    strip = strip[: strip.index("</svg>")]
+    strip = page[page.index('<div class="states"') :]
+    strip = strip[: strip.index("</div>")]
     for css, title in (
         ("doubtful", "frames 3, doubtful: the view is ambiguous by 12 %"),
         ("lost", "frames 6-7, lost: "),
         ("other", "frames 8-11, tracked, part 1"),
         ("tracked", "frames 12-16, tracked"),
     ):
-        assert f'<rect class="{css}"' in strip and title in strip
+        assert f'<i class="{css}"' in strip and title in strip
     assert "<td>6-7</td><td>lost</td>" in page and "<td>3</td><td>doubtful</td>" in page
     assert "form a separate part" in page and "and 1 doubtful" in page
 

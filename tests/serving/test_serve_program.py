@@ -18,20 +18,18 @@ import httpx2 as httpx
 import pytest
 
 from toolkit.cli.main import main
-from toolkit.serving.protection import is_local
-from toolkit.serving.server import TOKEN_VARIABLE, bind
+from toolkit.serving.server import bind, is_local
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKEN = "0123456789abcdef"
 
 
 @contextmanager
-def service(*words: object, **variables: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def service(*words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A service in a process of its own, and its URL; it is ended with the block."""
     process = subprocess.Popen(
         [sys.executable, "-m", "toolkit.cli.main", "serve", *map(str, words), "--port", "0"],
         cwd=ROOT,
-        env=os.environ | {"OMP_NUM_THREADS": "1", **variables},
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -56,14 +54,15 @@ def error_line(capsys, *words: object) -> str:
 
 
 def test_a_service_answers_over_http_and_ends_with_ctrl_c(tiny_run: Path):
-    with service(tiny_run, **{TOKEN_VARIABLE: TOKEN}) as (process, url):
+    with service(tiny_run) as (process, url):
         assert url.startswith("http://127.0.0.1:")
-        with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {TOKEN}"}) as client:
+        with httpx.Client(base_url=url) as client:
             assert client.get("run").json()["frames"] == 6
             assert client.get("keyframes/0.png").content.startswith(b"\x89PNG")
-            assert client.get("run", headers={"Authorization": ""}).status_code == 401
+            assert client.post("render", content=b" " * 100_000).status_code == 413
+            assert client.post("render", content=iter([b"{}"])).status_code == 411
         _send_garbage(url)
-        assert httpx.get(url).status_code == 401
+        assert httpx.get(url).status_code == 200
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=20)
         assert process.returncode == 0
@@ -89,20 +88,23 @@ def test_a_port_in_use_is_reported_in_one_line(tiny_run: Path, capsys):
         assert f"port {port} of 127.0.0.1 is in use" in error_line(capsys, tiny_run, "--port", port)
 
 
-def test_other_machines_need_a_token(tiny_run: Path, capsys, monkeypatch):
-    monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-    assert f"set {TOKEN_VARIABLE} or --token" in error_line(capsys, tiny_run, "--host", "0.0.0.0")
-    assert "at least 16" in error_line(capsys, tiny_run, "--token", "short")
-    assert "at least 16" in error_line(capsys, tiny_run, "--token", "")
-    monkeypatch.setenv(TOKEN_VARIABLE, "with spaces in the middle of it")
-    assert "at least 16" in error_line(capsys, tiny_run)
+def test_another_address_is_warned_of_in_one_line(tiny_run: Path):
+    with service(tiny_run, "--host", "0.0.0.0") as (process, url):
+        assert httpx.get(f"{url}run", headers={"Host": "map.example"}).status_code == 200
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    (line,) = errors.strip().splitlines()
+    assert "Anyone who can connect to 0.0.0.0 can read the map" in line
+
+
+def test_addresses_of_this_machine_are_recognised():
     assert [is_local(h) for h in ("localhost", "127.1.2.3", "::1", "::", "0.0.0.0", "a.b")] == [
         *(True, True, True, False, False, False)
     ]
 
 
 def test_addresses_of_other_machines_are_rejected(tiny_run: Path, capsys):
-    line = error_line(capsys, tiny_run, "--host", "192.0.2.1", "--token", TOKEN)
+    line = error_line(capsys, tiny_run, "--host", "192.0.2.1")
     assert "192.0.2.1" in line
     assert "--port" in error_line(capsys, tiny_run, "--port", "70000")
 

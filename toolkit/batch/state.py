@@ -9,12 +9,13 @@ from typing import Literal
 
 from toolkit.batch.plan import PlannedRun
 from toolkit.runs.locations import with_absolute_paths
+from toolkit.runs.lock import LOCK
 from toolkit.runs.settings import dump_settings
 
 State = Literal["new", "unfinished", "finished", "conflict"]
 
 # Files and folders of a run that was killed before it wrote its settings.
-_BEGUN = frozenset(("renders", "checkpoint", "loops.jsonl"))
+_BEGUN = frozenset(("renders", "checkpoint", "loops.jsonl", LOCK))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -144,7 +143,7 @@ def _build(classes: Sequence[str], options: BuildTaxonomyOptions) -> Taxonomy:
     if options.grouper == "rules":
         return build(RuleGrouper())
     try:
-        with tqdm(unit="question", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+        with tqdm(unit="question", disable=None) as bar:
             return build(_CountingGrouper(LanguageModelGrouper(_model(options), options.seed), bar))
     except (NoModelError, DependencyError) as error:
         if not options.fall_back:
@@ -175,8 +174,7 @@ def _scan(choice: DatasetChoice) -> LabelledScan:
         prefetched(dataset, range(0, len(dataset), step)),
         total=-(-len(dataset) // step),
         unit="frame",
-        file=sys.stderr,
-        disable=not sys.stderr.isatty(),
+        disable=None,
     )
     posed = ((frame, dataset.ground_truth.at(frame.timestamp_s)) for frame in frames)
     views = ((frame, T) for frame, T in posed if T is not None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 
 from tqdm import tqdm
@@ -34,4 +33,4 @@ def main(options: CheckDataOptions) -> int:
 
 
 def _with_progress(indices: Iterable[int]) -> Iterable[int]:
-    return tqdm(indices, unit="frame", file=sys.stderr, disable=not sys.stderr.isatty())
+    return tqdm(indices, unit="frame", disable=None)

@@ -88,7 +88,9 @@ def _check_export(options: ExportOptions) -> None:
 
 
 def _check_new_folder(path: Path, option: str) -> None:
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+    from toolkit.runs.lock import is_unused
+
+    if not is_unused(path):
         raise RunFolderError(f"{path} is not an empty folder; choose another {option}")
 
 

@@ -28,7 +28,7 @@ _REQUIRED = {
     "tyro": "tyro",
     "yaml": "PyYAML",
     "tqdm": "tqdm",
-    "rich": "rich",
+    "filelock": "filelock",
     "jinja2": "Jinja2",
     "matplotlib": "matplotlib",
 }
@@ -43,6 +43,7 @@ _OPTIONAL = {
     "rerun": ("rerun-sdk", "recordings for Rerun (--record)"),
     "ray": ("ray", "many runs on a cluster"),
     "fsspec": ("fsspec", "maps in shared storage"),
+    "trimesh": ("trimesh", "meshes in glTF"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
     "fastapi": ("fastapi", "semsplat serve"),
     "uvicorn": ("uvicorn", "semsplat serve"),

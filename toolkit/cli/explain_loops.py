@@ -87,7 +87,7 @@ def main(options: ExplainLoopsOptions) -> int:
         raise RunFolderError(
             f"cannot create {out}: {error.strerror}; choose another --out"
         ) from error
-    for position, candidate in tqdm(candidates, unit="loop"):
+    for position, candidate in tqdm(candidates, unit="loop", disable=None):
         results = results_of(candidate, records[position + 1 :])
         picture = candidate_picture(run, dataset, candidate, results)
         name = f"frame{candidate['query']:06d}_frame{candidate['match']:06d}.png"

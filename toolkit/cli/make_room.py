@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 
 from tqdm import tqdm
@@ -41,4 +40,4 @@ def main(options: MakeRoomOptions) -> int:
 
 def with_progress(frames: Iterable[Frame], total: int) -> Iterable[Frame]:
     """Wrap frames in a progress bar, which is only displayed in terminals."""
-    return tqdm(frames, total=total, unit="frame", file=sys.stderr, disable=not sys.stderr.isatty())
+    return tqdm(frames, total=total, unit="frame", disable=None)

@@ -134,11 +134,8 @@ class ServeOptions:
     run: Positional[Path]
     """Run folder."""
     host: str = "127.0.0.1"
-    """Address to listen on. Other machines can reach addresses other than the default one; a token
-    is required then."""
+    """Address to listen on. By default, only this machine can connect; at another address, anyone
+    who can connect can read the map."""
     port: Annotated[int, Range(ge=0, le=65535)] = 8000
     """Port to listen on; 0 chooses a free one."""
-    token: str | None = None
-    """Token that clients must send. By default, the value of SEMSPLAT_TOKEN, which other users of
-    the machine cannot see."""
     limits: ServiceLimits = ServiceLimits()

@@ -8,10 +8,12 @@ import sys
 import threading
 from pathlib import Path
 
-from toolkit.batch.locking import locked
 from toolkit.cli.errors import one_line_errors
+from toolkit.runs.lock import locked
 from toolkit.runs.settings import load_settings
 
+# A process whose parent has ended needs a moment to end itself.
+_PATIENCE_S = 20.0
 # Exit status of a run whose parent has ended.
 _PARENT_ENDED = 125
 
@@ -26,12 +28,7 @@ def main(arguments: list[str]) -> int:
     """
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     config, folder = map(Path, arguments)
-
-    def execute() -> int:
-        with locked(folder):
-            return _run(config, folder)
-
-    return one_line_errors(execute)
+    return one_line_errors(lambda: _run(config, folder))
 
 
 def _run(config: Path, folder: Path) -> int:
@@ -41,10 +38,11 @@ def _run(config: Path, folder: Path) -> int:
 
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
     logging.getLogger("toolkit").setLevel(logging.INFO)
-    begun = (folder / "config.yaml").is_file()
-    if not begun:
-        # The remains of a process that was killed before it had written its settings.
-        RunFolder(folder).discard()
+    with locked(folder, _PATIENCE_S):
+        begun = (folder / "config.yaml").is_file()
+        if not begun:
+            # The remains of a process that was killed before it had written its settings.
+            RunFolder(folder).discard()
     run(load_settings(config), folder, resume=begun)
     return 0
 

@@ -49,12 +49,12 @@ def _held(out: str) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise cannot_write(folder, error) from error
-    with locked(folder):
-        try:
+    try:
+        with locked(folder):
             yield
-        finally:
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
+    finally:
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 @contextmanager

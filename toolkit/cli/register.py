@@ -117,7 +117,7 @@ def _register(
     pairs = most_similar_submaps(*submaps, options.pairs)
     return [
         register_submaps(pair, *submaps, registrar, options.verification)
-        for pair in tqdm(pairs, unit="pair of submaps")
+        for pair in tqdm(pairs, unit="pair of submaps", disable=None)
     ]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +119,7 @@ def main(options: RenderProgram) -> int:
 
     step = max(1, len(views) // _SPAN_VIEWS)
     span = DepthSpan.of(_render(map_, camera, view).depth_m for view in views[::step])
-    for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
+    for view in tqdm(views, unit="view", disable=None):
         rendered = _render(map_, camera, view)
         observed = inputs.rgb(view) if inputs else None
         images: dict[str, RgbImage] = {
@@ -149,7 +148,7 @@ def _write_video(
     kind = options.what[0]
 
     def images() -> Iterator[RgbImage]:
-        for view in tqdm(views, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
+        for view in tqdm(views, unit="view", disable=None):
             rendered = _render(map_, camera, view)
             if palette is None or rendered.nodes is None:
                 yield _image_of(kind, rendered, span, None, map_.names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -104,5 +103,4 @@ def _value(argv: list[str], flag: str) -> str | None:
 
 def with_progress(frames: Iterable[Frame], total: int | None, first: int) -> Iterable[Frame]:
     """Wrap frames in a progress bar, which is only displayed in terminals."""
-    bar = {"unit": "frame", "file": sys.stderr, "disable": not sys.stderr.isatty()}
-    return tqdm(frames, total=total, initial=first, **bar)
+    return tqdm(frames, total=total, initial=first, unit="frame", disable=None)

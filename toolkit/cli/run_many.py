@@ -96,9 +96,8 @@ class _Progress:
         self._jobs = {run.name: job_of(run, planned) for run in planned.runs}
         # Attempts before this call, to recognise runs that have not begun yet.
         self._before = {name: job.attempts for name, job in self._jobs.items()}
-        terminal = sys.stderr.isatty()
-        self._bar = tqdm(total=due, unit="run", file=sys.stderr, disable=not terminal)
-        self._interval_s = _BAR_INTERVAL_S if terminal else _LINE_INTERVAL_S
+        self._bar = tqdm(total=due, unit="run", disable=None)
+        self._interval_s = _LINE_INTERVAL_S if self._bar.disable else _BAR_INTERVAL_S
         self._due, self._ended = due, set[str]()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)

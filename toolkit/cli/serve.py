@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import os
+import logging
 
 from toolkit.cli.map_programs import ServeOptions
-from toolkit.serving.server import TOKEN_VARIABLE, bind, check_token, serve
+from toolkit.serving.server import bind, is_local, serve
+
+_log = logging.getLogger(__name__)
 
 
 def main(options: ServeOptions) -> int:
@@ -15,16 +17,19 @@ def main(options: ServeOptions) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run, the port cannot be used, a token is missing, or a
-            package is not installed.
+        ToolkitError: there is no finished run, the port cannot be used, or a package is not
+            installed.
     """
-    token = os.environ.get(TOKEN_VARIABLE) if options.token is None else options.token
-    check_token(options.host, token)
+    if not is_local(options.host):
+        _log.warning(
+            "Anyone who can connect to %s can read the map, without password or encryption; a "
+            "reverse proxy adds both, see docs/guides/service.md.",
+            options.host,
+        )
     serve(
         options.run,
         bind(options.host, options.port),
         options.limits,
-        token,
         lambda url: print(f"serving {options.run} at {url}; stop with Ctrl-C", flush=True),
     )
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -56,7 +55,5 @@ def main(options: TrainHeadOptions) -> int:
 
 
 def _frames(dataset: Dataset, indices: Sequence[int], purpose: str) -> Iterator[Frame]:
-    is_terminal = sys.stderr.isatty()
-    bar = tqdm(indices, desc=purpose, unit="frame", file=sys.stderr, disable=not is_terminal)
-    for index in bar:
+    for index in tqdm(indices, desc=purpose, unit="frame", disable=None):
         yield dataset[index]

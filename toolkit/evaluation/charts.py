@@ -1,28 +1,80 @@
-"""Line charts as inline SVG. Colours come from the CSS classes of the embedding page."""
+"""Charts as inline SVG, drawn by matplotlib in the colours of the embedding page."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+import io
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Plot
 
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 640.0, 400.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 18.0, 14.0, 44.0
+# In pixels of the page, which are the points of matplotlib.
+_SIZE = (640.0, 400.0)
+# CSS variables of the page, which has other values of them in dark mode. matplotlib draws them in
+# colours that stand for them.
+_VARIABLES = (
+    *("ink", "soft", "line", "card", "estimate", "truth", "second", "alarm"),
+    *(f"run{number}" for number in range(6)),
+)
+_PLACEHOLDER = "#fe01"
+_TOOLTIP = "tooltip: "
+
+
+def colour(variable: str) -> str:
+    """Return the colour for matplotlib that becomes a CSS variable of the page."""
+    return f"{_PLACEHOLDER}{_VARIABLES.index(variable):02x}"
+
+
+def tooltip(text: str) -> str:
+    """Return the identifier (gid) of an artist that shows a text under the mouse."""
+    return _TOOLTIP + text
+
+
+# Equal drawings are equal files, and text stays text.
+_STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "semsplat",
+    "svg.fonttype": "none",
+    "font.size": 13,
+    "text.color": colour("soft"),
+    "text.parse_math": False,
+    "axes.labelcolor": colour("soft"),
+    "axes.edgecolor": colour("line"),
+    "axes.xmargin": 0.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": colour("line"),
+    "ytick.color": colour("line"),
+    "xtick.labelcolor": colour("soft"),
+    "ytick.labelcolor": colour("soft"),
+    "grid.color": colour("line"),
+    "legend.frameon": False,
+    "legend.borderaxespad": 0.0,
+    "legend.columnspacing": 1.2,
+    "legend.handlelength": 1.4,
+    "lines.linewidth": 2,
+    "lines.markeredgewidth": 2,
+    "lines.markerfacecolor": colour("card"),
+    "lines.markersize": 8,
+    "lines.solid_capstyle": "round",
+}
 
 
 @dataclass(frozen=True)
 class Series:
-    """A line: points [N, 2], name in the legend and CSS class."""
+    """A line: points [N, 2], name in the legend and CSS variable of its colour."""
 
     points: Array
     name: str
-    css_class: str
+    colour: str
 
 
 @dataclass(frozen=True)
@@ -45,147 +97,86 @@ class Axes:
     marks_name: str = ""
 
 
-@dataclass(frozen=True)
-class _Window:
-    """Range of the displayed values, and the mapping from values to SVG coordinates."""
+def line_chart(series: Sequence[Series], axes: Axes) -> Markup:
+    """Return an SVG element with lines, grid, axis labels and legend.
 
-    x_low: float
-    x_high: float
-    y_low: float
-    y_high: float
-
-    def x(self, value: Array | float) -> Array | float:
-        fraction = (value - self.x_low) / (self.x_high - self.x_low)
-        return _LEFT + fraction * (_WIDTH - _LEFT - _RIGHT)
-
-    def y(self, value: Array | float) -> Array | float:
-        fraction = (value - self.y_low) / (self.y_high - self.y_low)
-        return _HEIGHT - _BOTTOM - fraction * (_HEIGHT - _BOTTOM - _TOP)
-
-
-def line_chart(series: Sequence[Series], axes: Axes) -> str:
-    """Return an SVG element with lines, grid and axis labels below an HTML legend.
-
-    Non-finite points interrupt a line. Without finite points, the result is an empty string.
+    Non-finite points interrupt a line. Without finite points, the result is empty.
     """
     points = np.concatenate([np.empty((0, 2)), *(s.points for s in series)])
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
-        return ""
-    window = _equal_window(points) if axes.equal else _window_from_zero(points, axes)
-    body = [*_grid(window), *_labels(axes)]
-    for value in axes.marks_x:
-        x = window.x(value)
-        body.append(f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{_TOP + 14}"/>')
-    if axes.level is not None:
-        y = window.y(axes.level[0])
-        right = _WIDTH - _RIGHT
-        body.append(f'<line class="level" x1="{_LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-    for item in series:
-        body += _polylines(item, window)
-    label = escape(f"{axes.y_label} over {axes.x_label}")
-    svg = (
-        f'<svg viewBox="0 0 {_WIDTH:.0f} {_HEIGHT:.0f}" role="img" aria-label="{label}">'
-        + "".join(body)
-        + "</svg>"
+        return Markup()
+
+    def draw(plot: Plot) -> None:
+        for item in series:
+            _draw_line(plot, item)
+        if axes.level is not None:
+            value, name = axes.level
+            plot.axhline(value, color=colour("ink"), linewidth=1, dashes=(5, 4), label=name)
+        if len(axes.marks_x):
+            marks: dict[str, Any] = {"color": colour("alarm"), "markersize": 14, "clip_on": False}
+            marks |= {"transform": plot.get_xaxis_transform(), "label": axes.marks_name}
+            plot.plot(axes.marks_x, [0.97] * len(axes.marks_x), "|", **marks)
+        plot.set(xlabel=axes.x_label, ylabel=axes.y_label)
+        plot.grid()
+        if axes.equal:
+            plot.set_aspect("equal", adjustable="datalim")
+        else:
+            highest = max(float(points[:, 1].max()), axes.level[0] if axes.level else 0.0)
+            plot.set_ylim(0.0, 1.12 * highest if highest > 0 else 1.0)
+
+    return drawing(draw, f"{axes.y_label} over {axes.x_label}")
+
+
+def drawing(draw: Callable[[Plot], None], label: str) -> Markup:
+    """Return an SVG element for a page.
+
+    Args:
+        draw: draws on the axes that it is given; named artists form the legend.
+        label: description for readers who do not see the drawing.
+    """
+    # Imported here, because a run needs matplotlib only for its report. pyplot is not used because
+    # it keeps figures and settings in global state.
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    content = io.StringIO()
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(_SIZE[0] / 72, _SIZE[1] / 72), layout="constrained")
+        plot = figure.subplots()
+        draw(plot)
+        # One entry for all artists of a name.
+        named = dict(zip(*reversed(plot.get_legend_handles_labels()), strict=True))
+        if named:
+            figure.legend(named.values(), named, loc="outside upper left", ncols=_columns([*named]))
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(content, format="svg", metadata=nothing, transparent=True)
+    return _embedded(content.getvalue(), label)
+
+
+def _draw_line(plot: Plot, series: Series) -> None:
+    points = series.points
+    style: dict[str, Any] = {"color": colour(series.colour)}
+    plot.plot(*points.T, "o" if len(points) == 1 else "-", label=series.name or None, **style)
+    # A point between two gaps has no line; a dot shows it.
+    gap = np.pad(~np.isfinite(points).all(axis=1), 1, constant_values=True)
+    plot.plot(*points[~gap[1:-1] & gap[:-2] & gap[2:]].T, "o", **style)
+
+
+def _columns(names: Sequence[str]) -> int:
+    """Return the columns of a legend of the width of the drawing, from typical widths of text."""
+    widths = [44.0 + 7.0 * len(name) for name in names]
+    return len(names) if sum(widths) <= _SIZE[0] else max(1, int(_SIZE[0] / max(widths)))
+
+
+def _embedded(svg: str, label: str) -> Markup:
+    """Return an SVG file of matplotlib as an element of a page."""
+    svg = svg[svg.index("<svg") :]
+    # HTML needs no namespaces. Several drawings on a page would have the same identifiers.
+    svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg)
+    svg = re.sub(rf'<g id="{_TOOLTIP}([^"]*)">', r"<g><title>\1</title>", svg)
+    svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
+    svg = re.sub(
+        rf"{_PLACEHOLDER}([0-9a-f]{{2}})", lambda m: f"var(--{_VARIABLES[int(m[1], 16)]})", svg
     )
-    return _legend(series, axes) + svg
-
-
-def ticks(low: float, high: float, target_count: int = 6) -> list[float]:
-    """Return tick values between low and high whose step is 1, 2 or 5 times a power of ten."""
-    raw_step = (high - low) / target_count
-    power = 10.0 ** math.floor(math.log10(raw_step))
-    step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= raw_step * 0.999)
-    first = math.ceil(low / step - 1e-9)
-    last = math.floor(high / step + 1e-9)
-    return [step * index for index in range(first, last + 1)]
-
-
-def _window_from_zero(points: Array, axes: Axes) -> _Window:
-    """Return a window over all x values, and over y from zero to above the largest value."""
-    x_low, x_high = float(points[:, 0].min()), float(points[:, 0].max())
-    if x_high <= x_low:
-        x_low, x_high = x_low - 0.5, x_high + 0.5
-    highest = max(float(points[:, 1].max()), axes.level[0] if axes.level else 0.0)
-    return _Window(x_low, x_high, 0.0, 1.12 * highest if highest > 0 else 1.0)
-
-
-def _equal_window(points: Array) -> _Window:
-    """Return a window centred on the points, with the aspect ratio of the chart."""
-    centre = (points.max(axis=0) + points.min(axis=0)) / 2
-    extent = np.maximum(points.max(axis=0) - points.min(axis=0), 1e-3)
-    pixels = np.array([_WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM])
-    half = 1.1 * (extent / pixels).max() * pixels / 2
-    return _Window(
-        float(centre[0] - half[0]),
-        float(centre[0] + half[0]),
-        float(centre[1] - half[1]),
-        float(centre[1] + half[1]),
-    )
-
-
-def _grid(window: _Window) -> list[str]:
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    parts = []
-    x_ticks = ticks(window.x_low, window.x_high)
-    for value, text in zip(x_ticks, _numbers(x_ticks), strict=True):
-        x = window.x(value)
-        parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>')
-        parts.append(f'<text class="tick mid" x="{x:.1f}" y="{bottom + 17}">{text}</text>')
-    y_ticks = ticks(window.y_low, window.y_high, target_count=5)
-    for value, text in zip(y_ticks, _numbers(y_ticks), strict=True):
-        y = window.y(value)
-        parts.append(f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="tick end" x="{_LEFT - 8}" y="{y + 4:.1f}">{text}</text>')
-    return parts
-
-
-def _labels(axes: Axes) -> list[str]:
-    middle_x = (_LEFT + _WIDTH - _RIGHT) / 2
-    middle_y = (_TOP + _HEIGHT - _BOTTOM) / 2
-    return [
-        f'<text class="label mid" x="{middle_x}" y="{_HEIGHT - 8}">{escape(axes.x_label)}</text>',
-        f'<text class="label mid" x="0" y="0" transform="translate(14 {middle_y}) rotate(-90)">'
-        f"{escape(axes.y_label)}</text>",
-    ]
-
-
-def _polylines(series: Series, window: _Window) -> list[str]:
-    """Return the line of a series, split at non-finite points; single points become dots."""
-    finite = np.isfinite(series.points).all(axis=1)
-    breaks = np.flatnonzero(np.diff(finite.astype(int))) + 1
-    parts = []
-    segments = zip(np.split(series.points, breaks), np.split(finite, breaks), strict=True)
-    for segment, is_finite in segments:
-        if len(segment) == 0 or not is_finite[0]:
-            continue
-        pixels = np.stack([window.x(segment[:, 0]), window.y(segment[:, 1])], axis=1)
-        if len(segment) == 1:
-            x, y = pixels[0]
-            parts.append(
-                f'<circle class="{series.css_class} dot" cx="{x:.1f}" cy="{y:.1f}" r="4"/>'
-            )
-            continue
-        text = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels)
-        parts.append(f'<polyline class="{series.css_class}" points="{text}"/>')
-    return parts
-
-
-def _legend(series: Sequence[Series], axes: Axes) -> str:
-    keys = [
-        f'<span><i class="key {s.css_class}"></i>{escape(s.name)}</span>' for s in series if s.name
-    ]
-    if axes.level is not None:
-        keys.append(f'<span><i class="key level"></i>{escape(axes.level[1])}</span>')
-    if len(axes.marks_x):
-        keys.append(f'<span><i class="key mark"></i>{escape(axes.marks_name)}</span>')
-    return f'<div class="legend">{"".join(keys)}</div>' if keys else ""
-
-
-def _numbers(values: Sequence[float]) -> list[str]:
-    """Format tick values with the number of decimals that their step needs."""
-    step = values[1] - values[0] if len(values) > 1 else 1.0
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    # Rounding may leave zero slightly negative; avoid "-0.0".
-    return [f"{value if abs(value) > step / 2 else 0.0:.{digits}f}" for value in values]
+    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(label)}"', 1))

@@ -100,7 +100,7 @@ def render_comparison(runs: Sequence[ComparedRun]) -> str:
         highlights=[row for key in _HIGHLIGHTS for row in metrics if row[0] == key],
         metrics=metrics,
         conventions=_convention_rows(runs),
-        chart=Markup(_path_chart(runs)),
+        chart=_path_chart(runs),
         views=_view_rows(runs),
     )
 
@@ -164,7 +164,7 @@ def _convention_rows(runs: Sequence[ComparedRun]) -> list[tuple[str, list[str]]]
     return rows
 
 
-def _path_chart(runs: Sequence[ComparedRun]) -> str:
+def _path_chart(runs: Sequence[ComparedRun]) -> Markup:
     """Draw the paths from above, each in the axes of the first camera of its run."""
     series = [
         Series(run.estimate.positions_m[:, [0, 2]], run.name, f"run{number % _LINE_COLOURS}")

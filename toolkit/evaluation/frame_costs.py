@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from toolkit.evaluation.charts import Axes, Series, line_chart
@@ -76,16 +77,16 @@ class FrameCostRecorder:
         return total_ms
 
 
-def time_chart(costs: FrameCosts) -> str:
-    """Draw the time of each frame as SVG; empty without frames."""
+def time_chart(costs: FrameCosts) -> Markup:
+    """Draw the time of each frame; empty without frames."""
     if not len(costs.frames):
-        return ""
+        return Markup()
     highest_ms = _RANGE_FACTOR * float(np.percentile(costs.total_ms, _RANGE_PERCENTILE))
     above = costs.frames[costs.total_ms > highest_ms]
 
-    def line(values_ms: NDArray[np.float64], name: str, css_class: str) -> Series:
+    def line(values_ms: NDArray[np.float64], name: str, colour: str) -> Series:
         shown = np.where(values_ms <= highest_ms, values_ms, np.nan)
-        return Series(_points(costs.frames, shown), name, css_class)
+        return Series(_points(costs.frames, shown), name, colour)
 
     mapping_ms = costs.columns_ms[Column.LABELLING] + costs.columns_ms[Column.MAPPING]
     mapping = line(mapping_ms, "mapping of keyframes", "second")
@@ -105,8 +106,8 @@ def time_chart(costs: FrameCosts) -> str:
     return line_chart(series, axes)
 
 
-def memory_chart(costs: FrameCosts) -> str:
-    """Draw the resident memory of the process as SVG; empty if it is unknown."""
+def memory_chart(costs: FrameCosts) -> Markup:
+    """Draw the resident memory of the process; empty if it is unknown."""
     points = _points(costs.frames, costs.memory_mb)
     return line_chart([Series(points, "", "estimate")], Axes(_x_label(len(costs.frames)), "MB"))
 

@@ -20,8 +20,7 @@ from toolkit.evaluation.frame_costs import FrameCosts, memory_chart, time_chart
 from toolkit.evaluation.frame_states import FrameState, ranges
 from toolkit.evaluation.loop_gallery import LoopPicture
 from toolkit.evaluation.metrics import Metrics
-from toolkit.evaluation.state_strip import state_strip
-from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_svg
+from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_chart
 from toolkit.evaluation.timing import StageTime
 from toolkit.evaluation.trajectory import (
     AbsoluteTrajectoryError,
@@ -193,18 +192,17 @@ def render_report(content: ReportContent) -> str:
     return environment.from_string(template).render(
         content=content,
         headlines=_headlines(content.metrics),
-        path_chart=Markup(_trajectory_chart(content, error)),
-        error_chart=Markup(_error_chart(content, error)),
-        delay_chart=Markup("" if content.delays is None else _delay_chart(content.delays)),
+        path_chart=_trajectory_chart(content, error),
+        error_chart=_error_chart(content, error),
+        delay_chart=content.delays and _delay_chart(content.delays),
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
         memory=_memory(content.metrics),
-        state_strip=Markup(state_strip(content.states)),
-        unreliable=[r for r in ranges(content.states) if r.state in ("doubtful", "lost")],
+        states=ranges(content.states),
         loops=[_loop(picture) for picture in content.loops],
-        submap_graph=Markup("" if content.submaps is None else submap_graph_svg(content.submaps)),
-        time_chart=Markup("" if content.costs is None else time_chart(content.costs)),
-        memory_chart=Markup("" if content.costs is None else memory_chart(content.costs)),
+        submap_graph=content.submaps and submap_graph_chart(content.submaps),
+        time_chart=content.costs and time_chart(content.costs),
+        memory_chart=content.costs and memory_chart(content.costs),
         plan=None if content.floor_plan is None else _data_url(content.floor_plan.image),
         all_metrics=[(key, _text(value)) for key, value in sorted(content.metrics.items())],
     )
@@ -224,7 +222,7 @@ def _headlines(metrics: Metrics) -> list[dict[str, str]]:
     return headlines
 
 
-def _trajectory_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
+def _trajectory_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> Markup:
     """Draw both trajectories from above, in the axes of the first camera (x right, z forward)."""
     top = [0, 2]
     series = []
@@ -234,7 +232,7 @@ def _trajectory_chart(content: ReportContent, error: AbsoluteTrajectoryError | N
         series.append(Series(truth_m[:, top] / error.alignment.scale, "truth", "truth"))
     estimate_m = content.estimate.positions_m[:, top]
     series.append(Series(estimate_m, "estimate", "estimate"))
-    series.append(Series(estimate_m[:1], "start", "start"))
+    series.append(Series(estimate_m[:1], "start", "estimate"))
     return line_chart(
         series,
         Axes(
@@ -245,10 +243,10 @@ def _trajectory_chart(content: ReportContent, error: AbsoluteTrajectoryError | N
     )
 
 
-def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> str:
+def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) -> Markup:
     """Draw the error over time and mark lost frames."""
     if error is None:
-        return ""
+        return Markup()
     start_s = float(content.estimate.timestamps_s[0])
     lost_s = np.asarray(content.lost_at_s, dtype=np.float64)
     times_s = np.concatenate([error.timestamps_s, lost_s]) - start_s
@@ -266,7 +264,7 @@ def _error_chart(content: ReportContent, error: AbsoluteTrajectoryError | None) 
     return line_chart([Series(points, "", "estimate")], axes)
 
 
-def _delay_chart(delays: DelaySeries) -> str:
+def _delay_chart(delays: DelaySeries) -> Markup:
     """Draw the delay over time and mark dropped frames."""
     points = np.stack([delays.arrival_s, delays.delay_s], axis=1)
     points[:, 1] *= 1e3

@@ -1,21 +1,28 @@
-"""The submaps of a run as a graph: overlaps and loop edges, drawn from above as SVG."""
+"""The submaps of a run as a graph: overlaps and loop edges, drawn from above."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
+from toolkit.evaluation.charts import colour, drawing, tooltip
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import Frustum, contained_fraction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Plot
 
 Array = NDArray[np.float64]
 
 # Smaller overlaps are not drawn.
 MIN_OVERLAP = 0.05
-_WIDTH, _HEIGHT, _MARGIN, _RADIUS = 640.0, 400.0, 46.0, 15.0
+# Pixels of the drawing within its margins, and the radius of the circle of a submap.
+_AREA, _RADIUS = np.array([548.0, 308.0]), 15.0
 # Circles of submaps in one room are moved apart until they are this far from each other.
 _SPACING, _MOVES = 2.6 * _RADIUS, 200
 _MAX_WIDTH = 9.0
@@ -90,64 +97,53 @@ def observed_from(points_camera_m: Array, T_map_camera: Array) -> Array:
     return se3.transform_points(T_map_camera, finite)
 
 
-def submap_graph_svg(graph: SubmapGraph) -> str:
+def submap_graph_chart(graph: SubmapGraph) -> Markup:
     """Draw the graph; wider lines are larger overlaps, dashed lines have a loop edge."""
     positions_m = np.array([submap.position_m for submap in graph.submaps])
-    scale, offset = _scale(np.concatenate([positions_m, graph.path_m]))
+    extent_m = np.ptp(np.concatenate([positions_m, graph.path_m]), axis=0)
+    m_per_pixel = float((np.maximum(extent_m, 1e-3) / _AREA).max())
+    places_m = m_per_pixel * _apart(positions_m / m_per_pixel)
+    at = {submap.number: place for submap, place in zip(graph.submaps, places_m, strict=True)}
 
-    def pixels(points_m: Array) -> Array:
-        # Forward is up in the drawing.
-        return points_m * np.array([scale, -scale]) + offset
+    def draw(plot: Plot) -> None:
+        x, y = graph.path_m.T
+        plot.plot(x, y, color=colour("truth"), linewidth=1, alpha=0.7, label="path from above")
+        for link in graph.links:
+            _draw_link(plot, link, np.stack([at[link.first], at[link.second]], axis=1))
+        circle: dict[str, Any] = {"markersize": 2 * _RADIUS, "color": colour("estimate")}
+        digits: dict[str, Any] = {"color": colour("ink"), "weight": "bold"}
+        digits |= {"ha": "center", "va": "center_baseline"}
+        for submap in graph.submaps:
+            gid = tooltip(f"submap {submap.number}: {submap.keyframes} keyframes")
+            x, y = at[submap.number]
+            plot.plot(x, y, "o", gid=gid, **circle)
+            plot.text(x, y, str(submap.number), gid=gid, **digits)
+        plot.set_aspect("equal", adjustable="datalim")
+        plot.margins(0.15)
+        plot.axis("off")
 
-    places = _apart(pixels(positions_m))
-    at = {submap.number: place for submap, place in zip(graph.submaps, places, strict=True)}
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels(graph.path_m))
-    body = [f'<polyline class="path" points="{path}"/>']
-    body += [_overlap_line(link, at) for link in graph.links]
-    body += [f'<line class="loop" {_ends(link, at)}/>' for link in graph.links if link.loop]
-    for submap in graph.submaps:
-        x, y = at[submap.number]
-        body.append(
-            f'<circle class="node" cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS}">'
-            f"<title>submap {submap.number}: {submap.keyframes} keyframes</title></circle>"
-            f'<text class="mid number" x="{x:.1f}" y="{y + 4:.1f}">{submap.number}</text>'
-        )
-    return (
-        f'<svg viewBox="0 0 {_WIDTH:.0f} {_HEIGHT:.0f}" role="img" '
-        f'aria-label="overlaps and loops of the submaps">{"".join(body)}</svg>'
-    )
+    return drawing(draw, "overlaps and loops of the submaps")
 
 
-def _overlap_line(link: SubmapLink, at: dict[int, Array]) -> str:
+def _draw_link(plot: Plot, link: SubmapLink, ends_m: Array) -> None:
     title = f"submaps {link.first} and {link.second}: {100 * link.overlap:.0f} % overlap"
-    title += ", loop edge" * link.loop
-    width = max(1.0, _MAX_WIDTH * link.overlap)
-    return (
-        f'<line class="overlap" {_ends(link, at)} stroke-width="{width:.1f}">'
-        f"<title>{title}</title></line>"
+    plot.plot(
+        *ends_m,
+        color=colour("estimate"),
+        alpha=0.35,
+        linewidth=max(1.0, _MAX_WIDTH * link.overlap),
+        label="overlap, wider is more",
+        gid=tooltip(title + ", loop edge" * link.loop),
     )
-
-
-def _ends(link: SubmapLink, at: dict[int, Array]) -> str:
-    (x1, y1), (x2, y2) = at[link.first], at[link.second]
-    return f'x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
-
-
-def _scale(points_m: Array) -> tuple[float, Array]:
-    """Return the scale and offset that fit points [N, 2] into the drawing, with y upwards."""
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    room = np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN
-    scale = float((room / np.maximum(high - low, 1e-3)).min())
-    centre = (low + high) / 2
-    return scale, np.array([_WIDTH / 2 - scale * centre[0], _HEIGHT / 2 + scale * centre[1]])
+    if link.loop:
+        plot.plot(*ends_m, color=colour("second"), dashes=(2.5, 2), label="loop edge")
 
 
 def _apart(places: Array) -> Array:
-    """Move circles [N, 2] apart that would cover each other."""
-    places = places.copy()
+    """Move circles [N, 2], in pixels, apart that would cover each other."""
     # Circles at one place need directions in which to move; these are fixed by their number.
     angles = 2.4 * np.arange(len(places))
-    places += 0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    places = places + 0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for _ in range(_MOVES):
         offsets = places[:, None] - places[None]
         distances = np.linalg.norm(offsets, axis=2) + np.eye(len(places)) * 1e9
@@ -156,5 +152,4 @@ def _apart(places: Array) -> Array:
             break
         push = np.where(close, (_SPACING - distances) / distances, 0.0)[..., None] * offsets
         places += 0.3 * push.sum(axis=1)
-        places = np.clip(places, _RADIUS + 2, [_WIDTH - _RADIUS - 2, _HEIGHT - _RADIUS - 2])
     return places

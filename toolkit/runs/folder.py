@@ -35,6 +35,7 @@ from toolkit.io.covariances import write_covariances
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.splats import SplatLabels, SpzAxes, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
+from toolkit.runs.lock import LOCK, is_unused
 from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
@@ -77,6 +78,7 @@ class RunFolder:
         self.loops = path / "loops.jsonl"
         self.delays = path / "delays.csv"
         self.log = path / "log.txt"
+        self.lock = path / LOCK
         self.checkpoints = path / "checkpoint"
         self.parts = path / "parts"
         self.live = path / "live"
@@ -95,7 +97,7 @@ class RunFolder:
             raise RunFolderError(
                 f"{path} already contains a run; resume it, or choose another output folder"
             )
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if not is_unused(path):
             raise RunFolderError(f"{path} is not an empty folder; choose another output folder")
         try:
             for part in (path, folder.renders, folder.checkpoints):
@@ -126,7 +128,7 @@ class RunFolder:
 
     def discard(self) -> None:
         """Remove the folder of a run that saved no checkpoint; other files in it are kept."""
-        for path in (self.config, self.loops, self.log, self.taxonomy):
+        for path in (self.config, self.loops, self.log, self.taxonomy, self.lock):
             path.unlink(missing_ok=True)
         shutil.rmtree(self.live, ignore_errors=True)
         for path in (self.renders, self.checkpoints, self.submaps, self.path):

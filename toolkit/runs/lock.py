@@ -2,44 +2,54 @@
 
 from __future__ import annotations
 
-import errno
 import logging
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from toolkit.errors import RunFolderError
+
+LOCK = ".lock"
 
 _log = logging.getLogger(__name__)
 
 
+def is_unused(folder: Path) -> bool:
+    """Return whether a folder does not exist, or contains nothing but a lock."""
+    return not folder.exists() or (folder.is_dir() and {p.name for p in folder.iterdir()} <= {LOCK})
+
+
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
+def locked(folder: Path, patience_s: float = 0.0) -> Iterator[None]:
     """Hold a run folder as its only writer; the death of the process releases it.
 
-    The folder itself is locked (`flock`), which leaves no file behind. File systems and operating
-    systems without such locks are not protected.
+    A file in the folder is locked, and removed at the end. Folders that cannot be written and file
+    systems without locks are not protected.
+
+    Args:
+        folder: the run folder; created if it does not exist.
+        patience_s: time to wait for the end of another process, seconds.
 
     Raises:
         RunFolderError: another process holds the folder.
     """
+    path = folder / LOCK
+    lock = FileLock(path, timeout=patience_s)
     try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
-    handle = os.open(path, os.O_RDONLY)
+        lock.acquire()
+    except Timeout as error:
+        raise RunFolderError(
+            f"another process is running in {folder}; wait for its end, or choose another output "
+            f"folder"
+        ) from error
+    except OSError as error:
+        _log.info("%s is not locked: %s.", folder, error.strerror)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
-                raise RunFolderError(
-                    f"another process is running in {path}; wait for its end, or choose another "
-                    f"output folder"
-                ) from error
-            _log.info("The file system of %s has no locks: %s", path, error.strerror)
         yield
     finally:
-        os.close(handle)
+        if lock.is_locked:
+            # Removed while it is held: whoever has opened the file before sees that it is gone.
+            path.unlink(missing_ok=True)
+            lock.release()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,7 +126,7 @@ def part_mesh(run: FinishedRun, part: GaussianCloud, options: MeshOptions) -> Tr
 def _views(run: FinishedRun, gaussians: GaussianCloud, every: int) -> Iterator[PosedDepth]:
     camera = run.camera
     frames = run.tracked[::every]
-    for frame in tqdm(frames, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
+    for frame in tqdm(frames, unit="view", disable=None):
         rendered = render_surface(
             backend(run.settings.backend),
             gaussians,

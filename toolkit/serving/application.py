@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Path, Query, Request
@@ -10,13 +11,13 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 from fastapi.routing import APIRoute
 from pydantic import ValidationError
+from starlette.datastructures import Headers
 
 from toolkit import __version__
 from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.serving.admission import Computations, OverloadedError
 from toolkit.serving.listing import Listed, listing_page
 from toolkit.serving.options import ServiceLimits
-from toolkit.serving.protection import Application, Protection
 from toolkit.serving.requests import (
     PageParameters,
     QueryParameters,
@@ -24,19 +25,28 @@ from toolkit.serving.requests import (
     ViewParameters,
 )
 from toolkit.serving.served_run import NotAvailableError, ServedRun
+from toolkit.serving.server import is_local
 
 KeyframeNumber = Annotated[int, Path(ge=0, le=10**9)]
 _PNG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/png": {}}}}
 
 
+# The pages of the service load nothing, and no other page may embed them.
+_HEADERS = {
+    "cache-control": "no-store",
+    "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'",
+    "x-content-type-options": "nosniff",
+}
+
+
 def build_application(
-    run: ServedRun, limits: ServiceLimits, token: str | None, computations: Computations
-) -> Application:
+    run: ServedRun, limits: ServiceLimits, computations: Computations, local: bool = True
+) -> FastAPI:
     """Return the ASGI application that serves a run.
 
     Args:
-        token: required from every client; None for a service on this machine only.
         computations: computes renders and queries; to be closed by the caller.
+        local: only clients on this machine can connect.
     """
     # FastAPI's documentation pages load scripts from a CDN; the page at / replaces them.
     app = FastAPI(
@@ -53,8 +63,9 @@ def build_application(
     async def listing() -> str:
         return listing_page(run.name, _listed(app.routes))
 
+    _add_checks(app, limits, local)
     _add_errors(app)
-    return Protection(app, limits, token)
+    return app
 
 
 def _add_values(app: FastAPI, run: ServedRun, computations: Computations) -> None:
@@ -126,22 +137,47 @@ def _listed(routes: Iterable[Any]) -> list[Listed]:
     ]
 
 
+def _add_checks(app: FastAPI, limits: ServiceLimits, local: bool) -> None:
+    """Check the host and the size of the body of every request."""
+
+    def rejected(headers: Headers) -> JSONResponse | None:
+        # A web page could read the answers through a name that it has pointed at this machine (DNS
+        # rebinding).
+        host = re.sub(r":\d+$", "", headers.get("host", "")).strip("[]").lower()
+        if local and not is_local(host):
+            return _error(400, "the header Host must be localhost or 127.0.0.1")
+        if "transfer-encoding" in headers:
+            return _error(411, "a body needs the header Content-Length")
+        if int(headers.get("content-length", "0")) > limits.max_body_bytes:
+            return _error(413, f"the body is larger than {limits.max_body_bytes} bytes")
+        return None
+
+    @app.middleware("http")
+    async def check(
+        request: Request, call_next: Callable[[Request], Awaitable[Response]]
+    ) -> Response:
+        response = rejected(request.headers) or await call_next(request)
+        response.headers.update(_HEADERS)
+        return response
+
+
+def _error(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:
+    return JSONResponse({"detail": detail}, status, headers)
+
+
 def _add_errors(app: FastAPI) -> None:
     """Answer errors with a status and one line."""
 
-    def answer(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:
-        return JSONResponse({"detail": detail}, status, headers)
-
     def handler(status: int) -> Callable[[Request, Any], JSONResponse]:
-        return lambda _, error: answer(status, " ".join(str(error).split()))
+        return lambda _, error: _error(status, " ".join(str(error).split()))
 
     app.add_exception_handler(NotAvailableError, handler(404))
     app.add_exception_handler(FormatError, handler(404))  # a query for an unknown class
     app.add_exception_handler(SettingsError, handler(422))
     app.add_exception_handler(ToolkitError, handler(501))  # a library is missing on this machine
-    # `Protection` writes the error to the log.
+    # The server writes the error to its log.
     app.add_exception_handler(
-        Exception, lambda *_: answer(500, "internal error; see the server's log")
+        Exception, lambda *_: _error(500, "internal error; see the server's log")
     )
 
     @app.exception_handler(RequestValidationError)
@@ -149,12 +185,12 @@ def _add_errors(app: FastAPI) -> None:
         # Without the value: it may be NaN, which is not JSON, or long.
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        return answer(422, f"{place}: {first['msg']}")
+        return _error(422, f"{place}: {first['msg']}")
 
     @app.exception_handler(ValidationError)
     async def invalid_view(_: Request, error: ValidationError) -> JSONResponse:
-        return answer(422, error.errors()[0]["msg"])
+        return _error(422, error.errors()[0]["msg"])
 
     @app.exception_handler(OverloadedError)
     async def overloaded(*_: Any) -> JSONResponse:
-        return answer(503, "too many renders and queries wait; try again", {"retry-after": "1"})
+        return _error(503, "too many renders and queries wait; try again", {"retry-after": "1"})

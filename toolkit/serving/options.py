@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from toolkit.options import PositiveFloat, PositiveInt, Range
+from toolkit.options import PositiveInt, Range
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,5 @@ class ServiceLimits:
     max_waiting: PositiveInt = 32
     """Maximum number of renders and queries that are computed or wait; they are computed one after
     another. Further ones are answered with status 503."""
-    requests_per_s: PositiveFloat = 20.0
-    """Requests per second that each client may make on average. Further ones are answered with
-    status 429."""
-    burst: PositiveInt = 100
-    """Number of requests that a client may make at once, after a pause."""
     max_connections: PositiveInt = 128
     """Maximum number of open connections of all clients."""
-    body_timeout_s: PositiveFloat = 10.0
-    """Maximum time for receiving the body of a request, in seconds."""

@@ -3,37 +3,25 @@
 from __future__ import annotations
 
 import errno
+import ipaddress
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 from toolkit.errors import DependencyError, SettingsError
 from toolkit.serving.options import ServiceLimits
-from toolkit.serving.protection import is_local
 
-TOKEN_VARIABLE = "SEMSPLAT_TOKEN"
-_MIN_TOKEN = 16
 _BACKLOG = 128
 
 
-def check_token(host: str, token: str | None) -> None:
-    """Check that others than the users of this machine need a token.
-
-    Raises:
-        SettingsError: there is none, or it is too short or cannot be sent in a header.
-    """
-    if token is None:
-        if is_local(host):
-            return
-        raise SettingsError(
-            f"--host {host} can be reached from other machines, so a token is required: set "
-            f"{TOKEN_VARIABLE} or --token to at least {_MIN_TOKEN} characters"
-        )
-    if len(token) < _MIN_TOKEN or not all("!" <= character <= "~" for character in token):
-        raise SettingsError(
-            f"the token must have at least {_MIN_TOKEN} characters, ASCII letters, digits and "
-            "punctuation; for instance: openssl rand -hex 16"
-        )
+def is_local(host: str) -> bool:
+    """Return whether only this machine can reach an address. Other names are not looked up."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -78,11 +66,7 @@ def url_of(bound: socket.socket) -> str:
 
 
 def serve(
-    path: Path,
-    bound: socket.socket,
-    limits: ServiceLimits,
-    token: str | None,
-    ready: Callable[[str], None],
+    path: Path, bound: socket.socket, limits: ServiceLimits, ready: Callable[[str], None]
 ) -> None:
     """Serve a run until the process is interrupted.
 
@@ -109,8 +93,9 @@ def serve(
 
         run = ServedRun(path, limits.max_pixels)
         computations = Computations(limits.max_waiting)
+        local = is_local(bound.getsockname()[0])
         config = uvicorn.Config(
-            build_application(run, limits, token, computations),
+            build_application(run, limits, computations, local),
             http="h11",
             ws="none",
             lifespan="off",

@@ -35,6 +35,7 @@ from toolkit.batch.refining.tasks import (
 from toolkit.batch.refining.trajectory import moved_frames
 from toolkit.errors import RunFolderError
 from toolkit.io import storage
+from toolkit.runs.lock import LOCK
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ def refine_map(
         ToolkitError: there is no finished run, its map cannot be refined, or `out` is in use.
     """
     source, frames = open_stored_map(place)
-    if storage.names_in(out):
+    if set(storage.names_in(out)) - {LOCK}:
         raise RunFolderError(f"{out} is not an empty folder; choose another --out")
     rounds = source.settings.mapping.final_iterations if iterations is None else iterations
     try:
