@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 
 from toolkit.cli.map_programs import ServeOptions
-from toolkit.serving.server import bind, is_local, serve
+from toolkit.serving.application import is_local
+from toolkit.serving.server import bind, serve
 
 _log = logging.getLogger(__name__)
 

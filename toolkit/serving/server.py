@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import ipaddress
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -12,16 +11,6 @@ from toolkit.errors import DependencyError, SettingsError
 from toolkit.serving.options import ServiceLimits
 
 _BACKLOG = 128
-
-
-def is_local(host: str) -> bool:
-    """Return whether only this machine can reach an address. Other names are not looked up."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -84,7 +73,7 @@ def serve(
             import uvicorn
 
             from toolkit.serving.admission import Computations
-            from toolkit.serving.application import build_application
+            from toolkit.serving.application import build_application, is_local
         except ModuleNotFoundError as error:
             raise DependencyError(
                 f"semsplat serve needs {error.name}: pip install 'semsplat[server]'"
