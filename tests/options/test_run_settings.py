@@ -37,7 +37,7 @@ def test_absent_keys_keep_their_defaults(tmp_path):
     assert load_settings(file) == RunSettings()
     file.write_text("tracking: {dense: {levels: 3}}\n")
     assert load_settings(file).tracking.dense.levels == 3
-    assert load_settings(file).tracking.health == RunSettings().tracking.health
+    assert load_settings(file).tracking.first_order == RunSettings().tracking.first_order
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_absent_keys_keep_their_defaults(tmp_path):
         ("a: [", "is not YAML"),
         ("sed: 3", "unknown option 'sed'; did you mean option 'seed'?"),
         ("seed: x", "option 'seed': input should be a valid integer"),
-        ("tracking: {dense: {min_silhouete: 1}}", "option 'tracking.dense.min_silhouette'?"),
+        ("mapping: {loss: {min_silhouete: 1}}", "option 'mapping.loss.min_silhouette'?"),
     ],
 )
 def test_an_invalid_file_is_named_with_the_key(tmp_path, text, message):

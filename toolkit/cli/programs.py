@@ -21,7 +21,6 @@ from toolkit.cli.map_programs import (
     VoxelSize,
 )
 from toolkit.datasets.options import BagTopics, DatasetKind
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.options import (
     Fraction,
@@ -157,7 +156,6 @@ class RegisterOptions:
     pairs: PositiveInt = 6
     """Number of pairs of submaps that are registered, the most similar first."""
     registration: RegistrationOptions = RegistrationOptions()
-    verification: VerificationOptions = VerificationOptions()
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.io.user_files import read_text
 from toolkit.loops.closing.options import LoopClosureOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.options import MapperOptions
 from toolkit.monocular.options import ScaleOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
@@ -79,6 +80,7 @@ class RunSettings:
     semantics: SemanticsOptions = SemanticsOptions()
     submaps: SubmapOptions = SubmapOptions()
     loops: LoopClosureOptions = LoopClosureOptions()
+    registration: RegistrationOptions = RegistrationOptions()
     scale: ScaleOptions = ScaleOptions()
     pacing: PacingOptions = PacingOptions()
     checkpoint: CheckpointOptions = CheckpointOptions()
