@@ -135,7 +135,7 @@ def test_wrong_matches_are_left_out(seed):
     first = se3.transform_points(T, second)
     first[:40] = generator.permutation(first[:40])
     matched = Matched(first, second, camera.project(first), camera)
-    found = matched.motion(generator)
+    found = matched.motion(generator, matching.MIN_MATCHES)
     assert found is not None
     np.testing.assert_allclose(found[0], T, atol=1e-2)
     assert 38 <= found[1] <= 50

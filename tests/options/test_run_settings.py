@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-import yaml
 
+from toolkit.cli.run import RunProgram
 from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
-from toolkit.options import as_plain, nested_options
+from toolkit.options import nested_options
 from toolkit.runs.settings import (
     RunSettings,
     dump_settings,
     load_settings,
-    load_stored_settings,
 )
 from toolkit.tracking.options import TrackingOptions
 
@@ -70,12 +69,7 @@ def test_every_option_is_described_by_a_complete_phrase():
         assert option.description[:1].isupper(), option.key
 
 
-def test_settings_of_older_runs_are_read_without_options_that_are_gone(tmp_path):
-    stored = as_plain(RunSettings(seed=3))
-    stored["tracking"]["health"]["max_residual_ratio"] = 4.0
-    stored["dataset"]["readout_ms"] = None
-    path = tmp_path / "config.yaml"
-    path.write_text(yaml.safe_dump(stored))
-    assert load_stored_settings(path) == RunSettings(seed=3)
-    with pytest.raises(SettingsError, match="readout_ms"):
-        load_settings(path)
+def test_a_run_has_few_options_of_short_names():
+    keys = [option.key for option in nested_options(RunProgram)]
+    assert len(keys) <= 200
+    assert [key for key in keys if key.count(".") > 2] == []

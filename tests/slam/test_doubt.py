@@ -18,6 +18,8 @@ from toolkit.slam.system import Slam
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.dense import DenseTracker
 
+pytestmark = pytest.mark.usefixtures("few_matches")
+
 
 @pytest.fixture(scope="module")
 def room():
@@ -25,13 +27,7 @@ def room():
 
 
 def new_slam(**relocalisation):
-    settings = validated(
-        LoopClosureOptions,
-        {
-            "relocalisation": relocalisation,
-            "registration": {"coarse": {"matching": {"min_matches": 6}}},
-        },
-    )
+    settings = validated(LoopClosureOptions, {"relocalisation": relocalisation})
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
     return Slam(FrontEnd(DenseTracker(), closer), Mapper(FEW, np.random.default_rng(0)))
 

@@ -86,7 +86,9 @@ def measure_offset(
         The offset, or None if the images do not determine one.
     """
     matched = match_features(first, second)
-    found = None if matched is None else matched.motion(generator or np.random.default_rng(0))
+    if matched is None:
+        return None
+    found = matched.motion(generator or np.random.default_rng(0), MIN_MATCHES)
     return None if found is None else refine_offset(first, second, *found)
 
 
@@ -227,9 +229,7 @@ class Matched:
     camera: Camera
     pixel_size: float = 1.0
 
-    def motion(
-        self, generator: np.random.Generator, min_matches: int = MIN_MATCHES
-    ) -> tuple[Array, int] | None:
+    def motion(self, generator: np.random.Generator, min_matches: int) -> tuple[Array, int] | None:
         """The motion with the most inliers, and their number; None below `min_matches`."""
         n = len(self.first)
         if n < min_matches:

@@ -258,7 +258,7 @@ class LabelledData:
 class TrainHeadOptions:
     """Train a linear head on the patch features of a vision transformer such as DINOv2.
 
-    The head is for `--semantics.segmenter.kind model` with the same model folder.
+    The head is for `--segmenter.kind model` with the same model folder.
     """
 
     dataset: LabelledData

@@ -35,7 +35,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.options import AllocationOptions, BoundaryOptions
+from toolkit.submaps.options import AllocationOptions
 from toolkit.synthetic_rooms import tiny_room
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
@@ -111,7 +111,6 @@ def closed(
     atlas = Atlas(
         mapper.first_submap(),
         Allocation(AllocationOptions(max_keyframes=max_keyframes), 0),
-        boundary=BoundaryOptions(steps=0),
     )
     truth = {0: np.eye(4)}
     registrar = TrueRegistrar(truth, **(registrar_changes or {}))
