@@ -43,7 +43,7 @@ from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 
-# Adam's learning rates: those of SplaTAM, which the papers build on.
+# Adam's learning rates, which the papers do not print.
 _TRANSLATION_RATE_M, _ROTATION_RATE_RAD = 0.002, 0.001
 
 # Evaluation of the final pose: fixed-point iterations of the residual scales, maximum depth
