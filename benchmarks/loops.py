@@ -47,30 +47,19 @@ Values = dict[str, Any]
 
 # Every registration is accepted.
 _ACCEPT_ALL: Values = {
-    "verification": {
-        "min_overlap": 0.0,
-        "min_inliers": 0.0,
-        "min_class_agreement": 0.0,
-        "max_intensity_residual": 1e9,
-        "max_depth_residual_m": 1e9,
-        "min_information": 0.0,
-    },
+    "verify": False,
     "closing": {
         "min_visible": 0.0,
         "min_shared": 0.0,
         "max_image_difference_m": 1e9,
-        "pairs": {
-            "min_visible": 0.0,
-            "max_disagreement_m": 1e9,
-            "max_disagreement_rad": 1e9,
-            "max_sigma_m": 1e9,
-        },
     },
-    "pose_graph": {
-        "consistency": {"odometry_confidence": 1.0, "pair_confidence": 1.0},
-        "retraction": {"confidence": 1.0},
-        "solver": {"kernel": "none"},
+    "pairs": {
+        "min_visible": 0.0,
+        "max_disagreement_m": 1e9,
+        "max_disagreement_rad": 1e9,
+        "max_sigma_m": 1e9,
     },
+    "pose_graph": {"confidence": 1.0, "kernel": "none"},
 }
 # No class is ever seen as often, so that landmarks have no effect.
 _NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}

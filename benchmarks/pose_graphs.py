@@ -17,7 +17,6 @@ from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.loops.pose_graph.files import graph_of
-from toolkit.loops.pose_graph.options import SolverOptions
 from toolkit.loops.pose_graph.solver import solve
 
 # After InitializePose3 and Levenberg-Marquardt, as GTSAM's readG2o reads the files.
@@ -52,8 +51,7 @@ def main() -> None:
     missed = False
     for name, optimum in OPTIMA.items():
         graph = graph_of(read_pose_graph(folder / f"{name}.g2o"))
-        solver = SolverOptions(kernel="none", initialise=True)
-        solution = solve(graph, solver, covariances=False)
+        solution = solve(graph, "none", covariances=False, initialise=True)
         met = abs(solution.error_after - optimum) <= WITHIN * optimum
         missed |= not met
         cells = (len(graph.nodes), len(graph.edges), f"{solution.error_before:.1f}")

@@ -48,13 +48,13 @@ COLUMNS = (
     *("walker hidden percent", "wrongly hidden percent"),
     *("psnr_unseen_db", "gaussians", "frames_lost", "online_ms_per_frame"),
 )
-MAPPED = {"mapping": {"moving_objects": {"use": False}}}
+MAPPED = {"mapping": {"moving_objects": False}}
 CLEAN, REAL = "clean", "real"
 DESCRIPTION = f"""\
 The synthetic room (`semsplat make-room`, 300 frames of 320x240) as it is, with `--walker`, and with
 `--real`: drifting white balance, flying pixels, missing depth on shiny objects, at edges and at
 grazing angles, and the walker. All have the same camera path. Runs have default settings; in rows
-with "all mapped", `--mapping.moving-objects.no-use`. At most {MAX_VIEWS} tracked frames are
+with "all mapped", `--mapping.no-moving-objects`. At most {MAX_VIEWS} tracked frames are
 rendered at their estimated poses and at the exposure of the first frame, and compared with the
 images of the clean room outside of the walker's mask, which is the same for every row: after
 fitting one gain and one bias for each view, and after fitting one gain for each channel and view.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from benchmarks.registration_pairs import Pair
 from toolkit.features.builtin import BuiltinEncoder
@@ -13,14 +14,9 @@ from toolkit.loops.registration.clouds import CloudRegistration
 from toolkit.loops.registration.coarse import CoarseRegistration
 from toolkit.loops.registration.fine import FineRegistration
 from toolkit.loops.registration.first_order_fine import FirstOrderFineRegistration
-from toolkit.loops.registration.options import (
-    CloudOptions,
-    CoarseOptions,
-    FineOptions,
-    FirstOrderFineOptions,
-)
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.result import Registrar, RegistrationResult
-from toolkit.loops.registration.sgr import SemanticGuidedRegistration, SgrOptions
+from toolkit.loops.registration.sgr import SemanticGuidedRegistration
 from toolkit.loops.registration.two_way import TwoWayRegistration
 from toolkit.loops.registration.views import ViewRenderer
 
@@ -51,52 +47,55 @@ class Methods:
 
     def __init__(self, pair: Pair, seed: int) -> None:
         self._pair, self._seed = pair, seed
-        self._coarse: dict[tuple[CoarseOptions, bool], tuple[CoarseRegistration, float]] = {}
+        self._coarse: dict[tuple[str, bool], tuple[CoarseRegistration, float]] = {}
         self.rows: dict[str, Callable[[], Timed]] = {
-            "coarse, Z = I (G-5)": lambda: self._first(CoarseOptions(offsets="none")),
-            "coarse": lambda: self._first(CoarseOptions()),
+            "coarse, Z = I (G-5)": lambda: self._first(RegistrationOptions(offsets="none")),
+            "coarse": lambda: self._first(RegistrationOptions()),
             "fine (start)": lambda: self._alone(FineRegistration(renderer=self._renderer()), True),
-            "SGR": lambda: self._both(self._sgr(FineOptions())),
-            "SGR (start)": lambda: self._both(self._sgr(FineOptions()), started=True),
+            "SGR": lambda: self._both(self._sgr(RegistrationOptions())),
+            "SGR (start)": lambda: self._both(self._sgr(RegistrationOptions()), started=True),
             "coarse, then two-way": lambda: self._both(self._two_way()),
             "two-way (start)": lambda: self._alone(self._two_way_fine(), True),
-            "FPFH, RANSAC, ICP": lambda: self._alone(self._clouds(CloudOptions())),
-            "ICP (start)": lambda: self._alone(self._clouds(CloudOptions()), started=True),
-            "SGR, classes ignored": lambda: self._both(self._sgr(FineOptions(semantic_gate=False))),
+            "FPFH, RANSAC, ICP": lambda: self._alone(self._clouds()),
+            "ICP (start)": lambda: self._alone(self._clouds(), started=True),
+            "SGR, classes ignored": lambda: self._both(
+                self._sgr(RegistrationOptions(semantic_gate=False))
+            ),
             "SGR, first-order fine (G-6)": lambda: self._both(
-                self._sgr(FineOptions(optimiser="first-order"))
+                self._sgr(RegistrationOptions(optimiser="first-order"))
             ),
             "SGR, first-order fine, no feature term": lambda: self._both(
-                self._sgr(_without_features())
+                self._sgr(RegistrationOptions(optimiser="first-order", feature=0.0))
             ),
-            "FPFH, fast global, ICP": lambda: self._alone(self._clouds(CloudOptions("fast"))),
-            "FPFH, RANSAC, coloured ICP": lambda: self._alone(
-                self._clouds(CloudOptions(icp="coloured"))
-            ),
+            "FPFH, fast global, ICP": lambda: self._alone(self._clouds(search="fast")),
+            "FPFH, RANSAC, coloured ICP": lambda: self._alone(self._clouds(icp="coloured")),
         }
 
     def _renderer(self) -> ViewRenderer:
         return ViewRenderer(semantics=self._pair.semantics)
 
-    def _sgr(self, fine: FineOptions) -> SemanticGuidedRegistration:
-        options, renderer = SgrOptions(fine=fine, seed=self._seed), self._renderer()
-        refiner = None
-        if fine.optimiser == "first-order":
-            refiner = FirstOrderFineRegistration(fine, renderer, ViewDescriber(BuiltinEncoder()))
-        return SemanticGuidedRegistration(options, renderer, refiner)
+    def _sgr(self, options: RegistrationOptions) -> SemanticGuidedRegistration:
+        renderer, refiner = self._renderer(), None
+        if options.optimiser == "first-order":
+            refiner = FirstOrderFineRegistration(options, renderer, ViewDescriber(BuiltinEncoder()))
+        return SemanticGuidedRegistration(options, renderer, refiner, self._seed)
 
     def _two_way(self) -> SemanticGuidedRegistration:
         refiner = self._two_way_fine()
-        return SemanticGuidedRegistration(SgrOptions(seed=self._seed), refiner.renderer, refiner)
+        return SemanticGuidedRegistration(None, refiner.renderer, refiner, self._seed)
 
     def _two_way_fine(self) -> TwoWayRegistration:
         return TwoWayRegistration(FineRegistration(renderer=self._renderer()))
 
-    def _clouds(self, options: CloudOptions) -> CloudRegistration:
-        return CloudRegistration(options, self._renderer())
+    def _clouds(
+        self,
+        search: Literal["ransac", "fast"] = "ransac",
+        icp: Literal["point-to-plane", "coloured"] = "point-to-plane",
+    ) -> CloudRegistration:
+        return CloudRegistration(search, icp, self._renderer())
 
-    def _first(self, options: CoarseOptions) -> Timed:
-        sgr = SemanticGuidedRegistration(SgrOptions(options, seed=self._seed))
+    def _first(self, options: RegistrationOptions) -> Timed:
+        sgr = SemanticGuidedRegistration(options, seed=self._seed)
         coarse, first_s = self._coarse_stage(sgr, started=False)
         return Timed(coarse.result, first_s, 0.0)
 
@@ -110,7 +109,7 @@ class Methods:
     def _coarse_stage(
         self, sgr: SemanticGuidedRegistration, started: bool
     ) -> tuple[CoarseRegistration, float]:
-        key = (sgr.options.coarse, started)
+        key = (sgr.options.offsets, started)
         if key not in self._coarse:
             begin = time.perf_counter()
             start = self._pair.start if started else None
@@ -123,8 +122,3 @@ class Methods:
         begin = time.perf_counter()
         result = registrar.register(self._pair.target, self._pair.source, start)
         return Timed(result, 0.0, time.perf_counter() - begin)
-
-
-def _without_features() -> FineOptions:
-    """The papers' fine stage on colour and semantics alone."""
-    return FineOptions("first-order", first_order=FirstOrderFineOptions(feature=0.0))

@@ -11,7 +11,6 @@ from benchmarks.registration_methods import Timed
 from benchmarks.registration_pairs import Pair
 from benchmarks.tables import Table, Target, target_table
 from toolkit.geometry import se3
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.verification import rejection_reason
 
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
@@ -76,7 +75,7 @@ def judged(name: str, pair: Pair, timed: Timed) -> Trial:
         error_m=float(np.linalg.norm(error[:3, 3])),
         error_deg=float(np.rad2deg(se3.rotation_angle_rad(error[:3, :3]))),
         converged=result.converged,
-        objection=rejection_reason(result, VerificationOptions()),
+        objection=rejection_reason(result),
         first_s=timed.first_s,
         second_s=timed.second_s,
         renders=result.renders,

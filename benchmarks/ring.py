@@ -100,7 +100,7 @@ MOTION = {"submaps": {"allocation": {"rule": "motion"}}}
 
 
 def _registered_by(kind: str) -> Row:
-    return Row({"loops": {"registration": {"kind": kind}}})
+    return Row({"registration": {"kind": kind}})
 
 
 TABLES: dict[TableName, tuple[tuple[str, ...], dict[str, Row]]] = {

@@ -134,9 +134,9 @@ def room_targets(rows: Rows) -> list[Target]:
 _NETWORK = ["--semantics.network.use"]
 _SHARE = ["--mapping.seeding.share", "0.35", "--mapping.seeding.choice"]
 _WRONG = [
-    *("--semantics.segmenter.kind", "images"),
-    *("--semantics.segmenter.images.folder", WRONG_LABELS),
-    *("--semantics.segmenter.images.pairing", "number"),
+    *("--segmenter.kind", "images"),
+    *("--segmenter.images.folder", WRONG_LABELS),
+    *("--segmenter.images.pairing", "number"),
 ]
 PARTS: dict[str, Part] = {
     "quality": Part(

@@ -40,7 +40,7 @@ COLUMNS = (
     "ms_per_frame",
 )
 DESCRIPTION = """\
-Runs with and without `mapping.white_balance.use`. The drift multiplies red by 1 + 0.2 sin and blue
+Runs with and without `mapping.white_balance`. The drift multiplies red by 1 + 0.2 sin and blue
 by 1 - 0.2 sin, with a period of 150 frames, in a room of 300 (`semsplat make-room`, 320x240).
 "clean" compares the map at the exposure of the first frame with the images without drift, at the
 poses of the run. The other PSNRs compare with the images that the run was given: at the gain, bias
@@ -118,7 +118,7 @@ def measure(job: dict[str, Any], seed: int) -> Metrics:
     clean, place = _opened(job)
     settings = validated(
         RunSettings,
-        {**place, "seed": seed, "mapping": {"white_balance": {"use": job["use"]}}},
+        {**place, "seed": seed, "mapping": {"white_balance": job["use"]}},
     )
     dataset = DriftingBalance(clean) if job["drift"] else clean
     with finished_slam(settings, dataset) as run:

@@ -10,9 +10,8 @@ import torch
 
 from toolkit.alignment.covariance import clustered_information
 from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, model_level
-from toolkit.alignment.options import JointOptions
 from toolkit.keyframe import Keyframe
 from toolkit.synthetic_rooms import tiny_room
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 from registered_room import Scene, error, motion
 
-from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment import joint
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, model_level, pyramid
-from toolkit.alignment.options import JointOptions
 from toolkit.geometry import se3
 
 LEVELS = 3
@@ -78,10 +78,10 @@ def test_every_pair_has_an_exposure_of_its_own(submaps: Scene, pairs):
     assert found.exposures[0] == pytest.approx([1.0, 0.0], abs=0.02)
 
 
-def test_no_step_is_longer_than_allowed(submaps: Scene, pairs):
+def test_no_step_is_longer_than_allowed(submaps: Scene, pairs, monkeypatch):
     start = submaps.T_target_source @ motion(1, 0.1, 4.0)
-    short = replace(OPTIONS, levels=1, iterations=1, max_translation_m=0.01)
-    found = align(pairs, Estimate(start), short)
+    monkeypatch.setattr(joint, "_MAX_TRANSLATION_M", 0.01)
+    found = align(pairs, Estimate(start), replace(OPTIONS, levels=1, iterations=1))
     assert error(found.T_target_source, start)[0] <= 10.0 + 1e-6
 
 

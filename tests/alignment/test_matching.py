@@ -13,7 +13,6 @@ from registered_room import Scene, error, motion, seen_by
 
 from toolkit.alignment import matching
 from toolkit.alignment.matching import Matched, match_features, measure_offset, rigid_fits
-from toolkit.alignment.options import MatchingOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
@@ -59,28 +58,29 @@ def test_offsets_between_two_cameras_are_unbiased(submaps: Scene, order):
     assert deg < 0.1
 
 
-def test_the_coarser_image_says_how_far_matches_may_be_off(submaps: Scene):
+def test_the_coarser_image_says_how_far_matches_may_be_off(submaps: Scene, monkeypatch):
     """A pixel of an image of a third of the size is three pixels of the larger one."""
     keyframe = submaps.target.keyframes[1]
     large = keyframe.camera.scaled(3.0, 3.0, 480, 360)
     first, second = seen_by(keyframe, large), keyframe
-    matched = match_features(first, second, MatchingOptions())
+    matched = match_features(first, second)
     assert matched is not None
     assert matched.pixel_size == pytest.approx(3.0)
-    strict = MatchingOptions(tolerance_rad=0.0, tolerance_depth=1.0)
-    inliers = matched.inliers(np.eye(4)[None], strict)[0]
-    closer = replace(matched, pixel_size=1.0).inliers(np.eye(4)[None], strict)[0]
+    monkeypatch.setattr(matching, "_TOLERANCE_RAD", 0.0)
+    monkeypatch.setattr(matching, "_TOLERANCE_DEPTH", 1.0)
+    inliers = matched.inliers(np.eye(4)[None])[0]
+    closer = replace(matched, pixel_size=1.0).inliers(np.eye(4)[None])[0]
     assert inliers.mean() > 0.9 > closer.mean()
 
 
-def test_matches_may_be_off_by_one_and_a_half_coarse_pixels():
+def test_matches_may_be_off_by_one_and_a_half_coarse_pixels(monkeypatch):
     camera = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
     points = np.array([[0.0, 0.0, 2.0], [0.1, -0.2, 1.5]])
-    strict = MatchingOptions(tolerance_rad=1e-6)
+    monkeypatch.setattr(matching, "_TOLERANCE_RAD", 1e-6)
     for off_px, expected in ((2.9, True), (3.1, False)):
         pixels = camera.project(points) + np.array([off_px, 0.0])
         matched = Matched(points, points, pixels, camera, pixel_size=2.0)
-        assert (matched.inliers(np.eye(4)[None], strict) == expected).all()
+        assert (matched.inliers(np.eye(4)[None]) == expected).all()
 
 
 def test_poses_play_no_part(submaps: Scene):
@@ -135,7 +135,7 @@ def test_wrong_matches_are_left_out(seed):
     first = se3.transform_points(T, second)
     first[:40] = generator.permutation(first[:40])
     matched = Matched(first, second, camera.project(first), camera)
-    found = matched.motion(MatchingOptions(), generator)
+    found = matched.motion(generator, matching.MIN_MATCHES)
     assert found is not None
     np.testing.assert_allclose(found[0], T, atol=1e-2)
     assert 38 <= found[1] <= 50
@@ -162,12 +162,12 @@ def test_keypoints_of_the_keyframes_used_last_are_kept(monkeypatch):
     detected = []
     detect = matching.keyframe_keypoints
 
-    def counted(keyframe: Keyframe, count: int) -> Keypoints:
+    def counted(keyframe: Keyframe) -> Keypoints:
         detected.append(keyframe.index)
-        return detect(keyframe, count)
+        return detect(keyframe)
 
     monkeypatch.setattr(matching, "keyframe_keypoints", counted)
     cache = matching.KeypointCache(size=2)
     for n in (0, 1, 0, 2, 0, 1):
-        np.testing.assert_array_equal(cache(keyframes[n], 50).px, detect(keyframes[n], 50).px)
+        np.testing.assert_array_equal(cache(keyframes[n]).px, detect(keyframes[n]).px)
     assert detected == [0, 1, 2, 1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,14 @@ from toolkit.geometry import se3
 from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
+from toolkit.loops import two_maps
+from toolkit.loops.verification import VerificationLimits, rejection_reason
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 
-FAST = ["--registration.fine.views", "3", "--registration.coarse.pairs", "4"]
+FAST = ["--registration.views", "3", "--registration.pairs", "4"]
 
 
 def error_of(capsys, *words: object) -> str:
@@ -111,9 +114,11 @@ def test_a_run_fits_itself(room_runs, tmp_path):
     )
 
 
-def test_what_cannot_be_verified_leaves_nothing(room_runs, tmp_path, capsys):
+def test_what_cannot_be_verified_leaves_nothing(room_runs, tmp_path, capsys, monkeypatch):
     words = [room_runs.a, room_runs.b, "--out", tmp_path / "m", *FAST]
-    line = error_of(capsys, "register", *words, "--verification.min-overlap", "1.0")
+    strict = partial(rejection_reason, limits=VerificationLimits(min_overlap=1.0))
+    monkeypatch.setattr(two_maps, "rejection_reason", strict)
+    line = error_of(capsys, "register", *words)
     assert "% overlap" in line and "can be verified" in line
     assert not (tmp_path / "m").exists()
 

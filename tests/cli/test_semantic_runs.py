@@ -14,6 +14,7 @@ from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
 from toolkit.io.splats import read_splats
+from toolkit.mapping import factory
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.synthetic_rooms import tiny_room
@@ -159,9 +160,10 @@ def test_labels_are_rendered_at_every_level(run, tmp_path):
     assert names == {"levels", *(f"labels_l{i}" for i in range(5))}
 
 
-def test_the_network_can_read_the_map(labelled_recording, tmp_path):
+def test_the_network_can_read_the_map(labelled_recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(factory, "_LEARNING_RATE", 0.03)
     network = ["--semantics.network.use", "--semantics.reader", "network"]
-    fast = ["--semantics.loss.inter-from", "1", "--semantics.network.learning-rate", "0.03"]
+    fast = ["--semantics.loss.inter-from", "1"]
     pace = ["--mapping.first-iterations", "50", "--mapping.final-iterations", "8"]
     out = tmp_path / "run"
     assert main(arguments(labelled_recording, out, *network, *fast, pace=pace)) == 0
@@ -222,8 +224,8 @@ def test_a_map_without_semantics_has_no_labels_to_render(labelled_recording, tmp
         (["--semantics.taxonomy", "cityscapes"], "no taxonomy 'cityscapes' is shipped"),
         (["--semantics.taxonomy", "nyu40"], "has no class"),
         (["--semantics.ignore", "perzon"], "no class or group 'perzon'"),
-        (["--semantics.segmenter.kind", "images"], "images.folder"),
-        (["--semantics.segmenter.kind", "model"], "model.folder"),
+        (["--segmenter.kind", "images"], "images.folder"),
+        (["--segmenter.kind", "model"], "model.folder"),
     ],
 )
 def test_bad_settings_end_in_one_line(labelled_recording, tmp_path, capsys, more, expected):

@@ -93,7 +93,7 @@ def one_view(walk):
 def tracked(kind: str, frames, gaussians: GaussianCloud):
     """T_map_camera of the second frame."""
     tracker = (
-        DenseTracker(DenseOptions(levels=2, iterations=4, start="velocity"))
+        DenseTracker(DenseOptions(levels=2, start="velocity"))
         if kind == "dense"
         else FirstOrderTracker(FirstOrderOptions(iterations=3))
     )

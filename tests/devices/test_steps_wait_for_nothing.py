@@ -24,8 +24,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe, Observed
 from toolkit.losses.options import RgbdLossWeights
 from toolkit.losses.photometric import rgbd_loss_torch
-from toolkit.mapping.options import LearningRates
-from toolkit.mapping.sparse_adam import SparseAdam
+from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
 from toolkit.rendering.surface import SurfaceView, surface_depth
 from toolkit.rendering.texture import resample_at_centres
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code

@@ -11,7 +11,7 @@ import torch
 from toolkit.errors import DependencyError, FormatError, SettingsError
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.factory import build_describer, build_encoder
-from toolkit.features.options import Dinov2Options, FeatureOptions
+from toolkit.features.options import FeatureOptions
 from toolkit.features.sources import ViewDescriber
 
 
@@ -55,8 +55,8 @@ def test_settings_select_the_encoder(kind):
 
 
 def test_dinov2_from_settings(tiny_dinov2, views):
-    settings = Dinov2Options(folder=tiny_dinov2, pooling="mean", longest_side=40, device="cpu")
-    encoder = build_encoder(FeatureOptions(kind="dinov2", dinov2=settings))
+    settings = FeatureOptions(kind="dinov2", folder=tiny_dinov2, pooling="mean", device="cpu")
+    encoder = build_encoder(settings)
     assert encoder.describe(views).shape == (6, 16)
 
 
@@ -76,25 +76,25 @@ def test_tokens_agree_with_transformers(tiny_dinov2, views):
 
 
 def test_error_for_a_missing_folder_names_the_setting():
-    with pytest.raises(SettingsError, match=r"--loops\.features\.dinov2\.folder"):
+    with pytest.raises(SettingsError, match=r"--loops\.features\.folder"):
         build_encoder(FeatureOptions(kind="dinov2"))
 
 
 def test_error_for_missing_weights_is_one_line(tiny_dinov2, tmp_path):
-    empty = FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=tmp_path))
+    empty = FeatureOptions(kind="dinov2", folder=tmp_path)
     with pytest.raises(FormatError, match=r"config\.json"):
         build_encoder(empty)
     copy = shutil.copytree(tiny_dinov2, tmp_path / "copy")
     (copy / "model.safetensors").unlink()
     with pytest.raises(FormatError, match="download it again") as caught:
-        build_encoder(FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=copy)))
+        build_encoder(FeatureOptions(kind="dinov2", folder=copy))
     assert "\n" not in str(caught.value)
 
 
 def test_error_for_missing_transformers_names_the_command(tiny_dinov2, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(DependencyError, match="pip install"):
-        build_encoder(FeatureOptions(kind="dinov2", dinov2=Dinov2Options(folder=tiny_dinov2)))
+        build_encoder(FeatureOptions(kind="dinov2", folder=tiny_dinov2))
 
 
 def test_error_for_a_missing_class_token_suggests_mean_pooling(tmp_path, views):

@@ -9,6 +9,7 @@ import pytest
 
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
+from toolkit.loops import candidates as candidates_module
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
 from toolkit.loops.options import CandidateOptions, LandmarkOptions
 
@@ -159,18 +160,20 @@ def test_search_interval():
     assert searched == [n for n in range(10, 2 * PLACES) if (n + 1) % 6 == 0]
 
 
-def test_adaptive_threshold_follows_distances_to_neighbours():
+def test_adaptive_threshold_follows_distances_to_neighbours(monkeypatch):
     # The quantile lies between two of the nine distances, so that rounding has no effect.
-    adaptive = replace(OPTIONS, threshold="adaptive", adaptive_quantile=0.4, adaptive_limit=10.0)
+    monkeypatch.setattr(candidates_module, "_ADAPTIVE_QUANTILE", 0.4)
+    monkeypatch.setattr(candidates_module, "_ADAPTIVE_LIMIT", 10.0)
+    adaptive = replace(OPTIONS, threshold="adaptive")
     finder, found = run_path(adaptive)
     number = 2 * PLACES - 1
     own = [np.linalg.norm(DESCRIPTORS[29] - DESCRIPTORS[p]) for p in range(20, 29)]
-    limit = float(np.quantile(own, adaptive.adaptive_quantile))
+    limit = float(np.quantile(own, 0.4))
     assert {c.distance >= limit for c in found[number]} == {False, True}
     for c in found[number]:
         assert ("descriptor distance" in c.reason) == (c.distance >= limit)
-    strict = replace(adaptive, adaptive_limit=0.1)
-    _, limited = run_path(strict)
+    monkeypatch.setattr(candidates_module, "_ADAPTIVE_LIMIT", 0.1)
+    _, limited = run_path(adaptive)
     reasons = [c.reason for c in limited[number] if not c.accepted]
     assert any(f"not below {0.1 * THRESHOLD:.3f}" in reason for reason in reasons)
     assert len(finder) == 2 * PLACES

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from toolkit.alignment.options import MatchingOptions
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -20,7 +19,6 @@ from toolkit.tracking.result import Health
 CAMERA = Camera(20.0, 20.0, 7.5, 5.5, 16, 12)
 # Keyframes by index, in one submap: metres from its origin along x.
 POSITIONS_M = {10: 9.0, 20: 0.0, 30: 4.0, 40: 1.0, 50: 7.0}
-OPTIONS = RelocalisationOptions(tries=2, speed_m_s=2.0, slack_m=1.5)
 
 
 def lost_frame(timestamp_s: float) -> Frame:
@@ -60,14 +58,16 @@ class Map:
 def tried(monkeypatch):
     """Indices of the keyframes that a frame was matched with, in order; the matching fails."""
     indices: list[int] = []
+    monkeypatch.setattr(relocalisation, "_TRIES", 2)
+    monkeypatch.setattr(relocalisation, "_SLACK_M", 1.5)
     monkeypatch.setattr(
         relocalisation, "measure_offset", lambda keyframe, *_: indices.append(keyframe.index)
     )
     return indices
 
 
-def find(last, timestamp_s=0.0, anywhere=True, options=OPTIONS, tracker=None):
-    relocaliser = Relocaliser(Detector(), MatchingOptions(), options)
+def find(last, timestamp_s=0.0, anywhere=True, tracker=None):
+    relocaliser = Relocaliser(Detector())
     return relocaliser.find(lost_frame(timestamp_s), Map(), tracker, last, anywhere)
 
 
@@ -99,8 +99,8 @@ def test_keyframes_in_reach_come_first(tried):
     ("changes", "found"),
     [
         ({}, True),
-        ({"visible_fraction": OPTIONS.min_visible}, True),
-        ({"intensity_residual": OPTIONS.max_intensity_residual}, True),
+        ({"visible_fraction": RelocalisationOptions().min_visible}, True),
+        ({"intensity_residual": relocalisation._MAX_INTENSITY_RESIDUAL}, True),
         ({"visible_fraction": 0.3}, False),
         ({"intensity_residual": 0.2}, False),
         ({"health": Health.DOUBTFUL}, False),

@@ -8,7 +8,6 @@ import pytest
 from toolkit.alignment.data import ResidualScales
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.two_maps import (
     MapRegistration,
@@ -68,7 +67,6 @@ def test_map_transformation_is_composed_from_submap_poses():
         {0: submap(0, unit(0), T_a)},
         {0: submap(0, unit(0), T_b)},
         Registrar(),
-        VerificationOptions(),
     )
     assert not found.reason
     assert np.allclose(found.T_first_second, T_a @ T_ab @ se3.inverse(T_b))
@@ -101,7 +99,7 @@ def test_failed_registration_reports_its_reason():
             return failed("test", "nothing in common")
 
     maps = {0: submap(0, unit(0))}
-    found = register_submaps(SubmapPair(0, 0, 0.1), maps, maps, Nothing(), VerificationOptions())
+    found = register_submaps(SubmapPair(0, 0, 0.1), maps, maps, Nothing())
     assert found.reason == "nothing in common"
 
 

@@ -8,33 +8,32 @@ import numpy as np
 import pytest
 
 from toolkit.alignment.data import ResidualScales
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.registration.result import RegistrationResult
-from toolkit.loops.verification import rejection_reason
+from toolkit.loops.verification import VerificationLimits, rejection_reason
 
 GOOD = RegistrationResult(
     np.eye(4), True, 0.9, ResidualScales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"
 )
-OPTIONS = VerificationOptions()
+LIMITS = VerificationLimits()
 
 
 def test_a_good_registration_passes():
-    assert rejection_reason(GOOD, OPTIONS) == ""
+    assert rejection_reason(GOOD, LIMITS) == ""
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"overlap": OPTIONS.min_overlap},
-        {"inliers": OPTIONS.min_inliers},
-        {"class_agreement": OPTIONS.min_class_agreement},
+        {"overlap": LIMITS.min_overlap},
+        {"inliers": LIMITS.min_inliers},
+        {"class_agreement": LIMITS.min_class_agreement},
         {"class_agreement": float("nan")},
-        {"residual": ResidualScales(0.02, OPTIONS.max_depth_residual_m)},
-        {"residual": ResidualScales(OPTIONS.max_intensity_residual, 0.005)},
+        {"residual": ResidualScales(0.02, LIMITS.max_depth_residual_m)},
+        {"residual": ResidualScales(LIMITS.max_intensity_residual, 0.005)},
     ],
 )
 def test_limits_themselves_pass(change):
-    assert rejection_reason(replace(GOOD, **change), OPTIONS) == ""
+    assert rejection_reason(replace(GOOD, **change), LIMITS) == ""
 
 
 @pytest.mark.parametrize(
@@ -56,4 +55,4 @@ def test_limits_themselves_pass(change):
     ],
 )
 def test_rejections_name_the_requirement_and_the_value(change, message):
-    assert rejection_reason(replace(GOOD, **change), OPTIONS) == message
+    assert rejection_reason(replace(GOOD, **change), LIMITS) == message

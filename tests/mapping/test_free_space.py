@@ -19,7 +19,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping import depth_views, free_space
 from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
 from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
-from toolkit.mapping.options import FreeSpaceOptions, MapperOptions
+from toolkit.mapping.options import MapperOptions
 from toolkit.native import available_instruction_sets, load_variant
 
 CAMERA = Camera(40.0, 40.0, 20.0, 15.0, 40, 30)
@@ -49,8 +49,8 @@ def test_the_depth_of_a_prior_rules_out_nothing():
     mapper = MappedSubmap(MapperOptions(first_iterations=1, iterations=1))
     mapper.add_keyframe(wall(1.0))
     mapper.add_keyframe(prior)
-    assert is_measured(FreeSpaceOptions(), mapper.keyframes[:1])
-    assert not is_measured(FreeSpaceOptions(), mapper.keyframes)
+    assert is_measured(mapper.keyframes[:1])
+    assert not is_measured(mapper.keyframes)
     # A measured keyframe at the same place sees through all of the first wall.
     assert (mapper.gaussians.means[:, 2] < 1.5).sum() > 100
 
@@ -89,7 +89,7 @@ def test_several_keyframes_must_measure_through_a_point(through: int):
     cloud = torch.cat([points(*30 * [2.0]), points(1.0)])
     near = [wall(1.0, n) for n in range(2)]
     far = [wall(2.0, 2 + n) for n in range(through)]
-    mask = FreeSpace(FreeSpaceOptions()).contradicted(cloud, far[-1], [*near, *far[:-1]])
+    mask = FreeSpace().contradicted(cloud, far[-1], [*near, *far[:-1]])
     assert mask[-1].item() == (through == 3) and not mask[:-1].any()
 
 
@@ -99,18 +99,18 @@ def test_what_was_never_measured_is_removed_by_any_keyframe_that_measured_throug
     # At 0.5 of the distance, the confidence of one keyframe is a quarter: too little on its own.
     far = wall(6.0)
     once = Evidence.of(cloud, [DepthView.of(far)], whole_map=False)
-    assert not once.contradicts(FreeSpaceOptions()).any()
-    assert once.contradicts_in_map(radii_m, FreeSpaceOptions()).all()
+    assert not once.contradicts().any()
+    assert once.contradicts_in_map(radii_m).all()
     # Others measured a surface at 2 m, which is not in doubt.
     both = Evidence.of(cloud, [DepthView.of(far), DepthView.of(wall(2.0))], whole_map=False)
-    mask = both.contradicts_in_map(radii_m, FreeSpaceOptions())
+    mask = both.contradicts_in_map(radii_m)
     assert mask[30:].all() and not mask[:30].any()
 
 
 def test_what_was_never_measured_must_not_be_a_blob_in_any_keyframe():
     evidence = Evidence.of(points(2.5, 2.5, 2.0), [DepthView.of(wall())], whole_map=False)
     radii_m = torch.tensor([0.05, 0.1, 0.1])
-    mask = evidence.contradicts_in_map(radii_m, FreeSpaceOptions())
+    mask = evidence.contradicts_in_map(radii_m)
     assert evidence.nearest_m.tolist() == [2.5, 2.5, 2.0]
     assert mask.tolist() == [False, True, False]
 
@@ -118,7 +118,7 @@ def test_what_was_never_measured_must_not_be_a_blob_in_any_keyframe():
 def test_seeds_in_space_that_others_saw_through_are_dropped_unless_they_are_many():
     others = [wall(2.0, n) for n in range(3)]
     few = torch.cat([points(*30 * [2.0]), points(1.0)])
-    free_space = FreeSpace(FreeSpaceOptions())
+    free_space = FreeSpace()
     assert free_space.seen_through(few, others).nonzero().tolist() == [[30]]
     assert not free_space.seen_through(points(1.0, 1.0, 2.0), others).any()
 
@@ -142,7 +142,7 @@ def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom):
     frames[0] = replace(frames[0], depth_m=ghost)
     counts = []
     for use in (False, True):
-        options = MapperOptions(final_iterations=1, free_space=FreeSpaceOptions(use=use))
+        options = MapperOptions(final_iterations=1, free_space=use)
         mapper = MappedSubmap(options)
         for frame, pose in zip(frames, room.T_map_camera, strict=False):
             mapper.add_keyframe(Keyframe.from_frame(frame, pose))
@@ -265,10 +265,10 @@ def test_points_belong_to_the_pixel_with_the_nearest_centre():
 
 
 @pytest.mark.parametrize(("supporting", "contradicted"), [(2, True), (4, False)])
-def test_support_counts_a_third_of_a_contradiction(supporting, contradicted):
+def test_support_counts_a_third_of_a_contradiction(supporting, contradicted, monkeypatch):
     views = [DepthView.of(wall(2.0))] * supporting + [DepthView.of(wall(2.9))]
     evidence = Evidence.of(points(2.0), views, whole_map=False)
     assert evidence.support.tolist() == [supporting]
     assert float(evidence.through) > 0.9
-    options = FreeSpaceOptions(min_through=0.5, min_ratio=0.33)
-    assert evidence.contradicts(options).tolist() == [contradicted]
+    monkeypatch.setattr(free_space, "_MIN_THROUGH", 0.5)
+    assert evidence.contradicts().tolist() == [contradicted]

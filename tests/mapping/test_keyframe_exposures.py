@@ -14,7 +14,6 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping import keyframe_exposures
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
-from toolkit.mapping.options import WhiteBalanceOptions
 from toolkit.native import available_instruction_sets, load_variant
 
 POSES = path(12)
@@ -31,8 +30,8 @@ def keyframes(gains: np.ndarray) -> list[Keyframe]:
     ]
 
 
-def estimated(views: list[Keyframe], **options: object) -> list[Keyframe]:
-    exposures = KeyframeExposures(replace(WhiteBalanceOptions(), **options))
+def estimated(views: list[Keyframe], white_balance: bool = True) -> list[Keyframe]:
+    exposures = KeyframeExposures(white_balance)
     for number, view in enumerate(views):
         exposures.estimate(view, views[:number])
     return views
@@ -66,7 +65,7 @@ def test_all_keyframes_are_adjusted_jointly():
     views = estimated(keyframes(drift(0.02)))
     wrong = replace(views[6], log_balance=np.array([0.1, 0.0, -0.1]))
     views[6] = wrong
-    KeyframeExposures(WhiteBalanceOptions()).adjust(views)
+    KeyframeExposures().adjust(views)
     assert max(error(v, g) for v, g in zip(views, drift(0.02), strict=True)) < 0.004
 
 
@@ -114,7 +113,7 @@ def test_the_target_is_in_the_reference_of_the_first_keyframe():
 
 
 def test_it_can_be_switched_off():
-    for view in estimated(keyframes(drift(0.03)), use=False):
+    for view in estimated(keyframes(drift(0.03)), white_balance=False):
         assert view.exposure.balance == NEUTRAL and view.log_balance is None
 
 
@@ -188,7 +187,7 @@ def test_a_view_of_nothing_known_keeps_the_exposure_of_the_tracker():
 
 def test_gain_and_bias_can_be_left_alone():
     views = keyframes(drift(0.03))
-    exposures = KeyframeExposures(WhiteBalanceOptions(), gains=False)
+    exposures = KeyframeExposures(gains=False)
     exposures.estimate(views[1], views[:1])
     assert (views[1].exposure.gain, views[1].exposure.bias) == (1.0, 0.0)
     assert views[1].log_balance is not None

@@ -16,7 +16,7 @@ from toolkit.features.builtin import BuiltinEncoder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.losses import photometric
-from toolkit.mapping import sparse_adam
+from toolkit.mapping import optimisation, sparse_adam
 from toolkit.mapping.densification import prune_mask
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.mapping.surfaces import Surfaces
@@ -259,9 +259,10 @@ def test_it_works_without_compiled_kernels(room, monkeypatch):
     )
 
 
-def test_bundle_adjustment_draws_a_wrong_pose_back(room):
+def test_bundle_adjustment_draws_a_wrong_pose_back(room, monkeypatch):
     """A keyframe placed 5 mm off comes nearer to its true pose; the first one stays."""
-    options = replace(FEW, bundle_adjustment=True, final_iterations=25, pose_translation_m=2e-4)
+    monkeypatch.setattr(optimisation, "_POSE_RATE_M", 2e-4)
+    options = replace(FEW, bundle_adjustment=True, final_iterations=25)
     mapper = fed(MappedSubmap(options), room, [0])
     wrong = room.T_map_camera[4].copy()
     wrong[:3, 3] += [0.005, 0.0, 0.0]
@@ -273,7 +274,7 @@ def test_bundle_adjustment_draws_a_wrong_pose_back(room):
 
 
 def test_poses_move_at_a_boundary_where_that_is_asked_for(room):
-    mapper = fed(MappedSubmap(replace(FEW, pose_translation_m=2e-4)), room, [0, 4])
+    mapper = fed(MappedSubmap(FEW), room, [0, 4])
     mapper.optimise_window(5)
     assert np.array_equal(mapper.keyframes[1].T_map_camera, room.T_map_camera[4])
     mapper.optimise_window(5, poses=True)

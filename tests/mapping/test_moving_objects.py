@@ -17,7 +17,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.moving_objects import _held_s
 from toolkit.mapping.optimisation import Objective
-from toolkit.mapping.options import MapperOptions, MovingObjectOptions
+from toolkit.mapping.options import MapperOptions
 
 WIDTH, HEIGHT = 80, 60
 PANEL_M = 1.1
@@ -43,9 +43,7 @@ def walked() -> list[Frame]:
 def mapped(
     frames: Iterable[Frame], use: bool = True, poses: np.ndarray = T_MAP_CAMERA
 ) -> MappedSubmap:
-    mapper = MappedSubmap(
-        MapperOptions(moving_objects=MovingObjectOptions(use=use), first_iterations=5)
-    )
+    mapper = MappedSubmap(MapperOptions(moving_objects=use, first_iterations=5))
     for frame, pose in zip(frames, poses, strict=False):
         mapper.add_keyframe(Keyframe.from_frame(frame, pose))
     return mapper

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.mapping import sparse_adam
-from toolkit.mapping.options import LearningRates
-from toolkit.mapping.sparse_adam import BETA1, BETA2, SparseAdam
+from toolkit.mapping.sparse_adam import BETA1, BETA2, LearningRates, SparseAdam
 from toolkit.native import available_instruction_sets, load_variant
 from toolkit.submaps.optimiser_state import OptimiserState
 

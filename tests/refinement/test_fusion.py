@@ -15,13 +15,10 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.fusion import fuse_submaps, single_submap
 from toolkit.rendering import render
 from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.submap import Submap
-
-OFF = FreeSpaceOptions(use=False)
 
 
 def wall(number, left_m, right_m, steps, colour=0.5):
@@ -74,7 +71,7 @@ def test_the_map_has_the_typical_exposure_of_its_keyframes(several):
     one = replace(one, keyframes=keyframes)
     parts = {0: one, 1: wall(1, 1.0, 3.0, 50, 0.4)}
     read = parts.__getitem__
-    fused = fuse_submaps([0, 1], read, free_space=OFF) if several else single_submap(0, read)
+    fused = fuse_submaps([0, 1], read, free_space=False) if several else single_submap(0, read)
     means, colours = fused.gaussians.means.numpy(), fused.gaussians.colours.numpy()
     truth = later.undo(0.4 * (1.0 + 0.2 * means))
     assert np.abs(colours - truth).max() < 0.03

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoding import decode, decode_level
-from toolkit.semantics.options import CodeOptions
 from toolkit.semantics.taxonomy import Taxonomy
 
 
@@ -82,13 +81,13 @@ def test_start_values_decode_to_their_class(code, tree):
 
 def test_heads_start_equally_sure(tree):
     for make in (flat_code, one_hot_code, binary_code):
-        code = make(tree, CodeOptions(start_confidence=0.8))
+        code = make(tree)
         first, width = code.heads.first[-1], code.heads.width[-1]
         values = code.start_values[1, first : first + width]
         if code.heads.bits:
-            assert values.abs().sigmoid().tolist() == pytest.approx([0.8] * int(width))
+            assert values.abs().sigmoid().tolist() == pytest.approx([0.9] * int(width))
         else:
-            assert values.softmax(0).max().item() == pytest.approx(0.8)
+            assert values.softmax(0).max().item() == pytest.approx(0.9)
 
 
 def test_void_starts_undecided(tree):

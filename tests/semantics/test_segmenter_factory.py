@@ -55,8 +55,8 @@ def test_images_pair_as_the_settings_say(tmp_path):
     ("values", "error", "named"),
     [
         ({"kind": "recorded"}, DatasetError, "no labels with names"),
-        ({"kind": "images"}, SettingsError, "--semantics.segmenter.images.folder"),
-        ({"kind": "model"}, SettingsError, "--semantics.segmenter.model.folder"),
+        ({"kind": "images"}, SettingsError, "--segmenter.images.folder"),
+        ({"kind": "model"}, SettingsError, "--segmenter.model.folder"),
         ({"kind": "model", "model": {"folder": "nowhere"}}, FormatError, "nowhere has no config"),
         (
             {"kind": "model", "model": {"folder": "nowhere", "head": "h.safetensors"}},
@@ -77,7 +77,11 @@ def test_what_is_missing_is_named(values, error, named):
 
 @pytest.mark.parametrize(
     "values",
-    [{"kind": "magic"}, {"model": {"min_confidence": 1.5}}, {"geometric": {"columns": 4}}],
+    [
+        {"kind": "magic"},
+        {"model": {"min_confidence": 1.5}},
+        {"geometric": {"columns": 160}},
+    ],
 )
 def test_unknown_keys_and_values_out_of_range_are_errors(values):
     with pytest.raises(SettingsError, match="option"):

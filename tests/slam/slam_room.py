@@ -17,7 +17,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.options import validated
 from toolkit.semantics.factory import build_code
-from toolkit.semantics.options import SemanticsOptions
+from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import FrameResult, Slam
@@ -60,11 +60,9 @@ def new_slam(seed: int = 0, placed: bool = True, **front_end: Any) -> Slam:
 
 def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
     """With labels of the room's own ("recorded") or of its planes ("geometric")."""
-    settings = validated(
-        SemanticsOptions,
-        {"segmenter": {"kind": kind}, "network": {"use": True}, "loss": {"inter_from": 1}},
-    )
-    labeller = build_labeller(settings, dict(enumerate(CLASS_NAMES, start=1)))
+    settings = validated(SemanticsOptions, {"network": {"use": True}, "loss": {"inter_from": 1}})
+    source = validated(SegmenterOptions, {"kind": kind})
+    labeller = build_labeller(settings, source, dict(enumerate(CLASS_NAMES, start=1)))
     assert labeller is not None
     code = build_code(settings.code, labeller.taxonomy)
     semantics = build_semantic_mapping(settings, code, 0)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from slam_room import FEW, another_place, fed, first_steps
 
-from toolkit.alignment.options import HealthLimits
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
 from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.mapping.mapper import Mapper
@@ -19,6 +18,8 @@ from toolkit.slam.system import Slam
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.dense import DenseTracker
 
+pytestmark = pytest.mark.usefixtures("few_matches")
+
 
 @pytest.fixture(scope="module")
 def room():
@@ -26,13 +27,7 @@ def room():
 
 
 def new_slam(**relocalisation):
-    settings = validated(
-        LoopClosureOptions,
-        {
-            "relocalisation": relocalisation,
-            "registration": {"coarse": {"matching": {"min_matches": 6}}},
-        },
-    )
+    settings = validated(LoopClosureOptions, {"relocalisation": relocalisation})
     closer = build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))
     return Slam(FrontEnd(DenseTracker(), closer), Mapper(FEW, np.random.default_rng(0)))
 
@@ -82,8 +77,7 @@ def test_a_blank_wall_becomes_no_map(room):
 
 
 def test_two_frames_confirm_each_other_only_if_they_show_one_place(room):
-    limits = HealthLimits()
     first, second, far = room.frames[0], room.frames[1], another_place(room.frames[8])
-    assert shows_same_place(first, second, limits)
-    assert not shows_same_place(first, far, limits)
-    assert not shows_same_place(blank_wall(first), blank_wall(second), limits)
+    assert shows_same_place(first, second)
+    assert not shows_same_place(first, far)
+    assert not shows_same_place(blank_wall(first), blank_wall(second))

@@ -16,7 +16,6 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.boundary import start_at, start_next
 from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import WhiteBalanceOptions
 from toolkit.rendering import render
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
@@ -33,7 +32,7 @@ def drifting(frame: Frame) -> Frame:
 
 
 def mapped(seen: Callable[[Frame], Frame] = drifting, use: bool = True) -> SlamResult:
-    options = replace(FEW, white_balance=WhiteBalanceOptions(use=use))
+    options = replace(FEW, white_balance=use)
     slam = Slam(FrontEnd(DenseTracker()), Mapper(options, np.random.default_rng(0)))
     for frame in FRAMES:
         slam.process_frame(seen(frame))

@@ -24,6 +24,8 @@ from toolkit.submaps.store import SubmapStore
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.options import DenseOptions
 
+pytestmark = pytest.mark.usefixtures("few_matches")
+
 
 @pytest.fixture(scope="module")
 def room():
@@ -35,7 +37,6 @@ def new_slam(patience=3, max_keyframes=150, folder=None):
         LoopClosureOptions,
         {
             "relocalisation": {"patience": patience},
-            "registration": {"coarse": {"matching": {"min_matches": 6}}},
         },
     )
     mapper = Mapper(FEW, np.random.default_rng(0))

@@ -24,6 +24,8 @@ from toolkit.submaps.options import AllocationOptions
 from toolkit.submaps.store import SubmapStore
 from toolkit.tracking.dense import DenseTracker
 
+pytestmark = pytest.mark.usefixtures("few_matches")
+
 
 @pytest.fixture(scope="module")
 def room():
@@ -35,7 +37,6 @@ def new_slam(folder=None, max_keyframes=150):
         LoopClosureOptions,
         {
             "relocalisation": {"patience": 2},
-            "registration": {"coarse": {"matching": {"min_matches": 6}}},
         },
     )
     mapper = Mapper(FEW, np.random.default_rng(0))

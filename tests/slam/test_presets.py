@@ -70,9 +70,9 @@ def test_gausem_has_the_values_of_the_paper():
     assert mapping.first_iterations == 1000
     assert not settings.submaps.boundary.inherit  # otherwise a submap has no 1000 iterations
     assert (loops.landmarks.counted, loops.landmarks.weighting) == ("gaussians", "paper")  # G-7
-    fine = loops.registration.fine
-    assert (fine.optimiser, fine.first_order.semantic) == ("first-order", 1.0)  # G-6
-    assert fine.first_order.feature == 0.5
+    registration = settings.registration
+    assert (registration.optimiser, registration.semantic) == ("first-order", 1.0)  # G-6
+    assert registration.feature == 0.5
     assert loops.closing.mapping_iterations == 10
 
 
@@ -127,11 +127,10 @@ def test_random_codes_are_drawn_for_each_gaussian():
 
 def test_a_file_takes_precedence_over_a_preset(tmp_path):
     file = tmp_path / "settings.yaml"
-    file.write_text("mapping: {final_iterations: 4}\nplacement: {dense: {iterations: 5}}\n")
+    file.write_text("mapping: {final_iterations: 4}\nplacement: {max_width: 200}\n")
     settings = load_settings(file, "hier-slam")
     assert settings.mapping.final_iterations == 4 and settings.mapping.iterations == 60
-    # Nested options keep the defaults of the place where they are.
-    assert settings.placement.dense.levels == RunSettings().placement.dense.levels
+    assert settings.placement.max_width == 200 and not settings.placement.use
 
 
 def test_an_unknown_preset_is_an_error_that_names_all():

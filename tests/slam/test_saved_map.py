@@ -26,6 +26,8 @@ from toolkit.submaps.options import AllocationOptions
 from toolkit.submaps.store import SubmapStore
 from toolkit.tracking.dense import DenseTracker
 
+pytestmark = pytest.mark.usefixtures("few_matches")
+
 
 @pytest.fixture(scope="module")
 def room():
@@ -37,7 +39,6 @@ def new_slam(patience=3, max_keyframes=150, folder=None, **loops):
         LoopClosureOptions,
         {
             "relocalisation": {"patience": patience},
-            "registration": {"coarse": {"matching": {"min_matches": 6}}},
             **loops,
         },
     )

@@ -45,7 +45,7 @@ def recorded(room: SlamRoom) -> Nesting:
     recorder = Nesting()
     options = {
         "mapping": {"iterations": 2, "first_iterations": 4, "final_iterations": 1},
-        "semantics": {"segmenter": {"kind": "geometric"}},
+        "segmenter": {"kind": "geometric"},
         "submaps": {"allocation": {"rule": "motion", "max_keyframes": 3}},
         "loops": {"relocalisation": {"patience": 2}},
     }

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tracked_room import Room, small_motion
 
-from toolkit.alignment.options import HealthLimits
 from toolkit.alignment.similarity import Similarity
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking.dense import DenseTracker
@@ -16,12 +15,11 @@ from toolkit.tracking.evidence import doubt_reason, is_clear, quality
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.result import Health
 
-LIMITS = HealthLimits()
 RIGHT = Similarity(0.95, 0.85, 60, 0.8, 0.95, 0.03, 0.02)
 
 
 def test_good_evidence_is_clear_and_leaves_no_doubt():
-    assert is_clear(RIGHT) and not doubt_reason(LIMITS, RIGHT)
+    assert is_clear(RIGHT) and not doubt_reason(RIGHT)
 
 
 @pytest.mark.parametrize(
@@ -34,14 +32,14 @@ def test_good_evidence_is_clear_and_leaves_no_doubt():
 )
 def test_each_contradiction_is_a_doubt_with_its_reason(change: dict[str, float], reason: str):
     doubted = replace(RIGHT, **change)
-    assert reason in doubt_reason(LIMITS, doubted)
+    assert reason in doubt_reason(doubted)
     assert not is_clear(doubted)
     assert quality(doubted) < quality(RIGHT)
 
 
 def test_without_texture_depth_decides_and_nothing_is_clear():
     blank = replace(RIGHT, correlation=float("nan"), low_correlation=float("nan"), blocks=0)
-    assert not doubt_reason(LIMITS, blank) and not is_clear(blank)
+    assert not doubt_reason(blank) and not is_clear(blank)
     assert 0.0 < quality(blank) < quality(RIGHT)
 
 

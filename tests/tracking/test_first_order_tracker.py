@@ -34,6 +34,7 @@ from toolkit.rendering import backend
 from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
+from toolkit.tracking import first_order_tracker
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.first_order_tracker import FirstOrderTracker
@@ -124,11 +125,16 @@ def test_a_view_of_the_map_itself_is_found(room, opaque_map, preset):
     assert_same_place(result.T_map_camera, pose, mm=2.0, deg=0.1)
 
 
+def learn_at(monkeypatch, translation_m: float, rotation_rad: float) -> None:
+    monkeypatch.setattr(first_order_tracker, "_TRANSLATION_RATE_M", translation_m)
+    monkeypatch.setattr(first_order_tracker, "_ROTATION_RATE_RAD", rotation_rad)
+
+
 @BOTH
-def test_the_best_pose_is_kept(room, opaque_map, preset):
+def test_the_best_pose_is_kept(room, opaque_map, preset, monkeypatch):
     """Steps far too large end anywhere; what is returned is the best that was drawn."""
-    rates = {"translation_rate": 0.05, "rotation_rate": 0.05}
-    tracker = FirstOrderTracker(FirstOrderOptions(preset, iterations=6, **rates))
+    learn_at(monkeypatch, 0.05, 0.05)
+    tracker = FirstOrderTracker(FirstOrderOptions(preset, iterations=6))
     pose = room.T_map_camera[1]
     result = tracker.locate(room.frames[1], opaque_map, pose)
     assert np.allclose(result.T_map_camera, pose, atol=1e-12), "no step improved on the truth"
@@ -136,11 +142,11 @@ def test_the_best_pose_is_kept(room, opaque_map, preset):
 
 
 @BOTH
-def test_the_last_step_counts_too(room, opaque_map, preset):
+def test_the_last_step_counts_too(room, opaque_map, preset, monkeypatch):
     """One step is judged by the render after it, not by the one before."""
     start = room.T_map_camera[1] @ small_motion(1, metres=0.03, degrees=1.0)
-    rates = {"translation_rate": 0.0002, "rotation_rate": 0.0001}
-    tracker = FirstOrderTracker(FirstOrderOptions(preset, iterations=1, **rates))
+    learn_at(monkeypatch, 0.0002, 0.0001)
+    tracker = FirstOrderTracker(FirstOrderOptions(preset, iterations=1))
     result = tracker.locate(room.frames[1], opaque_map, start)
     assert (result.renders, result.iterations) == (2, 1)
     assert distance_mm(result.T_map_camera, start) == pytest.approx(0.2 * np.sqrt(3), rel=0.1)
@@ -180,12 +186,12 @@ def test_judgement_agrees_with_the_dense_tracker(room):
     assert ((ratio > 0.05) & (ratio < 20.0)).all()
 
 
-def test_frames_are_judged_by_the_colour_that_the_loss_compares(room, gaussians):
+def test_frames_are_judged_by_the_colour_that_the_loss_compares(room, gaussians, monkeypatch):
     """As composited: divided by the silhouette, a perfect frame would seem too dark."""
     pose = small_motion(0, metres=0.01, degrees=0.5)
     frame = composited_frame(gaussians, room.frames[1], pose)
-    still = FirstOrderOptions(iterations=1, translation_rate=1e-9, rotation_rate=1e-9)
-    result = FirstOrderTracker(still).locate(frame, gaussians, pose)
+    learn_at(monkeypatch, 1e-9, 1e-9)
+    result = FirstOrderTracker(FirstOrderOptions(iterations=1)).locate(frame, gaussians, pose)
     assert result.intensity_residual < 0.003
     assert not result.lost
 

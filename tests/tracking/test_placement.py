@@ -11,7 +11,7 @@ from registered_room import Scene, error, motion, scene, seen_by, stranger
 
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe, fractions_observed
-from toolkit.tracking.options import PlacementOptions
+from toolkit.tracking import placement as placement_module
 from toolkit.tracking.placement import KeyframePlacement
 
 
@@ -81,11 +81,13 @@ def test_a_correction_by_many_pixels_is_rejected(room: Scene):
     assert np.array_equal(T, new.T_map_camera)
 
 
-def test_a_keyframe_of_other_surfaces_is_ignored(room: Scene):
+def test_a_keyframe_of_other_surfaces_is_ignored(room: Scene, monkeypatch):
     """Far from its true pose, a keyframe does not show the surfaces of the new one."""
     wrong = replace(keyframe(room, 1), T_map_camera=motion(3, 0.8, 20.0))
     new = moved(keyframe(room, 3), 6)
-    placement = KeyframePlacement(PlacementOptions(recent=1, every=1))
+    monkeypatch.setattr(placement_module, "_RECENT", 1)
+    monkeypatch.setattr(placement_module, "_EVERY", 1)
+    placement = KeyframePlacement()
     alone = placement.place([keyframe(room, 2)], new)
     beside = placement.place([wrong, keyframe(room, 2)], new)
     assert np.array_equal(alone, beside)

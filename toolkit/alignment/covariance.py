@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, Linearisation
-from toolkit.alignment.joint import Eliminated, Estimate, Pair, linearised
-from toolkit.alignment.options import JointOptions
+from toolkit.alignment.joint import Eliminated, Estimate, JointOptions, Pair, linearised
 
 Array = NDArray[np.float64]
 

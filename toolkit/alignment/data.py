@@ -218,16 +218,17 @@ class GaussNewtonOptions:
             solution, and the pose is fitted at the previous exposure.
         min_pixels: minimum number of residuals.
         min_translation_m, min_rotation_rad: a smaller step ends the finest level. The thresholds
-            are four times as large at every coarser level.
+            are four times as large at every coarser level. By default, a thousandth of a pixel at
+            usual focal lengths.
     """
 
     iterations: int
     max_distance: float
     photometric_weight: float
     exposure: Exposure | None
-    min_pixels: int
-    min_translation_m: float
-    min_rotation_rad: float
+    min_pixels: int = 50
+    min_translation_m: float = 2e-5
+    min_rotation_rad: float = 1e-5
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import ResidualScales
-from toolkit.alignment.options import HealthLimits
+
+
+@dataclass(frozen=True)
+class HealthLimits:
+    """Limits of a reliable alignment.
+
+    Attributes:
+        min_measured: minimum number of pixels with a depth measurement.
+        min_visible: minimum fraction of the measured pixels that the map explains.
+        max_intensity_residual: maximum robust scale of the photometric residuals, for intensities
+            in [0, 1].
+        max_depth_residual_m: maximum robust scale of the depth residuals at a depth of 1 m.
+        min_information: minimum eigenvalue of the pose's information matrix, in 1/m^2 and 1/rad^2.
+    """
+
+    min_measured: int = 200
+    min_visible: float = 0.15
+    max_intensity_residual: float = 0.15
+    max_depth_residual_m: float = 0.04
+    min_information: float = 1e4
+
+
+# Limits that only an alignment without any pixels or without information exceeds.
+NO_LIMITS = HealthLimits(1, 0.0, 1e9, 1e9, 0.0)
 
 
 def failure_reason(

@@ -24,7 +24,6 @@ from toolkit.alignment.data import (
 )
 from toolkit.alignment.gauss_newton import coarse_to_fine, is_small
 from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
-from toolkit.alignment.options import JointOptions
 from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 
@@ -32,8 +31,34 @@ Array = NDArray[np.float64]
 
 # Minimum number of residuals.
 MIN_PIXELS = 50
+# Maximum depth difference of corresponding pixels at the finest level, as a fraction of depth. It
+# doubles with every coarser level.
+MAX_DISTANCE = 0.05
+# Maximum step of an iteration.
+_MAX_TRANSLATION_M, _MAX_ROTATION_RAD = 0.2, 0.2
 # A smaller change of gain and bias ends the finest level.
 _MIN_EXPOSURE_STEP = 0.004
+
+
+@dataclass(frozen=True)
+class JointOptions:
+    """Parameters of a joint alignment.
+
+    Attributes:
+        levels: number of pyramid levels of the first pass.
+        iterations: maximum number of iterations per pyramid level.
+        exposure: estimate the exposure (gain and bias) of each pair at the finest level.
+        geometric_weight: weight of the geometric term relative to the photometric term at the
+            finest level.
+        small_translation_m, small_rotation_rad: smaller steps end the finest level.
+    """
+
+    levels: int = 4
+    iterations: int = 12
+    exposure: bool = True
+    geometric_weight: float = 1.0
+    small_translation_m: float = 1e-4
+    small_rotation_rad: float = 5e-5
 
 
 @dataclass(frozen=True)
@@ -112,7 +137,7 @@ def _stepped(
     step = damped_step(H, g)
     if step is None or sum(n.depth_pixels + n.intensity_pixels for n in linears) < MIN_PIXELS:
         return replace(estimate, converged=False), False
-    step = _limited(step, options)
+    step = _limited(step)
     small = is_small(step, options.small_translation_m, options.small_rotation_rad, level)
     exposure_steps = np.array([part.exposure_step(step) for part in parts])
     small &= bool(np.abs(exposure_steps).max() < _MIN_EXPOSURE_STEP)
@@ -139,7 +164,7 @@ def linearised(
     Args:
         photometric: include the photometric term.
     """
-    gate = options.max_distance * 2**level
+    gate = MAX_DISTANCE * 2**level
     weight = options.geometric_weight if level == 0 else 1.0
     # The kernels weight the photometric term instead.
     scales = replace(estimate.scales, photometric_weight=1.0 / weight if photometric else 0.0)
@@ -207,11 +232,11 @@ class Eliminated:
         return self.constant - self.by_exposure @ x
 
 
-def _limited(step: Array, options: JointOptions) -> Array:
+def _limited(step: Array) -> Array:
     """The step, scaled down if its translation or its rotation is too large."""
     excess = max(
-        float(np.linalg.norm(step[:3])) / options.max_translation_m,
-        float(np.linalg.norm(step[3:])) / options.max_rotation_rad,
+        float(np.linalg.norm(step[:3])) / _MAX_TRANSLATION_M,
+        float(np.linalg.norm(step[3:])) / _MAX_ROTATION_RAD,
         1.0,
     )
     return step / excess

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.covariance import clustered_information
 from toolkit.alignment.data import ResidualScales
-from toolkit.alignment.health import failure_reason
-from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment.health import HealthLimits, failure_reason
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
-from toolkit.alignment.options import MatchingOptions
 from toolkit.caching import LruCache
 from toolkit.features.keypoints import Keypoints, detect_keypoints, match_keypoints
 from toolkit.geometry import se3
@@ -26,11 +25,26 @@ from toolkit.keyframe import Keyframe
 
 Array = NDArray[np.float64]
 
+# Number of RANSAC hypotheses, each from three matches, and minimum number of inliers.
+HYPOTHESES, MIN_MATCHES = 500, 12
+# Maximum number of SIFT features per image, and ratio of the descriptor distances of the nearest
+# and the second nearest match.
+_FEATURES, _RATIO = 1500, 0.8
+# Maximum direction error of an inlier, in radians and, for small images, in pixels of the coarser
+# camera; and its maximum depth error, as a fraction of depth.
+_TOLERANCE_RAD, _TOLERANCE_PIXELS, _TOLERANCE_DEPTH = 0.008, 1.5, 0.05
 _MIN_DEPTH_M = 0.05
-# Maximum correction of the initial pose by dense alignment: as a fraction of the image's width, or
+
+# Wider images are halved for dense alignment. Matches are accurate to one or two pixels, so that
+# few levels suffice.
+_MAX_WIDTH = 400
+_DENSE = JointOptions(levels=3)
+_LIMITS = HealthLimits()
+# Maximum correction of an initial pose by dense alignment: as a fraction of the image's width, or
 # in pixels of the coarser camera if that is larger. After a larger one, one of the two poses is
-# wrong.
-_MAX_CORRECTION, _MAX_CORRECTION_PIXELS = 0.02, 3.0
+# wrong. Where a sensor's depth is not registered to its colour image, as in 7-Scenes, the depth at
+# a feature may be that of another surface: correct motions were corrected by 5 % of the width.
+_MAX_CORRECTION, _MAX_CORRECTION_OF_MATCHES, _MAX_CORRECTION_PIXELS = 0.02, 0.08, 3.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +72,6 @@ class Offset:
 def measure_offset(
     first: Keyframe,
     second: Keyframe,
-    options: MatchingOptions | None = None,
     generator: np.random.Generator | None = None,
 ) -> Offset | None:
     """Measure the relative pose of two keyframes from their observed images.
@@ -72,50 +85,38 @@ def measure_offset(
     Returns:
         The offset, or None if the images do not determine one.
     """
-    options = options or MatchingOptions()
-    generator = generator or np.random.default_rng(0)
-    found = _by_features(first, second, options, generator)
-    if found is None:
+    matched = match_features(first, second)
+    if matched is None:
         return None
-    T_first_second, matches = found
-    return refine_offset(first, second, T_first_second, matches, options)
+    found = matched.motion(generator or np.random.default_rng(0), MIN_MATCHES)
+    return None if found is None else refine_offset(first, second, *found)
 
 
-def refine_offset(
-    first: Keyframe,
-    second: Keyframe,
-    start: Array,
-    matches: int,
-    options: MatchingOptions,
-) -> Offset | None:
+def refine_offset(first: Keyframe, second: Keyframe, start: Array, matches: int) -> Offset | None:
     """The offset after dense alignment, or None if that is not reliable.
 
     Args:
         start: T_first_second [4, 4] from feature matches.
         matches: number of inliers of these.
     """
-    levels = options.dense.levels
-    model = [
-        model_level(level)
-        for level in pyramid(limited_to_width(keyframe_level(first), options.max_width), levels)
-    ]
-    frame = pyramid(limited_to_width(keyframe_level(second), options.max_width), levels)
-    pair = Pair(model, frame, np.eye(4), np.eye(4))
-    estimate = align([pair], Estimate(start), options.dense)
+    levels, frame = (
+        pyramid(limited_to_width(keyframe_level(keyframe), _MAX_WIDTH), _DENSE.levels)
+        for keyframe in (first, second)
+    )
+    pair = Pair([model_level(level) for level in levels], frame, np.eye(4), np.eye(4))
+    estimate = align([pair], Estimate(start), _DENSE)
     measured = float((frame[0].depth_m > 0).sum())
     visible = float(estimate.pixels.sum()) / max(measured, 1.0)
-    failed = failure_reason(
-        options.limits, estimate.scales, visible, estimate.information, measured
-    )
+    failed = failure_reason(_LIMITS, estimate.scales, visible, estimate.information, measured)
     end = estimate.T_target_source
-    if failed or correction_too_large(start, end, first.camera, second, options.max_correction):
+    if failed or correction_too_large(start, end, first.camera, second, _MAX_CORRECTION_OF_MATCHES):
         return None
     return Offset(
         estimate.T_target_source,
         matches,
         visible,
         estimate.scales,
-        clustered_information([pair], estimate, options.dense),
+        clustered_information([pair], estimate, _DENSE),
         estimate.iterations,
     )
 
@@ -156,17 +157,16 @@ def _pixel_size(first: Camera, second: Camera) -> float:
 def match_features(
     first: Keyframe,
     second: Keyframe,
-    options: MatchingOptions,
-    keypoints: Callable[[Keyframe, int], Keypoints] | None = None,
+    keypoints: Callable[[Keyframe], Keypoints] | None = None,
 ) -> Matched | None:
     """Mutual matches of two images with depth in both; None without any.
 
     Args:
-        keypoints: detects at most so many keypoints in a keyframe; by default without a cache.
+        keypoints: detects the keypoints of a keyframe; by default without a cache.
     """
     keypoints = keypoints or keyframe_keypoints
-    a, b = (keypoints(keyframe, options.features) for keyframe in (first, second))
-    matches = match_keypoints(a, b, options.ratio)
+    a, b = keypoints(first), keypoints(second)
+    matches = match_keypoints(a, b, _RATIO)
     if len(matches) == 0:
         return None
     pixels_a, pixels_b = a.px[matches[:, 0]], b.px[matches[:, 1]]
@@ -180,23 +180,10 @@ def match_features(
     return Matched(points_a, points_b, pixels_a, first.camera, pixel_size)
 
 
-def _by_features(
-    first: Keyframe,
-    second: Keyframe,
-    options: MatchingOptions,
-    generator: np.random.Generator,
-) -> tuple[Array, int] | None:
-    """T_first_second and its number of inlier matches; None below `min_matches`."""
-    matched = match_features(first, second, options)
-    if matched is None or len(matched.first) < options.min_matches:
-        return None
-    return matched.motion(options, generator)
-
-
-def keyframe_keypoints(keyframe: Keyframe, count: int) -> Keypoints:
-    """Keypoints of a keyframe's image, at most `count`."""
+def keyframe_keypoints(keyframe: Keyframe) -> Keypoints:
+    """Keypoints of a keyframe's image."""
     grey = cv2.cvtColor(keyframe.rgb.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2GRAY)
-    return detect_keypoints(grey, count)
+    return detect_keypoints(grey, _FEATURES)
 
 
 class KeypointCache:
@@ -209,12 +196,10 @@ class KeypointCache:
     def __init__(self, size: int = 64) -> None:
         self._found: LruCache[Keypoints] = LruCache(size)
 
-    def __call__(self, keyframe: Keyframe, count: int) -> Keypoints:
-        """Keypoints of a keyframe's image, at most `count`."""
+    def __call__(self, keyframe: Keyframe) -> Keypoints:
+        """Keypoints of a keyframe's image."""
         # Keyframes of different runs may have the same number, so that objects are compared.
-        return self._found.get(
-            (id(keyframe), count), lambda: keyframe_keypoints(keyframe, count), (keyframe,)
-        )
+        return self._found.get(id(keyframe), lambda: keyframe_keypoints(keyframe), (keyframe,))
 
 
 def _points_at(keyframe: Keyframe, pixels: Array) -> Array:
@@ -244,33 +229,33 @@ class Matched:
     camera: Camera
     pixel_size: float = 1.0
 
-    def motion(
-        self, options: MatchingOptions, generator: np.random.Generator
-    ) -> tuple[Array, int] | None:
-        """The motion with the most inliers, and their number; None if there are too few."""
+    def motion(self, generator: np.random.Generator, min_matches: int) -> tuple[Array, int] | None:
+        """The motion with the most inliers, and their number; None below `min_matches`."""
         n = len(self.first)
-        triples = np.argsort(generator.random((options.hypotheses, n)), axis=1)[:, :3]
+        if n < min_matches:
+            return None
+        triples = np.argsort(generator.random((HYPOTHESES, n)), axis=1)[:, :3]
         motions = rigid_fits(self.first[triples], self.second[triples])
-        inliers = self.inliers(motions, options)
+        inliers = self.inliers(motions)
         best = inliers[int(np.argmax(inliers.sum(axis=1)))]
         T = np.eye(4)
         for _ in range(3):
-            if best.sum() < options.min_matches:
+            if best.sum() < min_matches:
                 return None
             T = rigid_fits(self.first[best][None], self.second[best][None])[0]
-            best = self.inliers(T[None], options)[0]
+            best = self.inliers(T[None])[0]
         count = int(best.sum())
-        return (T, count) if count >= options.min_matches else None
+        return (T, count) if count >= min_matches else None
 
-    def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+    def inliers(self, motions: Array) -> NDArray[np.bool_]:
         """Mask [H, n] of the matches that are inliers of motions [H, 4, 4]."""
         moved = np.einsum("hij,nj->hni", motions[:, :3, :3], self.second)
         moved += motions[:, None, :3, 3]
         depth = moved[..., 2]
         safe = np.where((depth > _MIN_DEPTH_M)[..., None], moved, [0.0, 0.0, 1.0])
         error = np.linalg.norm(self.camera.project(safe) - self.pixels, axis=-1)
-        tolerance = max(options.tolerance_rad * self.camera.focal, 1.5 * self.pixel_size)
-        near = np.abs(depth - self.first[:, 2]) < options.tolerance_depth * self.first[:, 2]
+        tolerance = max(_TOLERANCE_RAD * self.camera.focal, _TOLERANCE_PIXELS * self.pixel_size)
+        near = np.abs(depth - self.first[:, 2]) < _TOLERANCE_DEPTH * self.first[:, 2]
         return (depth > _MIN_DEPTH_M) & (error < tolerance) & near
 
 

@@ -43,7 +43,7 @@ COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
             "seed",
         ),
         "semantics": (
-            "semantics.segmenter.kind",
+            "segmenter.kind",
             "semantics.taxonomy",
             "semantics.ignore",
         ),
@@ -61,7 +61,7 @@ COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
             "device",
             "seed",
         ),
-        "semantics": ("semantics.segmenter.kind", "semantics.taxonomy"),
+        "semantics": ("segmenter.kind", "semantics.taxonomy"),
         "submaps and loops": ("submaps.use", "loops.use"),
     },
     "register": {"options": ("run_a", "run_b", "out", "pairs", "registration.kind")},

@@ -21,7 +21,6 @@ from toolkit.cli.map_programs import (
     VoxelSize,
 )
 from toolkit.datasets.options import BagTopics, DatasetKind
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.options import (
     Fraction,
@@ -157,7 +156,6 @@ class RegisterOptions:
     pairs: PositiveInt = 6
     """Number of pairs of submaps that are registered, the most similar first."""
     registration: RegistrationOptions = RegistrationOptions()
-    verification: VerificationOptions = VerificationOptions()
 
 
 @dataclass(frozen=True)
@@ -260,7 +258,7 @@ class LabelledData:
 class TrainHeadOptions:
     """Train a linear head on the patch features of a vision transformer such as DINOv2.
 
-    The head is for `--semantics.segmenter.kind model` with the same model folder.
+    The head is for `--segmenter.kind model` with the same model folder.
     """
 
     dataset: LabelledData

@@ -19,7 +19,8 @@ from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.loops.registration.factory import build_registrar, build_view_renderer, needs_describer
+from toolkit.loops.registration.factory import build_registrar, needs_describer
+from toolkit.loops.registration.views import ViewRenderer
 from toolkit.loops.two_maps import (
     MapRegistration,
     SelectedRegistration,
@@ -108,15 +109,14 @@ def _register(
     b: FinishedRun,
     submaps: tuple[SavedSubmaps, SavedSubmaps],
 ) -> list[MapRegistration]:
-    backend = a.settings.backend
-    renderer = build_view_renderer(options.registration, shared_semantics(a, b), backend)
+    renderer = ViewRenderer(a.settings.backend, shared_semantics(a, b))
     describer = None
     if needs_describer(options.registration):
         describer = build_differentiable_describer(a.settings.loops.features)
     registrar = build_registrar(options.registration, a.settings.seed, renderer, describer)
     pairs = most_similar_submaps(*submaps, options.pairs)
     return [
-        register_submaps(pair, *submaps, registrar, options.verification)
+        register_submaps(pair, *submaps, registrar)
         for pair in tqdm(pairs, unit="pair of submaps", disable=None)
     ]
 

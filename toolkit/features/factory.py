@@ -25,16 +25,15 @@ def build_encoder(settings: FeatureOptions) -> Encoder:
         return ColourHistogramEncoder()
     if settings.kind == "builtin":
         return BuiltinEncoder()
-    model = settings.dinov2
-    if model.folder is None:
+    if settings.folder is None:
         raise SettingsError(
-            "--loops.features.kind dinov2 needs --loops.features.dinov2.folder DIR with a "
+            "--loops.features.kind dinov2 needs --loops.features.folder DIR with a "
             "downloaded model; set it, or use --loops.features.kind builtin"
         )
     # Imported on demand, because transformers takes seconds to load.
     from toolkit.features.dinov2 import Dinov2Encoder
 
-    return Dinov2Encoder(model.folder, model.pooling, model.longest_side, model.device)
+    return Dinov2Encoder(settings.folder, settings.pooling, device=settings.device)
 
 
 def build_describer(settings: FeatureOptions) -> ViewDescriber:

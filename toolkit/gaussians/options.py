@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from toolkit.options import NonNegativeFloat, PositiveFloat, Range
+from toolkit.options import PositiveFloat, Range
 
 
 @dataclass(frozen=True)
@@ -19,10 +19,6 @@ class SeedingOptions:
     max_cell: Literal[1, 2, 4] = 2
     """Maximum side length in pixels of a block that becomes one Gaussian, where the surface has
     neither texture nor curvature."""
-    flat_colour: NonNegativeFloat = 0.04
-    """Maximum colour range of a block that becomes one Gaussian, for colours in [0, 1]."""
-    flat_depth: NonNegativeFloat = 0.005
-    """Maximum curvature of a block that becomes one Gaussian, as a fraction of depth."""
     choice: Literal["cells", "uniform", "semantic"] = "cells"
     """Selection of pixels: all, in blocks (cells), a random subset (uniform), or a subset weighted
     by class frequency as in GauSem-SLAM (semantic)."""

@@ -19,6 +19,10 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.options import SeedingOptions
 from toolkit.geometry import se3
 
+# Maximum colour range, for colours in [0, 1], and maximum curvature, as a fraction of depth, of a
+# block that becomes one Gaussian.
+_FLAT_COLOUR, _FLAT_DEPTH = 0.04, 0.005
+
 
 def seed(
     frame: Frame,
@@ -51,7 +55,7 @@ def seed(
     parts = []
     cell: int = options.max_cell
     while cell >= 1:
-        chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell, options)
+        chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell)
         parts.append(_seed_cells(frame, T_map_camera, chosen, cell, options, start_values))
         wanted = wanted & ~chosen
         cell //= 2
@@ -75,15 +79,13 @@ def _pixels_of(
     return image[y, x].reshape(len(rows), cell * cell, *image.shape[2:])
 
 
-def _plain_cells(
-    frame: Frame, wanted: NDArray[np.bool_], cell: int, options: SeedingOptions
-) -> NDArray[np.bool_]:
+def _plain_cells(frame: Frame, wanted: NDArray[np.bool_], cell: int) -> NDArray[np.bool_]:
     """Return a mask [H, W] of complete cells with uniform colour and planar depth."""
     full = _complete_cells(wanted, cell)
     rows, columns = np.nonzero(full)
     colour = _pixels_of(frame.rgb, cell, rows, columns)
     depth = _pixels_of(frame.depth_m, cell, rows, columns)
-    plain = (colour.max(axis=1) - colour.min(axis=1)).max(axis=-1) < options.flat_colour
+    plain = (colour.max(axis=1) - colour.min(axis=1)).max(axis=-1) < _FLAT_COLOUR
     # Inverse depth is linear on a plane, so the residual of a linear fit measures curvature.
     inverse = 1.0 / np.where(depth > 0, depth, 1.0)
     offset = np.arange(cell) - (cell - 1) / 2
@@ -97,7 +99,7 @@ def _plain_cells(
     if frame.labels is not None:
         labels = _pixels_of(frame.labels, cell, rows, columns)
         plain &= (labels == labels[:, :1]).all(axis=1)
-    full[rows, columns] = plain & (bend < options.flat_depth * mean[:, 0]) & ~steep
+    full[rows, columns] = plain & (bend < _FLAT_DEPTH * mean[:, 0]) & ~steep
     out = np.zeros_like(wanted)
     height, width = full.shape
     out[: height * cell, : width * cell] = full.repeat(cell, 0).repeat(cell, 1)

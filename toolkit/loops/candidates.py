@@ -20,6 +20,9 @@ from toolkit.loops.retrieval import DescriptorIndex, Neighbour
 
 # Landmark distance assumed where it is unknown: that of vectors with little in common.
 _UNKNOWN_LANDMARKS = 1.0
+# The adaptive threshold is this quantile of the descriptor distances within the query's submap, and
+# at most this multiple of the fixed one.
+_ADAPTIVE_QUANTILE, _ADAPTIVE_LIMIT = 0.5, 1.5
 # The adaptive threshold needs at least this many distances to neighbouring keyframes.
 _MIN_NEIGHBOURS = 3
 
@@ -237,8 +240,8 @@ class CandidateFinder:
         neighbours = self._index.search(
             self._index.descriptor(number), int(near.sum()), np.flatnonzero(near)
         )
-        own = float(np.quantile([n.distance for n in neighbours], options.adaptive_quantile))
-        return min(own, options.adaptive_limit * self._fixed_threshold)
+        own = float(np.quantile([n.distance for n in neighbours], _ADAPTIVE_QUANTILE))
+        return min(own, _ADAPTIVE_LIMIT * self._fixed_threshold)
 
     def _evaluate(
         self, number: int, near: Neighbour, limit: float, landmarks: float | None

@@ -1,4 +1,4 @@
-"""Options of loop detection, loop verification and relocalisation."""
+"""Options of loop detection and relocalisation."""
 
 from __future__ import annotations
 
@@ -36,11 +36,6 @@ class CandidateOptions:
     distance: Annotated[float, Range(gt=0, le=2)] | None = None
     """Maximum Euclidean distance of two descriptors. By default, the encoder's for the fixed and
     the adaptive threshold, and none for selection by rank."""
-    adaptive_quantile: Fraction = 0.5
-    """Quantile of the descriptor distances within the query's submap that becomes the adaptive
-    threshold."""
-    adaptive_limit: PositiveFloat = 1.5
-    """Maximum adaptive threshold, relative to the fixed one."""
     min_gap_frames: PositiveInt = 30
     """Minimum number of frames between query and match."""
     min_gap_m: NonNegativeFloat = 0.5
@@ -67,41 +62,12 @@ class LandmarkOptions:
 
 
 @dataclass(frozen=True)
-class VerificationOptions:
-    """Requirements that the registration of two submaps must meet to become a loop."""
-
-    # Of RedKitchen's pairs, those below were up to 12 cm off the ground truth, those above 5 cm.
-    min_overlap: Fraction = 0.4
-    """Minimum fraction of the source's pixels that the target also shows."""
-    min_inliers: Fraction = 0.8
-    """Minimum fraction of the overlapping pixels whose surfaces agree."""
-    min_class_agreement: Fraction = 0.7
-    """Minimum fraction of the agreeing pixels that have the same class, where both have one."""
-    max_intensity_residual: PositiveFloat = 0.1
-    """Maximum robust scale of the photometric residuals, for intensities in [0, 1]."""
-    max_depth_residual_m: PositiveFloat = 0.02
-    """Maximum robust scale of the depth residuals at a depth of 1 m, in metres."""
-    min_information: NonNegativeFloat = 1e4
-    """Minimum eigenvalue of the information matrix, in 1/m^2 and 1/rad^2."""
-
-
-@dataclass(frozen=True)
 class RelocalisationOptions:
     """Relocalisation of a lost camera."""
 
-    tries: PositiveInt = 5
-    """Number of most similar keyframes that are matched with the frame."""
-    # Of two rooms that look the same, the camera can only have reached the nearer one.
-    speed_m_s: NonNegativeFloat = 2.0
-    """Assumed maximum camera speed, in m/s. Until patience is exhausted, only places that the
-    camera can have reached are accepted."""
-    slack_m: NonNegativeFloat = 2.0
-    """Distance added to the reach of the camera, in metres."""
     # More than for a tracked frame, since no neighbouring frame confirms the pose.
     min_visible: Fraction = 0.4
     """Minimum fraction of the frame's measured pixels that the map explains."""
-    max_intensity_residual: PositiveFloat = 0.1
-    """Maximum robust scale of the photometric residuals, for intensities in [0, 1]."""
     patience: PositiveInt = 15
     """Number of consecutive doubtful or lost frames after which a new submap is started."""
     patience_s: PositiveFloat = 1.0

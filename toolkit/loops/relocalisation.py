@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.matching import measure_offset
-from toolkit.alignment.options import MatchingOptions
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
@@ -56,21 +55,25 @@ class LastPosition:
     position: NDArray[np.float64]
 
 
-# Retrieved keyframes per keyframe tried, before those out of reach are removed.
-_POOL_FACTOR = 4
+# Number of most similar keyframes that are matched with the frame, and number retrieved for each of
+# them, before those out of reach are removed.
+_TRIES, _POOL_FACTOR = 5, 4
+# Assumed maximum speed of the camera, and distance added to its reach. Of two rooms that look the
+# same, it can only have reached the nearer one.
+_SPEED_M_S, _SLACK_M = 2.0, 2.0
+# Maximum robust scale of the photometric residuals, for intensities in [0, 1]: less than for a
+# tracked frame, since no neighbouring frame confirms the pose.
+_MAX_INTENSITY_RESIDUAL = 0.1
 
 
 class Relocaliser:
     """Relocalises lost frames against the keyframes of all submaps."""
 
     def __init__(
-        self,
-        detector: LoopDetector,
-        matching: MatchingOptions,
-        options: RelocalisationOptions | None = None,
+        self, detector: LoopDetector, options: RelocalisationOptions | None = None
     ) -> None:
         self.options = options or RelocalisationOptions()
-        self._detector, self._matching = detector, matching
+        self._detector = detector
 
     def find(
         self,
@@ -109,26 +112,26 @@ class Relocaliser:
         self, frame: Frame, atlas: Atlas, last: LastPosition | None, anywhere: bool
     ) -> list[SimilarKeyframe]:
         """Keyframes similar to a frame: those in reach first, then the most similar ones."""
-        options, view = self.options, Keyframe.from_frame(frame, np.eye(4))
+        view = Keyframe.from_frame(frame, np.eye(4))
         if last is None:
-            return self._detector.most_similar(view, options.tries)
-        reach_m = options.slack_m + options.speed_m_s * abs(frame.timestamp_s - last.timestamp_s)
-        found = self._detector.most_similar(view, _POOL_FACTOR * options.tries)
-        near = [s for s in found if _distance_m(s, atlas, last) <= reach_m][: options.tries]
-        return near + [s for s in found[: options.tries] if anywhere and s not in near]
+            return self._detector.most_similar(view, _TRIES)
+        reach_m = _SLACK_M + _SPEED_M_S * abs(frame.timestamp_s - last.timestamp_s)
+        found = self._detector.most_similar(view, _POOL_FACTOR * _TRIES)
+        near = [s for s in found if _distance_m(s, atlas, last) <= reach_m][:_TRIES]
+        return near + [s for s in found[:_TRIES] if anywhere and s not in near]
 
     def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
     ) -> Relocalisation | None:
         """Align a frame to a submap, starting from image matches with one of its keyframes."""
-        offset = measure_offset(keyframe, Keyframe.from_frame(frame, np.eye(4)), self._matching)
+        offset = measure_offset(keyframe, Keyframe.from_frame(frame, np.eye(4)))
         if offset is None:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
         result = tracker.locate(frame, submap.gaussians, start, search=False)
         if result.health is not Health.GOOD or result.visible_fraction < self.options.min_visible:
             return None
-        if result.intensity_residual > self.options.max_intensity_residual:
+        if result.intensity_residual > _MAX_INTENSITY_RESIDUAL:
             return None
         return Relocalisation(submap.number, result)
 

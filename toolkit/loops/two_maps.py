@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.loops.verification import rejection_reason
 from toolkit.submaps.submap import Submap
@@ -86,7 +85,6 @@ def register_submaps(
     first: Mapping[int, Submap],
     second: Mapping[int, Submap],
     registrar: Registrar,
-    verification: VerificationOptions,
 ) -> MapRegistration:
     """Register and verify one submap pair without an initial guess.
 
@@ -96,9 +94,7 @@ def register_submaps(
     a, b = first[pair.first], second[pair.second]
     result = register_pair(registrar, a, b)
     T = a.T_world_submap @ result.T_target_source @ se3.inverse(b.T_world_submap)
-    return MapRegistration(
-        pair, result, rejection_reason(result, verification), se3.orthonormalise(T)
-    )
+    return MapRegistration(pair, result, rejection_reason(result), se3.orthonormalise(T))
 
 
 @dataclass(frozen=True)

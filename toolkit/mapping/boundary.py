@@ -19,6 +19,8 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.submap import Submap
 
+# Number of optimisation steps around a boundary before the old submap is closed.
+_STEPS = 24
 # Maximum distance of a visible Gaussian behind the rendered surface, as a fraction of depth.
 _MAX_BEHIND = 0.05
 _NO_INDICES = torch.zeros(0, dtype=torch.int64)
@@ -30,8 +32,8 @@ def start_next(atlas: Atlas, mapper: Mapper) -> NDArray[np.float64]:
     Returns:
         T_new_old [4, 4], from the frame of the old submap to that of the new one.
     """
-    boundary, old = atlas.boundary, atlas.current
-    mapper.optimise_window(old, boundary.steps, boundary.bundle_adjustment)
+    old = atlas.current
+    mapper.optimise_window(old, _STEPS, atlas.boundary.bundle_adjustment)
     last = old.keyframes[-1]
     anchor = replace(last, T_map_camera=np.eye(4), pose_moments=None)
     _start(atlas, mapper, anchor, atlas.submap(atlas.active), last.T_map_camera)

@@ -20,7 +20,6 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.options import ConsensusOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 
@@ -33,6 +32,10 @@ _SAMPLED_WIDTH, _MAX_STRIDE = 160, 3
 # Gaussians with a smaller number of votes keep their features: those of frames between keyframes
 # would lose their label where the border of a keyframe's image just touches them.
 _MIN_VOTES = 0.05
+# Minimum number of views of a pixel's Gaussians for the pixel to count as evidence, minimum
+# fraction of a segment's pixels that are evidence, and minimum probability margin of the map's
+# class over the segment's.
+_MIN_VIEWS, _MIN_SHARE, _MARGIN = 1.5, 0.1, 0.1
 
 
 def label_consensus(
@@ -40,7 +43,7 @@ def label_consensus(
     keyframes: list[Keyframe],
     semantics: SemanticMapping,
     render: Render,
-    options: ConsensusOptions,
+    rounds: int,
 ) -> GaussianCloud:
     """Return the Gaussians with the features that all labelled keyframes vote for.
 
@@ -48,17 +51,18 @@ def label_consensus(
 
     Args:
         render: renders Gaussians with their features from a camera at a pose.
+        rounds: of correction and voting; 0 only votes.
     """
     labelled = [keyframe for keyframe in keyframes if keyframe.class_ids is not None]
     votes = _FeatureVotes(gaussians, semantics, render)
     for keyframe in labelled:
         votes.add(keyframe)
-    for _ in range(options.rounds):
+    for _ in range(rounds):
         gaussians = votes.fitted()
         changed = False
         for keyframe in labelled:
             view = _counted_view(gaussians, votes.views, keyframe, render)
-            corrected = _corrected(view, keyframe, semantics, options)
+            corrected = _corrected(view, keyframe, semantics)
             if corrected is not None:
                 votes.change(keyframe, corrected, view)
                 keyframe.class_ids = corrected
@@ -165,16 +169,14 @@ def _sampled_labels(keyframe: Keyframe) -> Tensor:
     return _sampled(keyframe.class_ids)
 
 
-def _corrected(
-    view: SurfaceView, keyframe: Keyframe, semantics: SemanticMapping, options: ConsensusOptions
-) -> Tensor | None:
+def _corrected(view: SurfaceView, keyframe: Keyframe, semantics: SemanticMapping) -> Tensor | None:
     """Labels of a keyframe with corrected segments; None if no segment changes.
 
     Args:
         view: see `_counted_view`.
     """
     silhouette = view.output.silhouette.clamp(min=0.5)
-    known = (view.images[0] / silhouette >= options.min_views).view(-1).cpu().numpy()
+    known = (view.images[0] / silhouette >= _MIN_VIEWS).view(-1).cpu().numpy()
     class_ids, probabilities = semantics.probabilities(view)
     assert keyframe.class_ids is not None
     segments, own_class = connected_segments(keyframe.class_ids.numpy())
@@ -189,8 +191,8 @@ def _corrected(
     row = np.minimum(np.searchsorted(class_ids, own_class), len(class_ids) - 1)
     own_probability = means[row, np.arange(count)]
     most_probable = means.argmax(axis=0)
-    changed = evidence > np.maximum(options.min_share * area, 1.0)
-    changed &= means[most_probable, np.arange(count)] > own_probability + options.margin
+    changed = evidence > np.maximum(_MIN_SHARE * area, 1.0)
+    changed &= means[most_probable, np.arange(count)] > own_probability + _MARGIN
     changed &= own_class > 0
     if not changed.any():
         return None

@@ -20,6 +20,12 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.submap import Submap
 
+# Minimum depth error that seeds new Gaussians in front of a surface: as a fraction of depth, and as
+# a multiple of the median depth error.
+_DEPTH_FLOOR, _DEPTH_FACTOR = 0.03, 20.0
+# Gaussians of lower opacity or larger radius are pruned.
+_MIN_OPACITY, _MAX_RADIUS_M = 0.005, 0.5
+
 
 class Densification:
     """Adds and removes Gaussians of a map.
@@ -50,13 +56,12 @@ class Densification:
             observed: images of the keyframe on the map's device.
             in_empty_space: mask [N] of the points [N, 3] where nothing is seeded.
         """
-        options = self._options
         mask = uncovered_pixels(
             view,
             observed.measured_m,
-            options.min_silhouette,
-            options.depth_floor,
-            options.depth_factor,
+            self._options.min_silhouette,
+            _DEPTH_FLOOR,
+            _DEPTH_FACTOR,
         )
         if observed.inferred is not None:
             # Inferred depth does not contradict a surface of the map.
@@ -86,8 +91,7 @@ class Densification:
 
     def prune(self, submap: Submap) -> int:
         """Remove transparent, very large and non-finite Gaussians; return how many."""
-        options = self._options
-        mask = prune_mask(submap.gaussians, options.min_opacity, options.max_radius_m)
+        mask = prune_mask(submap.gaussians, _MIN_OPACITY, _MAX_RADIUS_M)
         count = int(mask.sum())
         if count:
             submap.remove(mask)

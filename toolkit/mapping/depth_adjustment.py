@@ -9,14 +9,15 @@ from torch import Tensor
 
 from toolkit.keyframe import Keyframe
 from toolkit.losses.depth_gradient import by_observed_depth
-from toolkit.mapping.options import DepthAdjustmentOptions
 
+# Learning rate of the scale, and of the shift relative to the median depth.
+_RATE = 1e-3
 # Decay of Adam's moments, and its epsilon for gradients relative to the depth loss.
 _DECAY, _DECAY_SQUARED, _EPSILON = 0.9, 0.99, 1e-8
 
 
 def adjust_depth(
-    keyframe: Keyframe, gradient: Tensor, images: Tensor, options: DepthAdjustmentOptions
+    keyframe: Keyframe, gradient: Tensor, images: Tensor, regularisation: float
 ) -> None:
     """Take one step on the scale and the shift of a keyframe's depth.
 
@@ -28,6 +29,7 @@ def adjust_depth(
         keyframe: its `prior_m` is the depth after the initial correction.
         gradient: [C, H, W] of the mapping loss by the rendered images, as a sum over pixels.
         images: [C, H, W] the rendered images.
+        regularisation: weight of the deviation from the initial values.
     """
     prior_m = keyframe.prior_m
     assert prior_m is not None
@@ -45,13 +47,13 @@ def adjust_depth(
         [float((by_depth * prior_m).sum()) * scale, float(by_depth.sum()) * median_m]
     )
     deviation = np.array([np.sign(scale - 1.0) * scale, np.sign(shift) * median_m])
-    descent = descent / count + options.regularisation * deviation
+    descent = descent / count + regularisation * deviation
     steps = state[6] + 1
     first = _DECAY * state[2:4] + (1.0 - _DECAY) * descent
     second = _DECAY_SQUARED * state[4:6] + (1.0 - _DECAY_SQUARED) * descent**2
     unbiased = first / (1.0 - _DECAY**steps)
     change = unbiased / (np.sqrt(second / (1.0 - _DECAY_SQUARED**steps)) + _EPSILON)
-    log_scale, shift = state[:2] - options.rate * change * [1.0, float(options.shift)]
+    log_scale, shift = state[:2] - _RATE * change
     keyframe.depth_moments = np.array([log_scale, shift, *first, *second, steps])
     adjusted = math.exp(log_scale) * prior_m + shift * median_m
     keyframe.depth_m = adjusted.clamp(min=0.0) * known

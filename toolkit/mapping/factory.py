@@ -13,6 +13,9 @@ from toolkit.semantics.codes import SemanticCode
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticsOptions
 
+# Hidden units and learning rate of the network; the paper prints neither.
+_HIDDEN, _LEARNING_RATE = 64, 5e-3
+
 
 def build_semantic_mapping(
     options: SemanticsOptions, code: SemanticCode | None, seed: int
@@ -25,8 +28,8 @@ def build_semantic_mapping(
         network = NetworkDecoder(
             code.channels,
             len(code.taxonomy),
-            options.network.hidden,
-            options.network.learning_rate,
+            _HIDDEN,
+            _LEARNING_RATE,
             torch.Generator().manual_seed(seed),
             options.network.replay,
         )

@@ -25,15 +25,18 @@ from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_mar
 from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.depth_views import MIN_DEPTH_M, DepthView, DepthViews
-from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.native import address, kernels_for
 
 Array = NDArray[np.float64]
 
 # Maximum fraction of the seeds of a keyframe that earlier keyframes may rule out.
 _MAX_DROPPED = 0.2
-# As `FreeSpaceOptions.min_through`, for points at which no keyframe measured a surface.
-_MIN_THROUGH_UNMEASURED = 0.1
+# Minimum sum of the confidences of the keyframes that measured through a Gaussian, in general and
+# where no keyframe measured a surface; and its minimum ratio to the number of those that measured a
+# surface at its place.
+_MIN_THROUGH, _MIN_THROUGH_UNMEASURED, _MIN_RATIO = 1.0, 0.1, 0.33
+# Maximum number of keyframes compared while the map grows, spread over those of the submap.
+_VIEWS = 8
 # Maximum radius of Gaussians at such points, as an angle in any keyframe that shows them: ten times
 # that of a pixel of a usual camera.
 _MAX_UNMEASURED_RAD = 0.03
@@ -43,12 +46,12 @@ _MAX_UNMEASURED_RAD = 0.03
 _CLEAR_M = 0.15
 
 
-def is_measured(options: FreeSpaceOptions, keyframes: Iterable[Keyframe]) -> bool:
-    """Whether free space is used, and the depth of these keyframes is measured.
+def is_measured(keyframes: Iterable[Keyframe]) -> bool:
+    """Whether the depth of these keyframes is measured.
 
     The depth of priors is no measurement: it is aligned with the map, and may be noisy everywhere.
     """
-    return options.use and all(keyframe.prior_m is None for keyframe in keyframes)
+    return all(keyframe.prior_m is None for keyframe in keyframes)
 
 
 @dataclass(frozen=True)
@@ -119,12 +122,12 @@ class Evidence:
         self.support.index_add_(0, chosen, near.to(means.dtype))
         self.nearest_m[chosen] = torch.minimum(self.nearest_m[chosen], z)
 
-    def contradicts(self, options: FreeSpaceOptions) -> Tensor:
+    def contradicts(self) -> Tensor:
         """Mask [N] of the points in empty space."""
-        enough = self.through >= options.min_through
-        return enough & (self.through > options.min_ratio * self.support)
+        enough = self.through >= _MIN_THROUGH
+        return enough & (self.through > _MIN_RATIO * self.support)
 
-    def contradicts_in_map(self, radii_m: Tensor, options: FreeSpaceOptions) -> Tensor:
+    def contradicts_in_map(self, radii_m: Tensor) -> Tensor:
         """Mask [N] of the Gaussians in empty space, by the evidence of all keyframes of a map.
 
         Gaussians without support are in doubt: only their colour was observed. One keyframe that
@@ -135,7 +138,7 @@ class Evidence:
         """
         in_doubt = self.through >= _MIN_THROUGH_UNMEASURED
         in_doubt |= radii_m > _MAX_UNMEASURED_RAD * self.nearest_m
-        return self.contradicts(options) | ((self.support == 0) & in_doubt)
+        return self.contradicts() | ((self.support == 0) & in_doubt)
 
 
 def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
@@ -168,16 +171,15 @@ def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
 class FreeSpace:
     """What the keyframes of a map measured as empty, while the map grows."""
 
-    def __init__(self, options: FreeSpaceOptions) -> None:
-        self._options, self._views = options, DepthViews()
+    def __init__(self) -> None:
+        self._views = DepthViews()
 
     def contradicted(self, means: Tensor, newest: Keyframe, others: Sequence[Keyframe]) -> Tensor:
         """Mask [N] of the points in empty space, of those the newest keyframe measured through.
 
         Args:
             means: [N, 3] points.
-            others: earlier keyframes of the same map; at most `FreeSpaceOptions.views` of them are
-                compared.
+            others: earlier keyframes of the same map; a few of them are compared.
         """
         through = Evidence.of(means, [self._views.of(newest)]).through
         mask = through > 0
@@ -185,7 +187,7 @@ class FreeSpace:
         some = means.index_select(0, candidates)
         evidence = Evidence.of(some, self._some(others), whole_map=False)
         evidence.through.add_(through.index_select(0, candidates))
-        return mask.index_copy(0, candidates, evidence.contradicts(self._options))
+        return mask.index_copy(0, candidates, evidence.contradicts())
 
     def seen_through(self, seeds: Tensor, others: Sequence[Keyframe]) -> Tensor:
         """Mask [N] of the points that earlier keyframes contradict; none if they contradict many.
@@ -196,9 +198,9 @@ class FreeSpace:
         """
         evidence = Evidence.of(seeds, self._some(others), whole_map=False)
         evidence.support.add_(1.0)
-        mask = evidence.contradicts(self._options)
+        mask = evidence.contradicts()
         # Then the pose of the new keyframe is in doubt, not its depth.
         return mask if mask.sum() <= _MAX_DROPPED * len(mask) else torch.zeros_like(mask)
 
     def _some(self, keyframes: Sequence[Keyframe]) -> list[DepthView]:
-        return [self._views.of(k) for k in evenly_spaced(keyframes, self._options.views)]
+        return [self._views.of(k) for k in evenly_spaced(keyframes, _VIEWS)]

@@ -42,6 +42,10 @@ from toolkit.tracking.health import has_depth
 
 _log = logging.getLogger(__name__)
 
+# Maximum number of keyframes optimised together, minimum overlap of the others with the newest one,
+# and fraction of the iterations spent on the newest one.
+_WINDOW, _MIN_OVERLAP, _NEWEST_SHARE = 8, 0.15, 0.4
+
 
 @dataclass(frozen=True)
 class MappingResult:
@@ -95,7 +99,7 @@ class Mapper:
         self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
         self._observations = KeyframeImages(self.device)
-        self._free_space = FreeSpace(self.options.free_space)
+        self._free_space = FreeSpace()
         self._densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(
             self.options, self.semantics, self._backend, self._observations, self._recorder
@@ -140,16 +144,15 @@ class Mapper:
             with self._recorder.timed(Stage.DEPTH_FUSION):
                 fuse_depth(submap, observed.measured_m)
         others = submap.keyframes[:-1]
-        free_space = others and is_measured(self.options.free_space, submap.keyframes)
+        free_space = self.options.free_space and others and is_measured(submap.keyframes)
         if free_space:
             with self._recorder.timed(Stage.FREE_SPACE):
                 mask = self._free_space.contradicted(submap.gaussians.means, keyframe, others)
                 _remove(submap, mask)
         with self._recorder.timed(Stage.SEEDING):
             view, options = self.view(submap, keyframe), self.options
-            hide_moving_objects(
-                keyframe, view, others, options.moving_objects, options.min_silhouette
-            )
+            if options.moving_objects:
+                hide_moving_objects(keyframe, view, others, options.min_silhouette)
             observed = self._observations.of(keyframe)
             empty = partial(self._free_space.seen_through, others=others) if free_space else None
             seeded = self._densification.seed(submap, keyframe, view, observed, empty)
@@ -283,7 +286,7 @@ class Mapper:
                     submap.keyframes,
                     self.semantics,
                     partial(self.render, features=True),
-                    self.options.consensus,
+                    self.options.consensus.rounds,
                 )
             submap.optimiser.reset("features")
         self._clear_free_space(submap, T_map_cameras)
@@ -326,12 +329,12 @@ class Mapper:
         Args:
             T_map_cameras: [P, 4, 4] poses of frames.
         """
-        if not is_measured(self.options.free_space, submap.keyframes):
+        if not self.options.free_space or not is_measured(submap.keyframes):
             return
         with self._recorder.timed(Stage.FREE_SPACE):
             views = (DepthView.of(keyframe) for keyframe in submap.keyframes)
             evidence = Evidence.of(submap.gaussians.means, views)
-            mask = evidence.contradicts_in_map(submap.gaussians.radii_m, self.options.free_space)
+            mask = evidence.contradicts_in_map(submap.gaussians.radii_m)
             mask |= hides_view(submap.gaussians.means, submap.keyframes[0].camera, T_map_cameras)
         _remove(submap, mask)
         if mask.any():
@@ -363,11 +366,10 @@ class Mapper:
 
     def _window(self, keyframes: list[Keyframe]) -> list[Keyframe]:
         """Keyframes to optimise together with the newest of some keyframes, which comes first."""
-        options = self.options
-        return choose_window(keyframes, options.window, options.min_overlap, self._generator)
+        return choose_window(keyframes, _WINDOW, _MIN_OVERLAP, self._generator)
 
     def _pick(self, window: list[Keyframe]) -> Keyframe:
-        if len(window) == 1 or self._generator.random() < self.options.newest_share:
+        if len(window) == 1 or self._generator.random() < _NEWEST_SHARE:
             return window[0]
         return window[1 + int(self._generator.integers(len(window) - 1))]
 

@@ -23,12 +23,18 @@ from toolkit.geometry.free_space import free_space_margin_m
 from toolkit.keyframe import Keyframe, evenly_spaced
 from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.free_space import Evidence
-from toolkit.mapping.options import MovingObjectOptions
 from toolkit.rendering import SurfaceView
 from toolkit.rendering.output import COLOUR
 
 _Mask = NDArray[np.bool_]
 
+# Minimum fraction of the image that a region covers, and maximum fraction of the mapped pixels in
+# front of the map: beyond it, the pose is in doubt and nothing is left out.
+_MIN_AREA, _MAX_AREA = 0.003, 0.4
+# Minimum sum of the confidences of the earlier keyframes that measured through a region.
+_MIN_THROUGH = 2.0
+# Time after which an object that has stayed at its place is mapped.
+_MAX_STILL_S = 3.0
 # Factor of the median depth error, which exceeds the noise where the pose has drifted.
 _DEPTH_FACTOR = 10.0
 # Minimum colour difference of a region, as the median over its pixels, and as a factor of the
@@ -52,7 +58,6 @@ def hide_moving_objects(
     keyframe: Keyframe,
     view: SurfaceView,
     others: Sequence[Keyframe],
-    options: MovingObjectOptions,
     min_silhouette: float,
 ) -> None:
     """Remove moving objects from a new keyframe; see `Keyframe.hide`.
@@ -63,17 +68,17 @@ def hide_moving_objects(
         min_silhouette: of the pixels that the map covers.
     """
     # Depth from priors and from neighbouring keyframes is least certain where objects move.
-    if not options.use or not others or keyframe.prior_m is not None:
+    if not others or keyframe.prior_m is not None:
         return
     measured_m, map_m = keyframe.measured_m, view.depth_m.cpu()
     mapped = (view.output.silhouette >= min_silhouette).cpu()
     covered = mapped & (measured_m > 0)
-    nearer = _nearer_than_map(measured_m, map_m - measured_m, covered, options)
+    nearer = _nearer_than_map(measured_m, map_m - measured_m, covered)
     if nearer is None:
         return
     map_m = torch.where(mapped, map_m, torch.inf)
     new = nearer & ~_displaced(measured_m.numpy(), map_m.numpy())
-    regions = _regions(new, options.min_area)
+    regions = _regions(new)
     if not regions:
         return
     difference = _colour_difference(keyframe, view)
@@ -81,7 +86,7 @@ def hide_moving_objects(
     limit = max(_MIN_COLOUR, _COLOUR_FACTOR * usual)
     mask = np.zeros(nearer.shape, bool)
     for region in regions:
-        if np.median(difference[region]) > limit and _has_moved(region, keyframe, others, options):
+        if np.median(difference[region]) > limit and _has_moved(region, keyframe, others):
             mask |= _continued(region, nearer)
     if mask.any():
         mask = _dilated(mask)
@@ -90,9 +95,7 @@ def hide_moving_objects(
         keyframe.hide(torch.from_numpy(mask))
 
 
-def _nearer_than_map(
-    depth_m: Tensor, behind_m: Tensor, covered: Tensor, options: MovingObjectOptions
-) -> _Mask | None:
+def _nearer_than_map(depth_m: Tensor, behind_m: Tensor, covered: Tensor) -> _Mask | None:
     """Mask [H, W] of the pixels measured in front of the map; None if too few or too many are.
 
     Args:
@@ -100,11 +103,11 @@ def _nearer_than_map(
         covered: [H, W] the pixels with both.
     """
     floor = free_space_margin_m(depth_m)
-    if int((covered & (behind_m > floor)).sum()) < options.min_area * depth_m.numel():
+    if int((covered & (behind_m > floor)).sum()) < _MIN_AREA * depth_m.numel():
         return None
     median = float(behind_m[covered].abs().median())
     nearer = covered & (behind_m > floor.clamp(min=_DEPTH_FACTOR * median))
-    if int(nearer.sum()) > options.max_area * int(covered.sum()):
+    if int(nearer.sum()) > _MAX_AREA * int(covered.sum()):
         return None
     return np.asarray(nearer.numpy())
 
@@ -115,14 +118,14 @@ def _colour_difference(keyframe: Keyframe, view: SurfaceView) -> NDArray[np.floa
     return np.asarray((rendered - keyframe.target_rgb()).abs().mean(dim=0).numpy())
 
 
-def _regions(mask: _Mask, min_area: float) -> list[_Mask]:
-    """Regions of a mask [H, W] with at least a fraction of its pixels, narrow gaps included."""
+def _regions(mask: _Mask) -> list[_Mask]:
+    """Regions of a mask [H, W] that are large enough, narrow gaps included."""
     # Bands along depth edges are thin.
     solid = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     # Limbs are separated by pixels without depth along their edges.
     count, numbers = cv2.connectedComponents(_dilated(solid > 0).astype(np.uint8))
     regions = ((numbers == number) & (solid > 0) for number in range(1, count))
-    return [region for region in regions if region.sum() >= min_area * mask.size]
+    return [region for region in regions if region.sum() >= _MIN_AREA * mask.size]
 
 
 def _dilated(mask: _Mask) -> _Mask:
@@ -146,9 +149,7 @@ def _continued(region: _Mask, nearer: _Mask) -> _Mask:
     return np.asarray(nearer & np.isin(numbers, np.unique(numbers[region])))
 
 
-def _has_moved(
-    region: _Mask, keyframe: Keyframe, others: Sequence[Keyframe], options: MovingObjectOptions
-) -> bool:
+def _has_moved(region: _Mask, keyframe: Keyframe, others: Sequence[Keyframe]) -> bool:
     """Whether earlier keyframes saw through the surface in a region, and it has not stayed."""
     rows, columns = np.nonzero(region)
     every = max(1, len(rows) // _SAMPLES)
@@ -162,12 +163,12 @@ def _has_moved(
     views = (DepthView.of(other) for other in evenly_spaced(showing, _MAX_VIEWS))
     evidence = Evidence.of(means, views, whole_map=False)
     known = _was_hidden(points_map, keyframe, others)
-    min_through = options.min_through * (_KNOWN_EVIDENCE if known else 1.0)
+    min_through = _MIN_THROUGH * (_KNOWN_EVIDENCE if known else 1.0)
     empty = (evidence.through >= min_through) & (evidence.through > evidence.support)
     if float(empty.float().mean()) < _MIN_CONTRADICTED:
         return False
-    held_s = _held_s(means, keyframe, showing, 2.0 * options.max_still_s)
-    return float(np.median(held_s)) < options.max_still_s
+    held_s = _held_s(means, keyframe, showing, 2.0 * _MAX_STILL_S)
+    return float(np.median(held_s)) < _MAX_STILL_S
 
 
 def _was_hidden(

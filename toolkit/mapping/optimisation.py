@@ -20,7 +20,7 @@ from toolkit.mapping.depth_adjustment import adjust_depth
 from toolkit.mapping.observations import KeyframeImages
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.mapping.sparse_adam import SparseAdam
+from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import RenderOptions, render_surface
 from toolkit.rendering.backend import Backend
@@ -29,6 +29,8 @@ from toolkit.rendering.texture import resample_at_centres
 from toolkit.stages import Stage
 from toolkit.submaps.submap import Submap
 
+# Learning rates of keyframe poses in bundle adjustment.
+_POSE_RATE_M, _POSE_RATE_RAD = 1e-4, 5e-5
 _GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
 
@@ -64,7 +66,7 @@ class MapOptimisation:
     ) -> None:
         self._options, self._semantics = options, semantics
         self._backend, self._observations, self._recorder = backend, observations, recorder
-        rates = options.rates
+        rates = LearningRates()
         self._adam = SparseAdam(replace(rates, features=rates.features * semantics.unit))
 
     def step(
@@ -101,8 +103,9 @@ class MapOptimisation:
                 gradient[COLOUR].masked_fill_(moving, 0.0)
             if observed.inferred is not None:
                 weigh_depth(gradient, images, observed.inferred, self._options.inferred_depth)
-            if keyframe.prior_m is not None and self._options.depth_adjustment.use:
-                adjust_depth(keyframe, gradient, images, self._options.depth_adjustment)
+            adjustment = self._options.depth_adjustment
+            if keyframe.prior_m is not None and adjustment.use:
+                adjust_depth(keyframe, gradient, images, adjustment.regularisation)
             if objective.feature is not None:
                 feature_loss, colour_gradient = objective.feature.gradient(images[COLOUR], rgb)
                 gradient[COLOUR] += colour_gradient
@@ -129,8 +132,8 @@ class MapOptimisation:
             matrix_gradient: [3, 4] derivative of the loss with respect to T_camera_map.
         """
         adam = PoseAdam(
-            self._options.pose_translation_m,
-            self._options.pose_rotation_rad,
+            _POSE_RATE_M,
+            _POSE_RATE_RAD,
             keyframe.pose_moments,
         )
         keyframe.pose_moments = adam.moments

@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.mapping.options import LearningRates
 from toolkit.native import address, kernels_for
 from toolkit.submaps.optimiser_state import OptimiserState
 
 BETA1, BETA2 = 0.9, 0.99
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Learning rates of the Gaussians' parameters.
+
+    Attributes:
+        means: of the centres, in radii of the Gaussian.
+        log_radii, opacity_logits: of the logarithms of the radii, and of the opacity logits.
+        colours: for colours in [0, 1].
+        features: of the semantic code, in logits.
+        epsilon: Adam's epsilon. Gradients well below it have little effect, so that Gaussians that
+            fit the images do not move.
+        settle_steps: number of iterations of a Gaussian after which its learning rates are halved.
+            0 keeps them constant.
+    """
+
+    means: float = 0.04
+    log_radii: float = 0.01
+    opacity_logits: float = 0.05
+    colours: float = 0.01
+    features: float = 1.0
+    epsilon: float = 0.05
+    settle_steps: float = 120.0
 
 
 class SparseAdam:

@@ -26,7 +26,6 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.free_space import Evidence, is_measured
-from toolkit.mapping.options import FreeSpaceOptions
 from toolkit.refinement.exposures import at_typical_exposure, estimate_exposures
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
@@ -157,12 +156,12 @@ def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> b
     return not any(side.all() for side in outside)
 
 
-def fuse(atlas: Atlas, part: Sequence[int], free_space: FreeSpaceOptions) -> FusedMap | None:
+def fuse(atlas: Atlas, part: Sequence[int], free_space: bool) -> FusedMap | None:
     """Fuse all readable submaps of a part of the map.
 
     Args:
         part: submap numbers with known relative poses.
-        free_space: options of the removal of Gaussians from empty space.
+        free_space: remove Gaussians from empty space.
 
     Returns:
         The map; None if no submap of the part is readable.
@@ -185,7 +184,7 @@ def fuse_submaps(
     numbers: Sequence[int],
     submap: Callable[[int], Submap],
     voxel_m: float = VOXEL_M,
-    free_space: FreeSpaceOptions | None = None,
+    free_space: bool = True,
 ) -> FusedMap:
     """Fuse submaps placed by their `T_world_submap`, at the typical exposure of their keyframes.
 
@@ -194,8 +193,7 @@ def fuse_submaps(
         submap: returns the submap of a number; must be deterministic. Submaps are loaded one at a
             time and must have the same number of feature channels.
         voxel_m: voxel size, metres.
-        free_space: removes Gaussians that keyframes of all submaps measured through; defaults if
-            absent.
+        free_space: remove Gaussians that keyframes of all submaps measured through.
     """
     statistics: dict[int, _VoxelStatistics] = {}
     keyframes: dict[int, list[Exposure]] = {}
@@ -205,7 +203,7 @@ def fuse_submaps(
         keyframes[number] = _keyframe_exposures(one)
     exposures = estimate_exposures({n: (s.voxels, s.colour) for n, s in statistics.items()})
     owners = _owners(statistics)
-    views = _FreeSpaceViews(numbers, submap, free_space or FreeSpaceOptions())
+    views = _FreeSpaceViews(numbers if free_space else (), submap)
     kept: dict[int, Tensor | None] = {}
     for number in numbers:
         index = np.searchsorted(owners.voxels, _voxels(submap(number), voxel_m))
@@ -225,17 +223,10 @@ class _FreeSpaceViews:
     with the square of the number of submaps, and the views of few submaps are in memory.
     """
 
-    def __init__(
-        self,
-        numbers: Sequence[int],
-        submap: Callable[[int], Submap],
-        options: FreeSpaceOptions,
-    ) -> None:
-        self._submap, self._options = submap, options
+    def __init__(self, numbers: Sequence[int], submap: Callable[[int], Submap]) -> None:
+        self._submap = submap
         self._views: LruCache[list[DepthView]] = LruCache(_SUBMAPS_WITH_VIEWS)
-        self._boxes: dict[int, list[Array]] = {}
-        if options.use:
-            self._boxes = {n: [view.box for view in self._views_of(n)] for n in numbers}
+        self._boxes = {n: [view.box for view in self._views_of(n)] for n in numbers}
 
     def contradict(self, submap: Submap) -> Tensor:
         """Mask [N] of the Gaussians of a submap in empty space."""
@@ -244,7 +235,7 @@ class _FreeSpaceViews:
             return torch.zeros(len(cloud), dtype=torch.bool)
         low, high = (corner.double().numpy() for corner in torch.aminmax(cloud.means, dim=0))
         evidence = Evidence.of(cloud.means, self._reaching(low, high))
-        return evidence.contradicts_in_map(cloud.radii_m, self._options)
+        return evidence.contradicts_in_map(cloud.radii_m)
 
     def _reaching(self, low: Array, high: Array) -> Iterator[DepthView]:
         for number, boxes in self._boxes.items():
@@ -258,7 +249,7 @@ class _FreeSpaceViews:
 
     def _new_views(self, number: int) -> list[DepthView]:
         submap = self._submap(number)
-        if not is_measured(self._options, submap.keyframes):
+        if not is_measured(submap.keyframes):
             return []
         keyframes = submap.keyframes[:: -(-len(submap.keyframes) // _MAX_VIEWS) or 1]
         return [DepthView.of(keyframe, submap.T_world_submap) for keyframe in keyframes]

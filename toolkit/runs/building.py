@@ -87,4 +87,4 @@ def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labell
     """
     names = dataset.label_names if dataset is not None else None
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    return build_labeller(settings.semantics, names, stems)
+    return build_labeller(settings.semantics, settings.segmenter, names, stems)

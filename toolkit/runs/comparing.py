@@ -15,7 +15,7 @@ from toolkit.evaluation.comparison import ComparedRun, flattened
 from toolkit.evaluation.metrics import read_metrics
 from toolkit.io.images import read_rgb
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.settings import dump_settings, load_stored_settings
+from toolkit.runs.settings import dump_settings, load_settings
 
 
 def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
@@ -37,7 +37,7 @@ def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
                 "repeat its semsplat run command with --resume"
             )
     # Settings are read and written again, so that defaults of older files are filled in.
-    settings = yaml.safe_load(dump_settings(load_stored_settings(folder.config)))
+    settings = yaml.safe_load(dump_settings(load_settings(folder.config)))
     report = None
     if folder.report.is_file():
         report = quote(Path(os.path.relpath(folder.report, page.parent)).as_posix())

@@ -26,7 +26,7 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import read_parts, read_states
 from toolkit.runs.recordings import open_recording
-from toolkit.runs.settings import RunSettings, load_stored_settings
+from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.saved import SavedSubmaps
@@ -178,7 +178,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
                 "repeat its semsplat run command with --resume"
             )
     content = _read_frames(folder.frames)
-    settings = load_stored_settings(folder.config)
+    settings = load_settings(folder.config)
     taxonomy = folder.read_taxonomy()
     code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)

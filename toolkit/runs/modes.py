@@ -181,7 +181,9 @@ class DepthCamera(RunMode):
             log = None
             if parts.folder is not None:
                 log = LoopLog(parts.folder.loops, convert=parts.record_in_metres)
-            closer = build_loop_closer(settings.loops, parts.context, log, parts.recorder)
+            closer = build_loop_closer(
+                settings.loops, parts.context, log, parts.recorder, settings.registration
+            )
         # The papers' tracker is a baseline, whose keyframe poses are not refined.
         dense = settings.tracking.kind == "dense"
         return FrontEnd(
@@ -190,7 +192,7 @@ class DepthCamera(RunMode):
             KeyframePlacement(settings.placement) if dense and settings.placement.use else None,
             start_velocity=_start_velocity(parts.dataset, unit),
             centred=dense,
-            gains=dense and settings.tracking.dense.exposure,
+            gains=dense,
             unit=unit,
         )
 

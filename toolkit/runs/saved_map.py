@@ -65,9 +65,7 @@ def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset
             if saved.taxonomy
             else "has no labels, but this run has"
         )
-        raise SettingsError(
-            f"map {settings.map} {state}; set semantics.segmenter.kind as in that run"
-        )
+        raise SettingsError(f"map {settings.map} {state}; set segmenter.kind as in that run")
     if taxonomy is None or saved.taxonomy is None:
         return
     if taxonomy.digest != saved.taxonomy.digest:

@@ -15,11 +15,12 @@ from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.io.user_files import read_text
 from toolkit.loops.closing.options import LoopClosureOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.options import MapperOptions
 from toolkit.monocular.options import ScaleOptions
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
 from toolkit.pacing.options import FramesPerSecond, PacingOptions
-from toolkit.semantics.options import SemanticsOptions
+from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.submaps.options import SubmapOptions
 from toolkit.tracking.options import PlacementOptions, TrackingOptions
 
@@ -76,9 +77,11 @@ class RunSettings:
     tracking: TrackingOptions = TrackingOptions()
     placement: PlacementOptions = PlacementOptions()
     mapping: MapperOptions = MapperOptions()
+    segmenter: SegmenterOptions = SegmenterOptions()
     semantics: SemanticsOptions = SemanticsOptions()
     submaps: SubmapOptions = SubmapOptions()
     loops: LoopClosureOptions = LoopClosureOptions()
+    registration: RegistrationOptions = RegistrationOptions()
     scale: ScaleOptions = ScaleOptions()
     pacing: PacingOptions = PacingOptions()
     checkpoint: CheckpointOptions = CheckpointOptions()
@@ -101,31 +104,12 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
         similar = difflib.get_close_matches(preset, names, n=1)
         hint = f"; did you mean {similar[0]}?" if similar else ""
         raise SettingsError(f"there is no preset '{preset}'; presets: {', '.join(names)}{hint}")
-    # Merged with all defaults, because the defaults of nested options depend on where they are.
-    values = overridden(as_plain(RunSettings()), _read(PRESETS / f"{preset}.yaml"))
+    values = _read(PRESETS / f"{preset}.yaml")
     if path is None:
         return validated(RunSettings, values, f"preset {preset}")
     if not path.exists() and str(path) in names:
         raise SettingsError(f"there is no file {path}; select the preset by --preset {path}")
     return validated(RunSettings, overridden(values, _read(path)), str(path))
-
-
-def load_stored_settings(path: Path) -> RunSettings:
-    """Read the settings of a finished run, which an older version may have written.
-
-    Options that were removed since are ignored.
-
-    Raises:
-        SettingsError: the file is unreadable, a key is unknown, or a value invalid.
-    """
-    stored = _read(path)
-    health = stored.get("tracking", {}).get("health", {})
-    health.pop("max_residual_ratio", None)
-    dataset = stored.get("dataset", {})
-    if dataset.get("readout_ms", 0.0) is None:
-        del dataset["readout_ms"]  # was that of the kind of dataset, now estimated
-    values = overridden(as_plain(RunSettings()), stored)
-    return validated(RunSettings, values, str(path))
 
 
 def _read(path: Path) -> dict[str, Any]:

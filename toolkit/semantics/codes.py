@@ -22,6 +22,8 @@ from toolkit.semantics.options import CodeOptions
 from toolkit.semantics.taxonomy import Taxonomy
 
 _MIN_LOGIT = 0.5
+# Probability of the observed class in the code of a new Gaussian.
+_START_CONFIDENCE = 0.9
 _MIN_COLOUR = 0.1
 _PRIOR = 0.1  # pseudo-count of votes, in pixels, for every possible value of a head
 
@@ -110,7 +112,7 @@ class HeadedCode:
         head_values: value of each head for each class, [C, K], and the number of possible values
             of each head, [K], at least 2.
         bits: encode the values in binary.
-        options: normalisation of the loss and confidence of the initial values.
+        options: normalisation of the loss and initial values.
     """
 
     is_colour = False
@@ -136,7 +138,7 @@ class HeadedCode:
             first, width, weight.astype(np.float32), np.ascontiguousarray(targets), bits
         )
         self._class_codewords = torch.from_numpy(self._codewords())
-        self._start = self._start_values(options.start_confidence)
+        self._start = self._start_values(_START_CONFIDENCE)
 
     @property
     def start_values(self) -> Tensor:

@@ -68,7 +68,7 @@ def build_segmenter(
     if kind == "recorded":
         if not label_names:
             raise DatasetError(
-                "the dataset has no labels with names; choose another --semantics.segmenter.kind"
+                "the dataset has no labels with names; choose another --segmenter.kind"
             )
         return RecordedLabels(label_names)
     if kind == "images":
@@ -78,8 +78,7 @@ def build_segmenter(
     if kind == "geometric":
         if options.geometric.min_camera_height_m >= options.geometric.max_camera_height_m:
             raise SettingsError(
-                "semantics.segmenter.geometric.min_camera_height_m must be below "
-                "max_camera_height_m"
+                "segmenter.geometric.min_camera_height_m must be below max_camera_height_m"
             )
         return GeometricSegmenter(options.geometric)
     return Unlabelled()
@@ -87,23 +86,19 @@ def build_segmenter(
 
 def _label_images(options: LabelImageOptions, stems: Sequence[str] | None) -> Segmenter:
     if options.folder is None:
-        raise SettingsError(
-            "--semantics.segmenter.kind images needs --semantics.segmenter.images.folder DIR"
-        )
+        raise SettingsError("--segmenter.kind images needs --segmenter.images.folder DIR")
     if options.pairing == "number":
         return LabelImageFolder(options.folder, None, options.gaps)
     if stems is None:
         raise SettingsError(
-            "these frames have no file names; set --semantics.segmenter.images.pairing number"
+            "these frames have no file names; set --segmenter.images.pairing number"
         )
     return LabelImageFolder(options.folder, stems, options.gaps)
 
 
 def _model(options: ModelOptions) -> Segmenter:
     if options.folder is None:
-        raise SettingsError(
-            "--semantics.segmenter.kind model needs --semantics.segmenter.model.folder DIR"
-        )
+        raise SettingsError("--segmenter.kind model needs --segmenter.model.folder DIR")
     # Imported on demand: torch and transformers take seconds to load.
     from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
     from toolkit.semantics.segmenters.patch_features import PatchEncoder

@@ -50,8 +50,6 @@ class ModelOptions:
 class GeometricOptions:
     """Labels of floor, wall, ceiling, surface and object from depth alone."""
 
-    columns: Annotated[int, Range(ge=16)] = 160
-    """Maximum number of cells across the image in which surfaces are detected."""
     min_camera_height_m: PositiveFloat = 0.5
     """Minimum height of the camera above the floor, in metres. Higher level surfaces are
     furniture."""
@@ -82,8 +80,6 @@ class CodeOptions:
     start: Literal["labels", "random"] = "labels"
     """Code of a new Gaussian: that of the class of its pixel (labels), or standard normal values as
     in Hier-SLAM++ (random), which the colour code does not support."""
-    start_confidence: Annotated[float, Range(gt=0.5, lt=1)] = 0.9
-    """Probability of the observed class in the code of a new Gaussian."""
     normalise: bool = True
     """Divide the loss of each level, and that of the network, by that of a uniform prediction."""
 
@@ -120,10 +116,6 @@ class NetworkOptions:
 
     use: bool = False
     """Train the network, and with it the loss across levels."""
-    hidden: PositiveInt = 64
-    """Number of hidden units."""
-    learning_rate: PositiveFloat = 5e-3
-    """Learning rate of the network."""
     replay: NonNegativeInt = 16
     """Number of samples per class, from all submaps, that every training step repeats."""
 
@@ -142,7 +134,6 @@ class SemanticsOptions:
     min_confidence: Annotated[float, Range(ge=0.5, lt=1)] = 0.5
     """Minimum probability of a level of the tree in the exported map. Levels below it are
     unlabelled."""
-    segmenter: SegmenterOptions = SegmenterOptions()
     code: CodeOptions = CodeOptions()
     loss: SemanticLossWeights = SemanticLossWeights()
     network: NetworkOptions = NetworkOptions()

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.options import HealthLimits
 from toolkit.exposure import IDENTITY
 from toolkit.frame import Frame, FrameStamp, Recorder
 from toolkit.geometry import se3
@@ -119,7 +118,7 @@ class Recovery:
             return Located(found.T_submap_camera, found.result)
         if not may_map:
             return Located(None, lost)
-        if found is None and not (out_of_patience and self._may_start(frame, tracker.limits)):
+        if found is None and not (out_of_patience and self._may_start(frame)):
             self._unreliable = frame
             return Located(None, lost)
         if found is None:
@@ -160,12 +159,12 @@ class Recovery:
         tracker.enter(frame)
         return Located(np.eye(4), replace(lost, health=Health.LOST))
 
-    def _may_start(self, frame: Frame, limits: HealthLimits) -> bool:
+    def _may_start(self, frame: Frame) -> bool:
         """Whether a submap of unknown position may start at a frame."""
         before = self._unreliable
         return (
             before is not None
-            and shows_same_place(before, frame, limits)
+            and shows_same_place(before, frame)
             and self._tracker.first_pose(frame) is not None
         )
 

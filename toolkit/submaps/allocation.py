@@ -21,6 +21,8 @@ from toolkit.submaps.overlap import view_overlap
 
 # KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
 _MIN_DIVERGENCE = 0.4
+# Distance from the anchor that starts a new submap by the rule motion.
+_MOVED_M, _TURNED_DEG = 0.5, 50.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class Allocation:
         T = se3.inverse(keyframes[0].T_map_camera) @ keyframes[-1].T_map_camera
         moved_m = float(np.linalg.norm(T[:3, 3]))
         turned_deg = float(np.degrees(se3.rotation_angle_rad(T[:3, :3])))
-        if moved_m <= self.options.moved_m and turned_deg <= self.options.turned_deg:
+        if moved_m <= _MOVED_M and turned_deg <= _TURNED_DEG:
             return ""
         return f"{moved_m:.2f} m and {turned_deg:.0f} degrees from the anchor"
 

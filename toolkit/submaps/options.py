@@ -35,10 +35,6 @@ class AllocationOptions:
     # While the camera explores, every view is new. A minimum size avoids tiny submaps.
     min_keyframes: Annotated[int, Range(ge=2)] = 60
     """Minimum number of keyframes of a submap."""
-    moved_m: PositiveFloat = 0.5
-    """Distance from the anchor that starts a new submap by the rule motion, in metres."""
-    turned_deg: PositiveFloat = 50.0
-    """Rotation from the anchor that starts a new submap by the rule motion, in degrees."""
     max_keyframes: Annotated[int, Range(ge=2)] = 150
     """Maximum number of keyframes of a submap."""
     max_gaussians: PositiveInt = 1_000_000
@@ -51,8 +47,6 @@ class AllocationOptions:
 class BoundaryOptions:
     """The transition from one submap to the next."""
 
-    steps: NonNegativeInt = 24
-    """Number of optimisation steps around the boundary before the old submap is closed."""
     bundle_adjustment: bool = False
     """Optimise keyframe poses around the boundary as well."""
     inherit: bool = True

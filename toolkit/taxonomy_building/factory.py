@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.labeller import Labeller
-from toolkit.semantics.options import SemanticsOptions
+from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import taxonomy_for, taxonomy_named
 from toolkit.taxonomy_building.builder import build_taxonomy
@@ -33,6 +33,7 @@ def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
 
 def build_labeller(
     options: SemanticsOptions,
+    source: SegmenterOptions,
     names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
 ) -> Labeller | None:
@@ -40,14 +41,15 @@ def build_labeller(
 
     Args:
         options: options of semantics.
+        source: source of the labels.
         names, stems: see `build_segmenter`.
 
     Raises:
         ToolkitError: see `build_segmenter` and `choose_taxonomy`; or the tree lacks a class.
     """
-    if options.code.kind == "none" or options.segmenter.kind == "none":
+    if options.code.kind == "none" or source.kind == "none":
         return None
-    segmenter = build_segmenter(options.segmenter, names, stems)
+    segmenter = build_segmenter(source, names, stems)
     taxonomy = choose_taxonomy(options.taxonomy, segmenter.class_names)
     ignored = [i for node in options.ignore for i in taxonomy.find(node).class_ids]
-    return Labeller(segmenter, taxonomy, ignored, f"{options.segmenter.kind} labels")
+    return Labeller(segmenter, taxonomy, ignored, f"{source.kind} labels")

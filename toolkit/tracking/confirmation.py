@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.constraint import weakest_rise
 from toolkit.alignment.data import LevelProblem
-from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment.joint import MAX_DISTANCE, Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import finest_level, model_level, pyramid
-from toolkit.alignment.options import HealthLimits, JointOptions
 from toolkit.alignment.similarity import aligned_correlation
 from toolkit.exposure import Exposure
 from toolkit.frame import Frame
@@ -30,7 +29,7 @@ Array = NDArray[np.float64]
 _LEVEL = 1
 
 
-def shows_same_place(first: Frame, second: Frame, limits: HealthLimits) -> bool:
+def shows_same_place(first: Frame, second: Frame) -> bool:
     """Whether two frames can be aligned to each other without doubt.
 
     Args:
@@ -42,7 +41,7 @@ def shows_same_place(first: Frame, second: Frame, limits: HealthLimits) -> bool:
         for image in (first, second)
     )
     models = [model_level(level) for level in model]
-    gate = options.max_distance * 2**_LEVEL
+    gate = MAX_DISTANCE * 2**_LEVEL
     for start in _starts(first, second):
         found = align([Pair(models, frame, np.eye(4), np.eye(4))], Estimate(start), options)
         T, exposure = found.T_target_source, Exposure(*(float(v) for v in found.exposures[0]))
@@ -50,7 +49,7 @@ def shows_same_place(first: Frame, second: Frame, limits: HealthLimits) -> bool:
         rise = weakest_rise(
             LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
         )
-        if not doubt_reason(limits, similarity, rise):
+        if not doubt_reason(similarity, rise):
             return True
     return False
 

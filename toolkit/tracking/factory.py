@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from toolkit.alignment.health import NO_LIMITS, HealthLimits
 from toolkit.frame import Recorder
 from toolkit.semantics.codes import SemanticCode
 from toolkit.tracking.dense import DenseTracker
@@ -21,6 +22,7 @@ def build_tracker(
     Args:
         code: semantic code of the map's features.
     """
+    limits = HealthLimits() if options.detect_lost else NO_LIMITS
     if options.kind == "first-order":
-        return FirstOrderTracker(options.first_order, options.health, backend_name, recorder, code)
-    return DenseTracker(options.dense, options.health, backend_name, recorder)
+        return FirstOrderTracker(options.first_order, limits, backend_name, recorder, code)
+    return DenseTracker(options.dense, limits, backend_name, recorder)

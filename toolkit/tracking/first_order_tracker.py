@@ -21,9 +21,8 @@ from toolkit.alignment.data import (
     ResidualScales,
     rescaled,
 )
-from toolkit.alignment.health import failure_reason
+from toolkit.alignment.health import HealthLimits, failure_reason
 from toolkit.alignment.levels import finest_level, intensity_of, model_level
-from toolkit.alignment.options import HealthLimits
 from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
@@ -43,6 +42,9 @@ from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import FirstOrderOptions
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
+
+# Adam's learning rates, which the papers do not print.
+_TRANSLATION_RATE_M, _ROTATION_RATE_RAD = 0.002, 0.001
 
 # Evaluation of the final pose: fixed-point iterations of the residual scales, maximum depth
 # difference (fraction of depth) and minimum silhouette. The silhouette is that of the dense
@@ -134,7 +136,7 @@ class FirstOrderTracker(MovingTracker):
             features = gaussians.features
             labels = torch.from_numpy(np.where(frame.depth_m > 0, frame.labels, 0)).to(device)
         T_camera_map = se3.inverse(T_map_camera)
-        adam = PoseAdam(self.options.translation_rate, self.options.rotation_rate)
+        adam = PoseAdam(_TRANSLATION_RATE_M, _ROTATION_RATE_RAD)
         best: _Candidate | None = None
         renders = 0
         # The loss of a pose is computed from the rendering at that pose (SplaTAM assigns it to the

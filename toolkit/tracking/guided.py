@@ -39,11 +39,9 @@ _ITERATIONS = 10
 _MIN_SILHOUETTE = 0.9
 # Fraction of the image that the map must cover.
 _MIN_COVERED = 0.3
-_MIN_PIXELS = 50
 _MAX_DISTANCE = 0.1
 # Depth is the view's own, and must not hold the frame at the pose of the view.
 _PHOTOMETRIC_WEIGHT = 1e7
-_SMALL_TRANSLATION_M, _SMALL_ROTATION_RAD = 2e-5, 1e-5
 # A larger correction, the sum of rotation and of translation at the median depth, is a failure.
 _MAX_CORRECTION_PX = 8.0
 
@@ -155,9 +153,6 @@ class GuidedTracker(GivenPoses):
             max_distance=_MAX_DISTANCE,
             photometric_weight=_PHOTOMETRIC_WEIGHT,
             exposure=start,
-            min_pixels=_MIN_PIXELS,
-            min_translation_m=_SMALL_TRANSLATION_M,
-            min_rotation_rad=_SMALL_ROTATION_RAD,
         )
         found = align(models, frames, Alignment(np.eye(4), INITIAL_SCALES, start), options)
         return found, _exposure(models, frames, found)

@@ -7,7 +7,7 @@ import logging
 import numpy as np
 
 from toolkit.alignment.data import INITIAL_SCALES, ResidualScales
-from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.health import HealthLimits
 from toolkit.frame import Frame
 
 _log = logging.getLogger(__name__)

@@ -6,9 +6,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import finest_level, model_level, pyramid
-from toolkit.alignment.options import JointOptions
 from toolkit.frame import Frame
 from toolkit.tracking.rolling_shutter import velocity_between
 

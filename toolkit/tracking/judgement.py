@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.constraint import weakest_rise
 from toolkit.alignment.data import Alignment, LevelProblem
-from toolkit.alignment.health import failure_reason
-from toolkit.alignment.options import HealthLimits
+from toolkit.alignment.health import HealthLimits, failure_reason
 from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.frame import Recorder
 from toolkit.stages import Stage
@@ -72,7 +71,7 @@ def judged(
                 rise = weakest_rise(
                     LevelProblem(model, frame, T_view_camera, scales, exposure, gate)
                 )
-            reason = doubt_reason(limits, similarity, rise)
+            reason = doubt_reason(similarity, rise)
             health = Health.DOUBTFUL if reason else health
     return Judgement(health, reason, similarity, visible, information)
 

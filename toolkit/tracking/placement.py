@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, ModelLevel
-from toolkit.alignment.joint import Estimate, Pair, align
+from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.matching import correction_too_large
 from toolkit.caching import LruCache
@@ -26,6 +26,16 @@ from toolkit.keyframe import Keyframe, evenly_spaced, fractions_observed
 from toolkit.tracking.options import PlacementOptions
 
 Array = NDArray[np.float64]
+
+# Numbers of newest and of older keyframes that a new one is aligned to.
+_RECENT, _OLDER = 2, 4
+# Of the older keyframes, every n-th is eligible. The set changes slowly, which reduces drift.
+_EVERY = 4
+# Minimum overlap of the new keyframe with a recent and with an older one.
+_MIN_RECENT, _MIN_OLDER = 0.2, 0.5
+# Tracked poses are accurate to one or two pixels, so few levels suffice. With half of these limits,
+# alignment takes a quarter longer, and trajectories and maps are the same.
+_DENSE = JointOptions(levels=2, small_translation_m=2e-4, small_rotation_rad=1e-4)
 
 # Number of cached pyramids: computing one takes as long as aligning it.
 _CACHED = 12
@@ -68,7 +78,7 @@ class KeyframePlacement:
             Pair(self._levels(k).model, frame, se3.inverse(k.T_map_camera), np.eye(4))
             for k in chosen
         ]
-        found = align(pairs, Estimate(new.T_map_camera), self.options.dense)
+        found = align(pairs, Estimate(new.T_map_camera), _DENSE)
         moved = se3.inverse(new.T_map_camera) @ found.T_target_source
         if not found.converged or correction_too_large(np.eye(4), moved, new.camera, new):
             return new.T_map_camera
@@ -76,11 +86,11 @@ class KeyframePlacement:
 
     def _chosen(self, keyframes: Sequence[Keyframe], new: Keyframe) -> list[Keyframe]:
         """Earlier keyframes that overlap with the new one, in order."""
-        options, points = self.options, new.points_in_map()
-        first_recent = max(len(keyframes) - options.recent, 0)
-        recent = _observing(keyframes[first_recent:], points, options.min_recent)
-        older = _observing(keyframes[: first_recent : options.every], points, options.min_older)
-        return [*evenly_spaced(older, options.older), *recent]
+        points = new.points_in_map()
+        first_recent = max(len(keyframes) - _RECENT, 0)
+        recent = _observing(keyframes[first_recent:], points, _MIN_RECENT)
+        older = _observing(keyframes[:first_recent:_EVERY], points, _MIN_OLDER)
+        return [*evenly_spaced(older, _OLDER), *recent]
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.exposure)
@@ -88,7 +98,7 @@ class KeyframePlacement:
 
     def _new_levels(self, keyframe: Keyframe) -> _Levels:
         finest = limited_to_width(keyframe_level(keyframe), self.options.max_width)
-        return _Levels(pyramid(finest, self.options.dense.levels))
+        return _Levels(pyramid(finest, _DENSE.levels))
 
 
 def _observing(

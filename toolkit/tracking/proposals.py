@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.matching import KeypointCache, match_features
-from toolkit.alignment.options import MatchingOptions
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
 
@@ -25,14 +23,9 @@ _MIN_MATCHES = 7
 
 
 class FeatureProposals:
-    """Matches frames with the newest keyframes, and with those that look most similar.
+    """Matches frames with the newest keyframes, and with those that look most similar."""
 
-    Args:
-        matching: features and their matching.
-    """
-
-    def __init__(self, matching: MatchingOptions | None = None) -> None:
-        self._matching = replace(matching or MatchingOptions(), min_matches=_MIN_MATCHES)
+    def __init__(self) -> None:
         self._keypoints = KeypointCache(8)
 
     def poses(
@@ -56,9 +49,9 @@ class FeatureProposals:
 
     def _matched(self, view: Keyframe, keyframes: Sequence[Keyframe]) -> Iterator[Array]:
         for keyframe in keyframes:
-            matched = match_features(keyframe, view, self._matching, self._keypoints)
-            if matched is None or len(matched.first) < _MIN_MATCHES:
+            matched = match_features(keyframe, view, self._keypoints)
+            if matched is None:
                 continue
-            motion = matched.motion(self._matching, np.random.default_rng(0))
+            motion = matched.motion(np.random.default_rng(0), _MIN_MATCHES)
             if motion is not None:
                 yield keyframe.T_map_camera @ motion[0]

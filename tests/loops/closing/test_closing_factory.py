@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from toolkit.features.options import FeatureOptions
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
 from toolkit.loops.closing.options import LoopClosureOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.options import validated
 
 
 def test_the_feature_term_of_registration_has_the_encoder_of_the_settings():
     """Without an encoder, the feature term of G-6 would be left out."""
-    settings = validated(
-        LoopClosureOptions,
-        {
-            "features": {"kind": "colour-histogram"},
-            "registration": {"fine": {"optimiser": "first-order"}},
-        },
-    )
+    settings = LoopClosureOptions(features=FeatureOptions("colour-histogram"))
+    registration = RegistrationOptions(optimiser="first-order")
     context = ClosingContext(0, "auto", SemanticMapping(), None)
-    parts = build_loop_closer(settings, context)._parts
+    parts = build_loop_closer(settings, context, registration=registration)._parts
     for stage in (parts.registrar.refiner, parts.nearby):
         assert stage.view_features.describer.name == "colour-histogram/rgb"

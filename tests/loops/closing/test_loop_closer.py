@@ -11,7 +11,6 @@ import torch
 
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.matching import Offset
-from toolkit.alignment.options import MatchingOptions
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
@@ -24,18 +23,19 @@ from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.submap_loops import SubmapLoops
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
-from toolkit.loops.options import CandidateOptions, VerificationOptions
+from toolkit.loops.options import CandidateOptions
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
-from toolkit.loops.pose_graph.options import ConsistencyOptions, LoopNoiseOptions
+from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.relocalisation import LastPosition, Relocaliser
+from toolkit.loops.verification import VerificationLimits
 from toolkit.mapping.boundary import start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
 from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.options import AllocationOptions, BoundaryOptions
+from toolkit.submaps.options import AllocationOptions
 from toolkit.synthetic_rooms import tiny_room
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
@@ -60,7 +60,7 @@ def frames():
 
 
 # No image pair is verified.
-NO_IMAGES = ClosingOptions(pairs=PairOptions(max_sigma_m=1e-12))
+NO_IMAGES = PairOptions(max_sigma_m=1e-12)
 
 
 class TrueRegistrar:
@@ -95,7 +95,13 @@ DRIFT = se3.exp(np.array([0.02, 0.0, 0.015, 0.0, 0.01, 0.0]))
 
 
 def closed(
-    frames, registrar_changes=None, log=None, options=None, nearby_changes=None, max_keyframes=3
+    frames,
+    registrar_changes=None,
+    log=None,
+    options=None,
+    nearby_changes=None,
+    max_keyframes=3,
+    pairs=None,
 ):
     """An atlas of three submaps, the last of which drifted, and its closer.
 
@@ -105,7 +111,6 @@ def closed(
     atlas = Atlas(
         mapper.first_submap(),
         Allocation(AllocationOptions(max_keyframes=max_keyframes), 0),
-        boundary=BoundaryOptions(steps=0),
     )
     truth = {0: np.eye(4)}
     registrar = TrueRegistrar(truth, **(registrar_changes or {}))
@@ -116,12 +121,12 @@ def closed(
     parts = ClosingParts(
         registrar=registrar,
         nearby=registrar if nearby_changes is None else TrueRegistrar(truth, **nearby_changes),
-        matcher=PairMatcher(MatchingOptions(), (options or ClosingOptions()).pairs),
-        relocaliser=Relocaliser(detector, MatchingOptions()),
-        verification=VerificationOptions(),
-        consistency=ConsistencyOptions(),
+        matcher=PairMatcher(pairs or PairOptions()),
+        relocaliser=Relocaliser(detector),
+        verification=VerificationLimits(),
+        pose_graph=PoseGraphOptions(),
         noise=OdometryNoise(),
-        loop_noise=LoopNoise(LoopNoiseOptions(edge_m=0.001, edge_rad=0.001)),
+        loop_noise=LoopNoise(edge_m=0.001, edge_rad=0.001),
         optimiser=PoseGraphOptimiser(),
     )
     closer = LoopCloser(detector, parts, options, log)
@@ -177,7 +182,7 @@ class TestBetween:
         [{"fails": True}, {"overlap": 0.1}, {"inliers": 0.3}, {"class_agreement": 0.2}],
     )
     def test_what_is_not_verified_leaves_no_trace(self, frames, changes):
-        atlas, closer, registrar = closed(frames, changes, options=NO_IMAGES)
+        atlas, closer, registrar = closed(frames, changes, pairs=NO_IMAGES)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert registrar.asked and bits(atlas) == before and not closer.loops
@@ -185,8 +190,8 @@ class TestBetween:
     def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
         # As between identical rooms, where the views do agree.
-        options = replace(NO_IMAGES, min_shared=0.0)
-        atlas, closer, registrar = closed(frames, {"wrong": True}, log, options)
+        options = ClosingOptions(min_shared=0.0)
+        atlas, closer, registrar = closed(frames, {"wrong": True}, log, options, pairs=NO_IMAGES)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert bits(atlas) == before and not closer.loops
@@ -232,8 +237,8 @@ class TestBetween:
 
     def test_submaps_that_fit_prove_no_other_suspicion(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")
-        options = replace(NO_IMAGES, min_shared=1.01)
-        atlas, closer, _ = closed(frames, log=log, options=options)
+        options = ClosingOptions(min_shared=1.01)
+        atlas, closer, _ = closed(frames, log=log, options=options, pairs=NO_IMAGES)
         assert not closer.close_between(atlas, atlas.active) and not closer.loops
         refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "verified"]
         assert refused and not any(r["accepted"] for r in refused)
@@ -375,7 +380,7 @@ class TestSettle:
         assert {(loop.first, loop.second) for loop in closer.loops} == {around} | neighbours
 
     def test_without_a_loop_nothing_is_touched(self, frames):
-        atlas, closer, registrar = closed(frames, {"fails": True}, options=NO_IMAGES)
+        atlas, closer, registrar = closed(frames, {"fails": True}, pairs=NO_IMAGES)
         closer.close_between(atlas, atlas.active)
         before = bits(atlas)
         registrar.asked.clear()

@@ -38,9 +38,8 @@ def test_a_frame_is_the_less_sure_the_farther_its_anchor():
 
 
 def test_drift_and_frame_follow_from_the_residuals():
-    options = NOISE.options
     (found,) = covariances([PathPose(0, walk(2)[1], False, PIXEL)])
-    expected = (0.1 * options.drift**2 + options.frame**2) * PIXEL
+    expected = (0.1 * NOISE.drift_ratio**2 + NOISE.frame_ratio**2) * PIXEL
     np.testing.assert_allclose(found, expected)
     larger = covariances([PathPose(0, walk(2)[1], False, 9 * PIXEL)])[0]
     np.testing.assert_allclose(larger, 9 * expected)
@@ -57,8 +56,7 @@ def test_a_camera_that_returns_is_as_sure_as_before():
 def test_a_fast_frame_is_less_sure():
     slow, fast = walk(9, 0.05), walk(9, 0.05)[::4]
     at_slow, at_fast = (covariances(keyframes(poses))[-1] for poses in (slow, fast))
-    options = NOISE.options
-    expected = options.frame**2 * (0.2 - 0.05) / options.moved * PIXEL
+    expected = NOISE.frame_ratio**2 * (0.2 - 0.05) / NOISE.moved * PIXEL
     np.testing.assert_allclose(at_fast - at_slow, expected, rtol=0.01, atol=2e-6)
 
 

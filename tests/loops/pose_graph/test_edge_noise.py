@@ -8,19 +8,16 @@ from walks import composed
 
 from toolkit.geometry import se3
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise, path_between
-from toolkit.loops.pose_graph.options import LoopNoiseOptions, OdometryNoiseOptions
 
 NOISE = OdometryNoise(
-    OdometryNoiseOptions(
-        scale=4.0,
-        edge_m=0.1,
-        edge_rad=0.2,
-        per_metre_m=0.3,
-        per_metre_rad=0.4,
-        per_radian_m=0.5,
-        per_radian_rad=0.6,
-        unseen=1e6,
-    )
+    scale=4.0,
+    edge_m=0.1,
+    edge_rad=0.2,
+    per_metre_m=0.3,
+    per_metre_rad=0.4,
+    per_radian_m=0.5,
+    per_radian_rad=0.6,
+    unseen=1e6,
 )
 
 
@@ -34,7 +31,7 @@ def test_covariance_contains_every_term() -> None:
 
 
 def test_unobserved_directions_have_the_prior_covariance() -> None:
-    noise = OdometryNoise(OdometryNoiseOptions(unseen=0.5))
+    noise = OdometryNoise(unseen=0.5)
     corridor = np.diag([0.0, 1e8, 1e8, 1e9, 1e9, 1e9])
     sigmas = np.sqrt(np.diag(noise.covariance(corridor, 0.0, 0.0)))
     assert sigmas[0] == pytest.approx(0.5, rel=1e-2)
@@ -60,9 +57,7 @@ def test_drift_follows_the_path_length() -> None:
 
 
 def test_splitting_a_path_only_adds_the_constant_term() -> None:
-    noise = OdometryNoise(
-        OdometryNoiseOptions(edge_m=1e-6, edge_rad=1e-6, per_metre_rad=1e-9, per_radian_rad=1e-9)
-    )
+    noise = OdometryNoise(edge_m=1e-6, edge_rad=1e-6, per_metre_rad=1e-9, per_radian_rad=1e-9)
     poses = steps_of(12, np.array([0.05, 0.0, 0.1, 0.0, 0.0, 0.0]))
     certain = 1e14 * np.eye(6)
     whole = noise.along(0, 12, poses, certain)
@@ -81,9 +76,7 @@ def test_edge_is_the_relative_pose_of_first_and_last_frame() -> None:
 
 def test_registration_becomes_a_loop_edge() -> None:
     T = se3.exp(np.array([0.3, 0.0, 0.1, 0.0, 0.4, 0.0]))
-    edge = LoopNoise(LoopNoiseOptions(scale=2.0, edge_m=0.1, edge_rad=0.2, unseen=1e6)).edge(
-        4, 1, T, np.eye(6)
-    )
+    edge = LoopNoise(scale=2.0, edge_m=0.1, edge_rad=0.2, unseen=1e6).edge(4, 1, T, np.eye(6))
     assert (edge.first, edge.second, edge.kind, edge.robust) == (4, 1, "loop", True)
     assert np.array_equal(edge.T_first_second, T)
     np.testing.assert_allclose(edge.covariance, np.diag([2.01] * 3 + [2.04] * 3), rtol=1e-9)

@@ -23,7 +23,6 @@ from toolkit.loops.pose_graph.correction import (
     submap_graph,
 )
 from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.loops.pose_graph.options import SolverOptions
 from toolkit.loops.pose_graph.solver import solve
 from toolkit.submaps.submap import Submap
 
@@ -204,7 +203,7 @@ def test_loop_within_a_submap_removes_drift() -> None:
         odometry.append(PoseEdge(first.index, second.index, T, 1e2 * np.eye(6)))
     graph = keyframe_graph(piece, odometry, [loop])
     assert graph.anchor == 10
-    correction = PoseCorrection.of(graph, solve(graph, SolverOptions(kernel="none")))
+    correction = PoseCorrection.of(graph, solve(graph, "none"))
     assert correction.covariances.keys() == set(FRAMES)
     correct_keyframes(piece, correction)
     assert np.array_equal(piece.keyframes[0].T_map_camera, np.eye(4))
@@ -226,7 +225,7 @@ def test_submap_graph() -> None:
     registration = PoseEdge.loop(0, 2, truth, 1e8 * np.eye(6))
     graph = submap_graph(T_world_submap, edges, [registration])
     assert (graph.nodes, graph.anchor) == ([0, 1, 2], 0)
-    solution = solve(graph, SolverOptions(kernel="none"))
+    solution = solve(graph, "none")
     np.testing.assert_allclose(solution.T_world_node[2], truth, atol=1e-3)
     with pytest.raises(ValueError, match="expected 'loop'"):
         submap_graph(T_world_submap, edges, edges)

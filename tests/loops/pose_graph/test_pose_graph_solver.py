@@ -18,12 +18,11 @@ from toolkit.geometry import se3
 from toolkit.io.pose_graphs import read_pose_graph
 from toolkit.loops.pose_graph.files import graph_of
 from toolkit.loops.pose_graph.graph import PoseEdge, PoseGraph, information_of
-from toolkit.loops.pose_graph.options import SolverOptions
-from toolkit.loops.pose_graph.solver import kernel_weights, solve
+from toolkit.loops.pose_graph.solver import _KERNEL_WIDTH, kernel_weights, solve
 
 FEW = settings(deadline=None, max_examples=8)
 seeds = st.integers(0, 2**16)
-PLAIN = SolverOptions(kernel="none")
+PLAIN = "none"
 
 
 def all_loops(steps) -> list[PoseEdge]:
@@ -91,12 +90,11 @@ def test_solution_is_invariant_to_edge_direction_and_order() -> None:
 def test_the_error_is_half_the_sum_of_the_kernel(kernel: str) -> None:
     steps = walk(7)
     graph = steps.graph(*all_loops(steps), steps.twin_loop(1, 11))
-    options = SolverOptions(kernel=kernel)
-    solution = solve(graph, options, covariances=False)
+    solution = solve(graph, kernel, covariances=False)
     assert solution.covariances is None
     assert solution.chi2 == pytest.approx(graph.chi2(solution.T_world_node))
     c, robust = solution.chi2, np.array([e.robust for e in graph.edges])
-    k = options.kernel_width
+    k = _KERNEL_WIDTH
     rho = {
         "none": 0.5 * c,
         "huber": np.where(c <= k**2, 0.5 * c, k * (np.sqrt(c) - 0.5 * k)),
@@ -123,9 +121,9 @@ def test_the_error_is_half_the_sum_of_the_kernel(kernel: str) -> None:
 def test_kernels_suppress_wrong_loops(kernel: str, seed: int) -> None:
     steps = walk(seed)
     right = all_loops(steps)
-    clean = solve(steps.graph(*right), SolverOptions(kernel=kernel))
+    clean = solve(steps.graph(*right), kernel)
     wrong = [steps.twin_loop(k, 10 + k) for k in (0, 3, 6)]
-    solution = solve(steps.graph(*right, *wrong), SolverOptions(kernel=kernel))
+    solution = solve(steps.graph(*right, *wrong), kernel)
     assert solution.weights[-3:].max() < 0.01
     assert (
         np.abs(steps.errors_m(solution.T_world_node) - steps.errors_m(clean.T_world_node)).max()
@@ -207,7 +205,7 @@ def test_singular_graph_raises() -> None:
 
 def test_kernel_weights_at_zero_residual() -> None:
     for kernel in ("none", "huber", "cauchy", "geman-mcclure"):
-        assert kernel_weights(np.zeros(2), SolverOptions(kernel=kernel)) == pytest.approx(1.0)
+        assert kernel_weights(np.zeros(2), kernel) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +216,7 @@ def test_published_graphs_reach_their_optimum(real_data, name, nodes, edges, opt
     """The known optima of GTSAM's error, after its chordal initialisation."""
     graph = graph_of(read_pose_graph(real_data("pose_graphs") / f"{name}.g2o"))
     assert (len(graph.nodes), len(graph.edges)) == (nodes, edges)
-    solution = solve(graph, SolverOptions(kernel="none", initialise=True), covariances=False)
+    solution = solve(graph, "none", covariances=False, initialise=True)
     assert solution.error_after == pytest.approx(optimum, rel=1e-3)
     assert solution.converged
     assert 0.5 * solution.chi2.sum() == pytest.approx(optimum, rel=1e-3)

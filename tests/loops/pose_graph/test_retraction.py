@@ -11,13 +11,13 @@ from walks import Walk, walk
 from toolkit.geometry import se3
 from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of
-from toolkit.loops.pose_graph.options import SolverOptions
+from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.pose_graph.solver import solve
 
 FEW = settings(deadline=None, max_examples=3)
 seeds = st.integers(0, 2**16)
-PLAIN = PoseGraphOptimiser(SolverOptions(kernel="none"))
+PLAIN = PoseGraphOptimiser(PoseGraphOptions(kernel="none"))
 
 
 def retracted_loops(steps: Walk, optimiser: PoseGraphOptimiser, loops: list[PoseEdge]) -> set[int]:
@@ -30,7 +30,7 @@ def retracted_loops(steps: Walk, optimiser: PoseGraphOptimiser, loops: list[Pose
     assert (solution.weights[list(solution.retracted)] == 0).all()
     assert len(solution.chi2) == len(solution.weights) == len(graph.edges)
     rest = solve(
-        steps.graph(*(e for k, e in enumerate(loops) if k not in places)), optimiser.solver
+        steps.graph(*(e for k, e in enumerate(loops) if k not in places)), optimiser.options.kernel
     )
     for node, T in rest.T_world_node.items():
         np.testing.assert_allclose(solution.T_world_node[node], T, atol=1e-9)
@@ -75,7 +75,7 @@ def test_wrong_loop_with_small_residual_is_retracted(seed: int) -> None:
     off = steps.loop(1, 21).T_first_second @ se3.exp(np.array([0.0, 0.9, 0, 0, 0, 0]))
     loop = PoseEdge.loop(1, 21, off, information_of(1e-7 * np.eye(6)))
     graph = steps.graph(loop)
-    solution = solve(graph, PLAIN.solver)
+    solution = solve(graph, PLAIN.options.kernel)
     assert solution.chi2[-1] < 1.0
     assert retracted_loops(steps, PLAIN, [loop]) == {0}
 
@@ -94,7 +94,7 @@ def test_consistent_wrong_loops_are_found_by_the_chi_square_sum(seed: int) -> No
     """Removing a single loop changes little; only the odometry residuals are large."""
     steps = walk(seed)
     loops = [shifted(steps, k, 20 + k, 2.0, 3e-4) for k in range(4)]
-    solution = solve(steps.graph(*loops), PLAIN.solver)
+    solution = solve(steps.graph(*loops), PLAIN.options.kernel)
     assert solution.chi2[-4:].max() < 5
     assert retracted_loops(steps, PLAIN, loops) == {0, 1, 2, 3}
 
@@ -103,7 +103,7 @@ def test_wrong_loop_among_many_correct_ones_is_found_by_removal() -> None:
     """The chi-square sum is plausible; the loop distorts a section of the odometry."""
     steps = walk(4)
     loops = [*(steps.loop(k, 20 + k) for k in range(8)), shifted(steps, 12, 15, 0.15, 1e-3)]
-    solution = solve(steps.graph(*loops), PLAIN.solver)
+    solution = solve(steps.graph(*loops), PLAIN.options.kernel)
     assert solution.chi2[-1] < 1
     assert solution.chi2.sum() < quantile(0.999, 6 * 9)
     assert retracted_loops(steps, PLAIN, loops) == {8}
@@ -113,7 +113,7 @@ def test_correct_loops_are_readmitted() -> None:
     steps = walk(5)
     wrong = [shifted(steps, k, 20 + k, 2.0, 0.01) for k in range(6)]
     loops = [*wrong, steps.loop(6, 26), steps.loop(7, 27)]
-    solution = solve(steps.graph(*loops), PLAIN.solver)
+    solution = solve(steps.graph(*loops), PLAIN.options.kernel)
     # The first to go is a right one.
     assert solution.chi2[-8:].argmax() >= 6
     assert retracted_loops(steps, PLAIN, loops) == {0, 1, 2, 3, 4, 5}

@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
 from toolkit.geometry import se3
+from toolkit.loops.registration import clouds
 from toolkit.loops.registration.clouds import CloudRegistration, scaled_information
-from toolkit.loops.registration.options import CloudOptions
 
 
 @pytest.mark.parametrize("search", ["ransac", "fast"])
-def test_clouds_find_each_other_from_nothing(room: Scene, search):
+def test_clouds_find_each_other_from_nothing(room: Scene, search, monkeypatch):
     T_new_source = motion(2, 1.0, 70.0)
     far = moved(room.source, T_new_source)
-    registrar = CloudRegistration(CloudOptions(search=search, voxel_m=0.08))
+    monkeypatch.setattr(clouds, "_VOXEL_M", 0.08)
+    registrar = CloudRegistration(search)
     result = registrar.register(room.target, far)
     mm, deg = error(result.T_target_source, room.T_target_source @ se3.inverse(T_new_source))
     assert result.converged, result.reason
@@ -30,7 +31,7 @@ def test_clouds_find_each_other_from_nothing(room: Scene, search):
 
 
 def test_coloured_icp_refines_a_start(room: Scene):
-    registrar = CloudRegistration(CloudOptions(icp="coloured"))
+    registrar = CloudRegistration(icp="coloured")
     start = room.T_target_source @ motion(1, 0.04, 2.0)
     result = registrar.register(room.target, room.source, start)
     assert error(result.T_target_source, room.T_target_source)[0] < 15.0

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved, thumbnail
 
 from toolkit.geometry import se3
+from toolkit.loops.registration import coarse
 from toolkit.loops.registration.coarse import descriptor_pairs, register_coarse
-from toolkit.loops.registration.options import CoarseOptions
+from toolkit.loops.registration.options import RegistrationOptions
 
 NOWHERE_NEAR = motion(4, 7.0, 150.0)
 
@@ -40,7 +41,7 @@ def test_pairs_are_one_to_one_in_rounds_and_nearest_first(room: Scene, rows, col
 
 
 def test_enough_pairs_that_agree_spare_the_others(room: Scene, generator):
-    few = register_coarse(room.target, room.source, CoarseOptions(enough=2), generator)
+    few = register_coarse(room.target, room.source, RegistrationOptions(enough=2), generator)
     assert len(few.views) == 2
     assert few.result.inliers == 1.0
     assert error(few.result.T_target_source, room.T_target_source)[0] < 1.0
@@ -48,7 +49,7 @@ def test_enough_pairs_that_agree_spare_the_others(room: Scene, generator):
 
 def test_measured_offsets_find_the_motion_from_anywhere(room: Scene, generator):
     far, truth = elsewhere(room)
-    found = register_coarse(far.target, far.source, CoarseOptions(), generator)
+    found = register_coarse(far.target, far.source, RegistrationOptions(), generator)
     mm, deg = error(found.result.T_target_source, truth)
     assert found.result.converged
     assert mm < 10.0  # the frame's origin is 7 m from the views
@@ -58,9 +59,9 @@ def test_measured_offsets_find_the_motion_from_anywhere(room: Scene, generator):
 
 def test_alike_views_are_not_equal_poses(room: Scene, generator):
     """The paper's form is off by as much as the pairs stand apart."""
-    form = CoarseOptions(offsets="none")
+    form = RegistrationOptions(offsets="none")
     biased = register_coarse(room.target, room.source, form, generator).result
-    ours = register_coarse(room.target, room.source, CoarseOptions(), generator).result
+    ours = register_coarse(room.target, room.source, RegistrationOptions(), generator).result
     assert error(biased.T_target_source, room.T_target_source)[0] > 15.0
     assert error(ours.T_target_source, room.T_target_source)[0] < 1.0
 
@@ -70,7 +71,7 @@ def test_a_look_alike_from_another_room_is_ignored(room: Scene, generator, stran
     # It claims to look exactly like the target's first keyframe.
     words = np.vstack([room.source.descriptors, thumbnail(room.target.keyframes[0])])
     mixed = replace(room.source, keyframes=keyframes, descriptors=words)
-    found = register_coarse(room.target, mixed, CoarseOptions(), generator)
+    found = register_coarse(room.target, mixed, RegistrationOptions(), generator)
     assert error(found.result.T_target_source, room.T_target_source)[0] < 1.0
     assert 3 not in found.views
     assert found.result.inliers < 1.0
@@ -78,13 +79,14 @@ def test_a_look_alike_from_another_room_is_ignored(room: Scene, generator, stran
 
 def test_without_descriptors_it_says_so(room: Scene, generator):
     bare = replace(room.source, descriptors=np.zeros((0, 0), np.float32))
-    found = register_coarse(room.target, bare, CoarseOptions(), generator)
+    found = register_coarse(room.target, bare, RegistrationOptions(), generator)
     assert not found.result.converged
     assert "descriptor" in found.result.reason
 
 
-def test_a_single_pair_is_not_sufficient(room: Scene, generator):
-    one = CoarseOptions(pairs=1, pooled_pairs=1)
+def test_a_single_pair_is_not_sufficient(room: Scene, generator, monkeypatch):
+    monkeypatch.setattr(coarse, "_POOLED_PAIRS", 1)
+    one = RegistrationOptions(pairs=1)
     found = register_coarse(room.target, room.source, one, generator)
     assert not found.result.converged
     assert "1 of 1" in found.result.reason
@@ -92,7 +94,7 @@ def test_a_single_pair_is_not_sufficient(room: Scene, generator):
 
 
 def test_more_pairs_help_where_the_most_similar_one_does_not_suffice(room: Scene, generator):
-    options = CoarseOptions(pairs=1, pooled_pairs=9)
+    options = RegistrationOptions(pairs=1)
     found = register_coarse(room.target, room.source, options, generator)
     assert found.result.converged
     assert error(found.result.T_target_source, room.T_target_source)[0] < 20.0

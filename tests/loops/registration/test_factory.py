@@ -10,16 +10,15 @@ from registered_room import motion
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.factory import build_differentiable_describer
 from toolkit.features.options import FeatureOptions
+from toolkit.loops.registration import first_order_fine
 from toolkit.loops.registration.clouds import CloudRegistration
-from toolkit.loops.registration.factory import build_registrar, build_view_renderer, needs_describer
+from toolkit.loops.registration.factory import build_registrar, needs_describer
 from toolkit.loops.registration.fine import FineRegistration
-from toolkit.loops.registration.options import (
-    RegistrationOptions,
-)
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.result import RegistrationResult
 from toolkit.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
 from toolkit.loops.registration.two_way import TwoWayRegistration
-from toolkit.options import validated
+from toolkit.loops.registration.views import ViewRenderer
 
 KINDS = {
     "sgr": SemanticGuidedRegistration,
@@ -33,13 +32,12 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_can_be_built(kind):
     settings = RegistrationOptions(kind=kind)
-    renderer = build_view_renderer(settings)
-    assert isinstance(build_registrar(settings, 3, renderer), KINDS[kind])
+    assert isinstance(build_registrar(settings, 3, ViewRenderer()), KINDS[kind])
 
 
 def test_two_way_takes_the_place_of_the_fine_stage():
     settings = RegistrationOptions(kind="two-way")
-    registrar = build_registrar(settings, 3, build_view_renderer(settings))
+    registrar = build_registrar(settings, 3, ViewRenderer())
     assert isinstance(registrar, SemanticGuidedRegistration)
     assert isinstance(registrar.refiner, TwoWayRegistration)
     assert registrar.refiner.renderer is registrar.renderer
@@ -56,35 +54,32 @@ def test_the_feature_term_describes_views_with_the_given_encoder(kind, room, mon
 
     plain = BuiltinEncoder.describe
     monkeypatch.setattr(BuiltinEncoder, "describe", describe)
-    few = {"optimiser": "first-order", "views": 1, "first_order": {"iterations": 1}}
-    settings = validated(RegistrationOptions, {"kind": kind, "fine": few})
+    monkeypatch.setattr(first_order_fine, "_ITERATIONS", 1)
+    settings = RegistrationOptions(kind=kind, optimiser="first-order", views=1)
     assert needs_describer(settings)
     describer = build_differentiable_describer(FeatureOptions())
-    registrar = build_registrar(settings, 3, build_view_renderer(settings), describer)
+    registrar = build_registrar(settings, 3, ViewRenderer(), describer)
     registrar.register(room.target, room.source, room.T_target_source)
     assert True in described and False in described  # of the target, and of the frozen source
 
 
-def test_the_feature_term_has_a_weight(room):
+def test_the_feature_term_has_a_weight(room, monkeypatch):
+    monkeypatch.setattr(first_order_fine, "_ITERATIONS", 2)
+
     def found(feature: float) -> RegistrationResult:
-        few = {"iterations": 2, "feature": feature}
-        values = {"optimiser": "first-order", "views": 1, "first_order": few}
-        settings = validated(RegistrationOptions, {"kind": "fine", "fine": values})
+        settings = RegistrationOptions("fine", optimiser="first-order", views=1, feature=feature)
         assert needs_describer(settings) is (feature > 0)
         describer = build_differentiable_describer(FeatureOptions())
         start = room.T_target_source @ motion(1, 0.02, 1.0)
-        registrar = build_registrar(settings, 3, build_view_renderer(settings), describer)
+        registrar = build_registrar(settings, 3, ViewRenderer(), describer)
         return registrar.register(room.target, room.source, start)
 
     assert not np.array_equal(found(0.0).T_target_source, found(5.0).T_target_source)
 
 
 def test_settings_arrive():
-    settings = validated(
-        RegistrationOptions, {"coarse": {"offsets": "none"}, "fine": {"dense": {"levels": 2}}}
-    )
-    registrar = build_registrar(settings, 3, build_view_renderer(settings))
+    settings = RegistrationOptions(offsets="none")
+    registrar = build_registrar(settings, 3, ViewRenderer())
     assert isinstance(registrar, SemanticGuidedRegistration)
-    assert registrar.options.seed == 3
-    assert registrar.options.coarse.offsets == "none"
-    assert registrar.options.fine.dense.levels == 2
+    assert registrar.seed == 3
+    assert registrar.options is registrar.refiner.options is settings

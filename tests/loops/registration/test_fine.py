@@ -13,7 +13,7 @@ from toolkit.alignment.joint import align
 from toolkit.geometry import se3
 from toolkit.loops.registration import fine
 from toolkit.loops.registration.fine import FineRegistration, mismatched_classes
-from toolkit.loops.registration.options import FineOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.views import ViewRenderer
 
 
@@ -106,7 +106,7 @@ def test_pixels_of_other_classes_are_ignored(labelled_room: Scene, semantics):
     scene = labelled_room
     renderer = ViewRenderer(semantics=semantics)
     start = scene.T_target_source
-    gated = FineRegistration(FineOptions(views=1), renderer)
+    gated = FineRegistration(RegistrationOptions(views=1), renderer)
     right = gated.register(scene.target, scene.source, start)
     assert right.converged
     assert right.class_agreement > 0.8

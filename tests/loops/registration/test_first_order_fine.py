@@ -9,14 +9,15 @@ from registered_room import Scene, error, motion, moved
 
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
+from toolkit.loops.registration import first_order_fine
 from toolkit.loops.registration.first_order_fine import FirstOrderFineRegistration, _Objective
-from toolkit.loops.registration.options import FineOptions, FirstOrderFineOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.view_features import ViewFeatures
 from toolkit.rendering import render
 
 
 def test_the_papers_optimiser_comes_near(room: Scene, renderer):
-    options = FineOptions(views=2)
+    options = RegistrationOptions(views=2)
     start = room.T_target_source @ motion(1, 0.04, 2.0)
     result = FirstOrderFineRegistration(options, renderer).register(room.target, room.source, start)
     mm, deg = error(result.T_target_source, room.T_target_source)
@@ -36,7 +37,9 @@ class Thumbnails:
 
 
 @pytest.mark.parametrize("source", [None, "rgb", "semantic", "both"])
-def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, semantics, source):
+def test_the_papers_loss_has_the_right_derivative(
+    labelled_room: Scene, semantics, source, monkeypatch
+):
     scene = labelled_room
     T_new_source = motion(6, 1.0, 80.0)
     source = moved(scene.source, T_new_source)
@@ -49,7 +52,8 @@ def test_the_papers_loss_has_the_right_derivative(labelled_room: Scene, semantic
         features=source.gaussians.features,
     )
     # All pixels: where the mask's border moves, the loss jumps.
-    options = FirstOrderFineOptions(min_silhouette=-1.0, feature=5.0)
+    monkeypatch.setattr(first_order_fine, "_MIN_SILHOUETTE", -1.0)
+    options = RegistrationOptions(feature=5.0)
     view_features = None
     if source is not None:
         view_features = ViewFeatures(ViewDescriber(Thumbnails(), source), semantics)

@@ -9,8 +9,12 @@ from hypothesis import strategies as st
 from registered_room import error, motion
 
 from toolkit.geometry import se3
-from toolkit.loops.registration.motion_average import _inverse_right_jacobian, average_motion
-from toolkit.loops.registration.options import AverageOptions
+from toolkit.loops.registration.motion_average import (
+    SIGMA_M,
+    SIGMA_RAD,
+    _inverse_right_jacobian,
+    average_motion,
+)
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)
@@ -66,9 +70,10 @@ def test_twice_the_hypotheses_are_twice_the_information():
     np.testing.assert_allclose(twice.information, 2.0 * once.information, rtol=1e-6)
 
 
-def test_information_is_in_the_sigmas_given():
-    found = average_motion(np.eye(4)[None], np.eye(4)[None], AverageOptions(0.1, 0.05))
-    assert np.diag(found.information) == pytest.approx([100.0] * 3 + [400.0] * 3)
+def test_information_is_that_of_the_sigmas():
+    found = average_motion(np.eye(4)[None], np.eye(4)[None])
+    expected = [1.0 / SIGMA_M**2] * 3 + [1.0 / SIGMA_RAD**2] * 3
+    assert np.diag(found.information) == pytest.approx(expected)
 
 
 def test_a_start_settles_a_tie():

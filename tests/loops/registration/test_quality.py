@@ -13,8 +13,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
+from toolkit.loops.registration import views
 from toolkit.loops.registration.quality import check_alignment, compare
-from toolkit.loops.registration.views import SubmapView, ViewRenderer, views_of_overlap
+from toolkit.loops.registration.views import SubmapView, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
@@ -69,8 +70,8 @@ def test_the_truth_fits_and_other_places_do_not(room: Scene, renderer):
     assert wrong.fitness < 0.6 * right.fitness
 
 
-def test_large_images_are_drawn_smaller(room: Scene):
-    renderer = ViewRenderer(max_width=100)
+def test_large_images_are_drawn_smaller(room: Scene, renderer, monkeypatch):
+    monkeypatch.setattr(views, "_MAX_WIDTH", 100)
     keyframe = room.source.keyframes[0]
     assert renderer.camera_of(keyframe).size == (80, 60)
     assert renderer.observed(keyframe).camera == renderer.camera_of(keyframe)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from toolkit.geometry import se3
-from toolkit.loops.registration.factory import build_registrar, build_view_renderer
+from toolkit.loops.registration.factory import build_registrar
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.result import failed
 from toolkit.loops.registration.second_opinion import SecondOpinion
+from toolkit.loops.registration.views import ViewRenderer
 
 
 class Says:
@@ -62,9 +63,7 @@ def test_a_rejected_result_needs_no_second_registration():
 
 def test_a_run_can_ask_for_one():
     settings = RegistrationOptions(kind="two-way", second_opinion=True)
-    registrar = build_registrar(settings, 0, build_view_renderer(settings))
+    registrar = build_registrar(settings, 0, ViewRenderer())
     assert isinstance(registrar, SecondOpinion)
     settings = RegistrationOptions(kind="clouds", second_opinion=True)
-    assert not isinstance(
-        build_registrar(settings, 0, build_view_renderer(settings)), SecondOpinion
-    )
+    assert not isinstance(build_registrar(settings, 0, ViewRenderer()), SecondOpinion)

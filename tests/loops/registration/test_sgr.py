@@ -10,9 +10,9 @@ from registered_room import Scene, error, motion, moved, seen_by
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.loops.registration.options import FineOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.result import register_pair
-from toolkit.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration, SgrOptions
+from toolkit.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -68,7 +68,7 @@ def test_a_wrong_start_does_no_harm(room: Scene):
 
 
 def test_the_coarse_stage_alone_is_judged_by_looking(room: Scene, renderer):
-    registrar = CoarseOnly(SgrOptions(fine=FineOptions(views=2)), renderer)
+    registrar = CoarseOnly(RegistrationOptions(views=2), renderer)
     result = registrar.register(room.target, room.source)
     assert result.converged, result.reason
     assert error(result.T_target_source, room.T_target_source)[0] < 3.0

@@ -5,13 +5,13 @@ from __future__ import annotations
 from registered_room import Scene, error, motion
 
 from toolkit.loops.registration.fine import FineRegistration
-from toolkit.loops.registration.options import FineOptions
-from toolkit.loops.registration.sgr import SemanticGuidedRegistration, SgrOptions
+from toolkit.loops.registration.options import RegistrationOptions
+from toolkit.loops.registration.sgr import SemanticGuidedRegistration
 from toolkit.loops.registration.two_way import TwoWayRegistration
 
 
 def test_two_ways_lead_to_the_same_place(room: Scene, renderer):
-    registrar = TwoWayRegistration(FineRegistration(FineOptions(views=2), renderer))
+    registrar = TwoWayRegistration(FineRegistration(RegistrationOptions(views=2), renderer))
     start = room.T_target_source @ motion(1, 0.05, 3.0)
     result = registrar.register(room.target, room.source, start)
     mm, deg = error(result.T_target_source, room.T_target_source)
@@ -24,8 +24,8 @@ def test_two_ways_lead_to_the_same_place(room: Scene, renderer):
 
 
 def test_two_ways_after_the_coarse_stage_need_no_start(room: Scene, renderer):
-    options = SgrOptions(fine=FineOptions(views=2))
-    refiner = TwoWayRegistration(FineRegistration(options.fine, renderer))
+    options = RegistrationOptions(views=2)
+    refiner = TwoWayRegistration(FineRegistration(options, renderer))
     registrar = SemanticGuidedRegistration(options, renderer, refiner=refiner)
     result = registrar.register(room.target, room.source)
     assert result.converged, result.reason

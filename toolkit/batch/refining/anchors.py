@@ -87,16 +87,15 @@ def corrected_anchors(
     Poses stay as they are unless a registration contradicts them: those of a run that closed its
     loops are more accurate than a single registration.
     """
-    pose_graph = options.pose_graph
     numbers = sorted(anchors)
     index = {number: k for k, number in enumerate(numbers)}
-    noise = OdometryNoise(pose_graph.odometry)
+    noise = OdometryNoise()
     links = []
     for a, b in pairwise(numbers):
         covariance = noise.covariance(_ALIGNED, extents[a].path_m, extents[a].path_rad)
         T_a_b = se3.orthonormalise(se3.inverse(anchors[a]) @ anchors[b])
         links.append(PoseEdge(index[a], index[b], T_a_b, information_of(covariance)))
-    loop_noise = LoopNoise(pose_graph.loops)
+    loop_noise = LoopNoise()
     accepted = [result for result in results if not result.reason]
     loops = [
         loop_noise.edge(
@@ -109,7 +108,7 @@ def corrected_anchors(
     if all(loop.chi2(T[loop.first], T[loop.second]) <= bound for loop in loops):
         return Anchors(dict(anchors), frozenset(), 0.0)
     poses = {index[n]: T for n, T in anchors.items()}
-    correction, kept = _corrected(poses, links, loops, pose_graph)
+    correction, kept = _corrected(poses, links, loops, options.pose_graph)
     used = frozenset((numbers[loop.first], numbers[loop.second]) for loop in kept)
     T_new = {n: np.array(correction.T_new[index[n]]) for n in numbers}
     return Anchors(T_new, used, correction.largest_m)
@@ -124,18 +123,17 @@ def _corrected(
     """Optimise the graph; return the correction and the loops that it agrees with."""
     chain = OdometryChain(links)
     if len(loops) <= _MAX_COMPARED:
-        kept = [loops[k] for k in consistent_loops(chain, loops, options.consistency).kept]
+        kept = [loops[k] for k in consistent_loops(chain, loops, options).kept]
         graph = submap_graph(poses, links, kept)
-        solution = PoseGraphOptimiser(options.solver, options.retraction).optimise(graph)
+        solution = PoseGraphOptimiser(options).optimise(graph)
         retracted = [graph.edges[k] for k in solution.retracted]
         kept = [loop for loop in kept if not any(loop is edge for edge in retracted)]
         return PoseCorrection.of(graph, solution), kept
-    bound = quantile(options.consistency.odometry_confidence, 6)
+    bound = quantile(options.confidence, 6)
     kept = [loop for loop in loops if chain.loop_chi2(loop) <= bound]
-    bound = quantile(options.retraction.confidence, 6)
     while True:
         graph = submap_graph(poses, links, kept)
-        solution = solve(graph, options.solver, covariances=False)
+        solution = solve(graph, options.kernel, covariances=False)
         T = solution.T_world_node
         agreeing = [loop for loop in kept if loop.chi2(T[loop.first], T[loop.second]) <= bound]
         if len(agreeing) == len(kept):

@@ -18,9 +18,10 @@ from toolkit.geometry.frustum import Frustum
 from toolkit.io import storage
 from toolkit.loops.closing.visibility import Visibility
 from toolkit.loops.pose_graph.noise import path_between
-from toolkit.loops.registration.factory import build_fine, build_view_renderer, needs_describer
+from toolkit.loops.registration.factory import build_fine, needs_describer
 from toolkit.loops.registration.result import RegistrationResult, register_pair
-from toolkit.loops.verification import rejection_reason
+from toolkit.loops.registration.views import ViewRenderer
+from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits, rejection_reason
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import map_device
 
@@ -149,16 +150,16 @@ def register_submap_pair(task: PairTask) -> PairResult:
     """Register two submaps by rendering, from their current poses, and verify the result."""
     work, source = task.work, task.work.source
     torch.set_num_threads(work.threads)
-    loops = source.settings.loops
-    renderer = build_view_renderer(loops.registration, source.semantics(), source.settings.backend)
+    loops, registration = source.settings.loops, source.settings.registration
+    renderer = ViewRenderer(source.settings.backend, source.semantics())
     describer = None
-    if needs_describer(loops.registration):
+    if needs_describer(registration):
         describer = build_differentiable_describer(loops.features)
-    registrar = build_fine(loops.registration.fine, renderer, describer)
+    registrar = build_fine(registration, renderer, describer)
     first, second = source.submap(task.first), source.submap(task.second)
     T_first_second = se3.inverse(first.T_world_submap) @ second.T_world_submap
     result = register_pair(registrar, first, second, T_first_second)
-    reason = rejection_reason(result, loops.verification)
+    reason = rejection_reason(result, VerificationLimits() if loops.verify else NO_VERIFICATION)
     return PairResult(task.first, task.second, result, reason)
 
 

@@ -243,7 +243,7 @@ class LoopCloser:
     def _correct_between(self, atlas: Atlas) -> bool:
         """Optimise the anchors over all consistent loops; return whether anchors moved."""
         parts = self._parts
-        agreement = consistent_loops(OdometryChain(self._links), self.loops, parts.consistency)
+        agreement = consistent_loops(OdometryChain(self._links), self.loops, parts.pose_graph)
         for index, loop in enumerate(self.loops):
             if index not in agreement.kept:
                 reason = agreement.reason(index)

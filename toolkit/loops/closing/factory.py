@@ -22,13 +22,11 @@ from toolkit.loops.log import LoopLog
 from toolkit.loops.options import LandmarkOptions
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.loops.registration.factory import (
-    build_fine,
-    build_registrar,
-    build_view_renderer,
-    needs_describer,
-)
+from toolkit.loops.registration.factory import build_fine, build_registrar, needs_describer
+from toolkit.loops.registration.options import RegistrationOptions
+from toolkit.loops.registration.views import ViewRenderer
 from toolkit.loops.relocalisation import Relocaliser
+from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import backend
 from toolkit.semantics.palette import Palette
@@ -57,12 +55,17 @@ def build_loop_closer(
     context: ClosingContext,
     log: LoopLog | None = None,
     recorder: Recorder | None = None,
+    registration: RegistrationOptions | None = None,
 ) -> LoopCloser:
     """Build loop detection and closure.
+
+    Args:
+        registration: how submaps are registered; default if None.
 
     Raises:
         ToolkitError: FAISS or the encoder's weights are missing.
     """
+    registration = registration or RegistrationOptions()
     describer = build_describer(options.features)
     finder = CandidateFinder(
         describer.dimensions, describer.threshold, options.candidates, options.landmarks
@@ -78,22 +81,20 @@ def build_loop_closer(
     detector = LoopDetector(
         describer, finder, _class_counter(options.landmarks, context), class_colours
     )
-    renderer = build_view_renderer(options.registration, context.semantics, context.backend_name)
-    matching = options.registration.coarse.matching
+    renderer = ViewRenderer(context.backend_name, context.semantics)
     differentiable = None
-    if needs_describer(options.registration):
+    if needs_describer(registration):
         differentiable = build_differentiable_describer(options.features)
-    pose_graph = options.pose_graph
     parts = ClosingParts(
-        registrar=build_registrar(options.registration, context.seed, renderer, differentiable),
-        nearby=build_fine(options.registration.fine, renderer, differentiable),
-        matcher=PairMatcher(matching, options.closing.pairs),
-        relocaliser=Relocaliser(detector, matching, options.relocalisation),
-        verification=options.verification,
-        consistency=pose_graph.consistency,
-        noise=OdometryNoise(pose_graph.odometry),
-        loop_noise=LoopNoise(pose_graph.loops),
-        optimiser=PoseGraphOptimiser(pose_graph.solver, pose_graph.retraction),
+        registrar=build_registrar(registration, context.seed, renderer, differentiable),
+        nearby=build_fine(registration, renderer, differentiable),
+        matcher=PairMatcher(options.pairs),
+        relocaliser=Relocaliser(detector, options.relocalisation),
+        verification=VerificationLimits() if options.verify else NO_VERIFICATION,
+        pose_graph=options.pose_graph,
+        noise=OdometryNoise(),
+        loop_noise=LoopNoise(),
+        optimiser=PoseGraphOptimiser(options.pose_graph),
     )
     return LoopCloser(detector, parts, options.closing, log, recorder)
 

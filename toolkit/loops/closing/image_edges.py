@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from toolkit.alignment.matching import Offset
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
-from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.records import Record, pair_values, verdict
 from toolkit.loops.closing.uncertainty import NEGLIGIBLE_NOISE
@@ -26,6 +25,9 @@ from toolkit.loops.pose_graph.noise import path_between
 from toolkit.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
+
+# Maximum angle between the pose of two images and that of a registration that agree.
+_MAX_RAD = 0.035
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +44,12 @@ class ImageEdges:
     edges: list[PoseEdge]
     T_second_query: list[Array]
 
-    def contradiction(self, T_first_second: Array, options: ClosingOptions) -> str:
-        """Why a relative pose of the submaps contradicts all edges; empty if one agrees."""
+    def contradiction(self, T_first_second: Array, max_m: float) -> str:
+        """Why a relative pose of the submaps contradicts all edges; empty if one agrees.
+
+        Args:
+            max_m: maximum distance of poses that agree.
+        """
         differences = [
             se3.inverse(edge.T_first_second @ T) @ T_first_second @ T
             for edge, T in zip(self.edges, self.T_second_query, strict=True)
@@ -52,8 +58,7 @@ class ImageEdges:
             return ""
         metres = [float(np.linalg.norm(T[:3, 3])) for T in differences]
         radians = [float(se3.rotation_angle_rad(T[:3, :3])) for T in differences]
-        limits = (options.max_image_difference_m, options.max_image_difference_rad)
-        if any(m <= limits[0] and r <= limits[1] for m, r in zip(metres, radians, strict=True)):
+        if any(m <= max_m and r <= _MAX_RAD for m, r in zip(metres, radians, strict=True)):
             return ""
         nearest = int(np.argmin(metres))
         degrees = np.degrees(radians[nearest])
@@ -63,8 +68,8 @@ class ImageEdges:
 class ImageLoops:
     """Estimates edges between submaps from the images of candidate pairs."""
 
-    def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
-        self._parts, self._options, self._record = parts, options, record
+    def __init__(self, parts: ClosingParts, record: Record) -> None:
+        self._parts, self._record = parts, record
 
     def edges(
         self,
@@ -101,7 +106,7 @@ class ImageLoops:
                 if result.offset is not None and not reason:
                     edge = self._edge(atlas, submaps, (match.index, query), result.offset)
                     reason = consistent_loops(
-                        OdometryChain(odometry), [edge], self._parts.consistency
+                        OdometryChain(odometry), [edge], self._parts.pose_graph
                     ).reason(0)
                 self._record("images", values | pair_values(result) | verdict(reason))
                 if edge is not None and not reason:

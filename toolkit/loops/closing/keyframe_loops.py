@@ -78,7 +78,7 @@ class KeyframeLoops:
             path = [first.T_map_camera, second.T_map_camera]
             edge = self._parts.noise.along(first.index, second.index, path, NEGLIGIBLE_NOISE)
             odometry.append(edge)
-        agreement = consistent_loops(OdometryChain(odometry), loops, self._parts.consistency)
+        agreement = consistent_loops(OdometryChain(odometry), loops, self._parts.pose_graph)
         for index, loop in enumerate(loops):
             if index not in agreement.kept:
                 pair = {"match": loop.first, "query": loop.second}

@@ -10,10 +10,8 @@ from toolkit.loops.options import (
     CandidateOptions,
     LandmarkOptions,
     RelocalisationOptions,
-    VerificationOptions,
 )
 from toolkit.loops.pose_graph.options import PoseGraphOptions
-from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, Range
 
 
@@ -26,28 +24,11 @@ class PairOptions:
     """Maximum difference of the two directions of alignment, in metres."""
     max_disagreement_rad: PositiveFloat = 0.01
     """Maximum difference of the two directions of alignment, in radians."""
-    min_matches: Annotated[int, Range(ge=3)] = 8
-    """Minimum number of feature matches that agree with one motion."""
     min_visible: Fraction = 0.35
     """Minimum fraction of a keyframe's image that the other one explains, in the better of the two
     directions."""
     max_sigma_m: PositiveFloat = 0.02
     """Maximum standard deviation of the relative position, in metres."""
-    # Correct pairs have 0.7 to 0.99.
-    min_correlation: Fraction = 0.65
-    """Minimum normalised correlation of the aligned images: the median over textured blocks, in the
-    worse of the two directions."""
-    # Of forced pairs of fr1/rpy, 8 % lose more, of RedKitchen and HoloLens at most 1 %.
-    max_lost_correlation: PositiveFloat = 0.04
-    """Maximum decrease of this correlation by dense alignment, from the pose of the matched
-    features. In fast turns, depth that was measured at another time than colour pulls the pose
-    away."""
-    # Correct pairs of exact images have 0.0003 to 0.001, of RedKitchen and HoloLens up to 0.0074;
-    # bent images of opposite turns by 100 to 200 degrees per second 0.006 to 0.016.
-    max_displacement_rad: PositiveFloat = 0.0075
-    """Maximum displacement of image blocks at the aligned pose, in radians: their median, in the
-    worse of the two directions. A rolling shutter bends images of fast turns, so that no pose
-    aligns them."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +41,9 @@ class ClosingOptions:
     """Close loops between submaps by registration."""
     min_visible: Fraction = 0.4
     """Minimum overlap of two submaps' views for registering them at the end of a run."""
-    pairs: PairOptions = PairOptions()
     max_image_difference_m: PositiveFloat = 0.05
     """Maximum distance of a registration's result from the pose of a verified pair of keyframes,
     in metres."""
-    max_image_difference_rad: PositiveFloat = 0.035
-    """Maximum angle between a registration's result and the pose of a verified pair of keyframes,
-    in radians."""
     min_shared: Fraction = 0.3
     """Minimum fraction of a candidate keyframe's view that the other keyframe sees after the
     registration of their submaps."""
@@ -91,11 +68,13 @@ class LoopClosureOptions:
 
     use: bool = True
     """Detect and close loops."""
+    verify: bool = True
+    """Reject registrations of submaps that overlap too little, whose surfaces, colours or classes
+    disagree, or that are not determined. Otherwise, all that converge become loops."""
     features: FeatureOptions = FeatureOptions()
     candidates: CandidateOptions = CandidateOptions()
     landmarks: LandmarkOptions = LandmarkOptions()
-    registration: RegistrationOptions = RegistrationOptions()
-    verification: VerificationOptions = VerificationOptions()
+    pairs: PairOptions = PairOptions()
     closing: ClosingOptions = ClosingOptions()
     relocalisation: RelocalisationOptions = RelocalisationOptions()
     pose_graph: PoseGraphOptions = PoseGraphOptions()

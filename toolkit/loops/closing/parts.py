@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolkit.loops.closing.pair_matching import PairMatcher
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
-from toolkit.loops.pose_graph.options import ConsistencyOptions
+from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.result import Registrar
 from toolkit.loops.relocalisation import Relocaliser
+from toolkit.loops.verification import VerificationLimits
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class ClosingParts:
         nearby: registers submaps whose relative pose is approximately known.
         matcher: verifies pairs of keyframes from their images.
         relocaliser: relocalises lost frames.
-        verification, consistency: conditions that a loop edge must satisfy.
+        verification, pose_graph: conditions that a loop edge must satisfy.
         noise: noise of odometry edges.
         loop_noise: noise of loop edges.
         optimiser: optimises pose graphs.
@@ -32,8 +32,8 @@ class ClosingParts:
     nearby: Registrar
     matcher: PairMatcher
     relocaliser: Relocaliser
-    verification: VerificationOptions
-    consistency: ConsistencyOptions
+    verification: VerificationLimits
+    pose_graph: PoseGraphOptions
     noise: OdometryNoise
     loop_noise: LoopNoise
     optimiser: PoseGraphOptimiser

@@ -18,16 +18,15 @@ from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.records import Record, motion_values, registration_values, verdict
 from toolkit.loops.closing.visibility import Visibility
-from toolkit.loops.options import VerificationOptions
 from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.registration.result import Registrar, RegistrationResult, register_pair
-from toolkit.loops.verification import rejection_reason
+from toolkit.loops.verification import VerificationLimits, rejection_reason
 from toolkit.submaps.atlas import Atlas
 
 # Neighbours overlap at least in the views around their boundary.
-_NEIGHBOUR_VERIFICATION = VerificationOptions(min_overlap=0.15)
+_NEIGHBOUR_VERIFICATION = VerificationLimits(min_overlap=0.15)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,7 @@ class SubmapLoops:
 
     def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
         self._parts, self._options, self._record = parts, options, record
-        self._images = ImageLoops(parts, options, record)
+        self._images = ImageLoops(parts, record)
 
     def overlapping(
         self,
@@ -108,7 +107,7 @@ class SubmapLoops:
             contradiction = self._contradiction(odometry, registration.edge)
             if images is not None and not contradiction:
                 T = registration.edge.T_first_second
-                contradiction = images.contradiction(T, self._options)
+                contradiction = images.contradiction(T, self._options.max_image_difference_m)
             rejection = rejection_reason(registration.result, self._parts.verification)
             if self._accept(registration, rejection or contradiction):
                 return registration.edge
@@ -180,7 +179,7 @@ class SubmapLoops:
     def _contradiction(self, odometry: Sequence[PoseEdge], edge: PoseEdge) -> str:
         """Why a loop is inconsistent with the odometry; empty if it is consistent."""
         chain = OdometryChain(odometry)
-        return consistent_loops(chain, [edge], self._parts.consistency).reason(0)
+        return consistent_loops(chain, [edge], self._parts.pose_graph).reason(0)
 
     def _accept(self, registration: _Registration, reason: str) -> bool:
         """Record a registration and the reason for rejecting it; return whether it is accepted."""

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 # Information of tracking between neighbouring frames. Its noise is negligible compared with the
 # drift along the path from the anchor.
 NEGLIGIBLE_NOISE = np.eye(6) * 1e9
+# Maximum distance and angle of two views of the same surfaces.
+_NEAR_M, _NEAR_RAD = 0.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +144,7 @@ class _Views:
         T = se3.inverse(np.array(self._T)) @ frame.T_submap_camera
         metres = np.linalg.norm(T[:, :3, 3], axis=1)
         radians = se3.rotation_angle_rad(T[:, :3, :3])
-        options = self._noise.options
-        near = (metres <= options.near_m) & (radians <= options.near_rad)
+        near = (metres <= _NEAR_M) & (radians <= _NEAR_RAD)
         near[-1] = True
         motions = np.where(near, np.array(self._motions) + metres + radians, np.inf)
         k = int(np.argmin(motions))

@@ -23,9 +23,12 @@ from toolkit.geometry import se3
 from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.clique import largest_clique
 from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.loops.pose_graph.options import ConsistencyOptions
+from toolkit.loops.pose_graph.options import PoseGraphOptions
 
 Array = NDArray[np.float64]
+
+# Number of loops up to which the largest consistent set is found exactly.
+_EXACT_UP_TO = 40
 
 
 class OdometryChain:
@@ -167,30 +170,29 @@ class ConsistentLoops:
         odometry_chi2: [L] chi-square of each loop against the accumulated odometry.
         pair_chi2: [L, L] chi-square of each pair, 0 on the diagonal; NaN if either loop failed
             the odometry test.
-        odometry_bound, pair_bound: maximum chi-square of consistent loops.
+        bound: maximum chi-square of consistent loops.
     """
 
     kept: tuple[int, ...]
     odometry_chi2: Array
     pair_chi2: Array
-    odometry_bound: float
-    pair_bound: float
+    bound: float
 
     def reason(self, index: int) -> str:
         """Return why a loop was rejected; empty for a kept loop."""
         if index in self.kept:
             return ""
-        if self.odometry_chi2[index] > self.odometry_bound:
+        if self.odometry_chi2[index] > self.bound:
             return (
                 f"chi-square {self.odometry_chi2[index]:.1f} against the odometry, "
-                f"above {self.odometry_bound:.1f}"
+                f"above {self.bound:.1f}"
             )
-        against = sum(bool(self.pair_chi2[index, k] > self.pair_bound) for k in self.kept)
+        against = sum(bool(self.pair_chi2[index, k] > self.bound) for k in self.kept)
         return f"inconsistent with {against} of {len(self.kept)} consistent loops"
 
 
 def consistent_loops(
-    chain: OdometryChain, loops: Sequence[PoseEdge], options: ConsistencyOptions | None = None
+    chain: OdometryChain, loops: Sequence[PoseEdge], options: PoseGraphOptions | None = None
 ) -> ConsistentLoops:
     """Find the largest set of loops consistent with the odometry and pairwise with each other.
 
@@ -202,22 +204,20 @@ def consistent_loops(
     Raises:
         ValueError: a node of a loop is not on the chain.
     """
-    options = options or ConsistencyOptions()
     count = len(loops)
     odometry_chi2 = np.array([chain.loop_chi2(loop) for loop in loops], dtype=np.float64)
-    odometry_bound = quantile(options.odometry_confidence, 6)
+    bound = quantile((options or PoseGraphOptions()).confidence, 6)
     # With this order, sets of equal size are resolved in favour of the odometry.
     order = np.argsort(odometry_chi2, kind="stable").tolist()
-    plausible = [k for k in order if odometry_chi2[k] <= odometry_bound]
+    plausible = [k for k in order if odometry_chi2[k] <= bound]
     pair_chi2 = np.full((count, count), np.nan)
     np.fill_diagonal(pair_chi2, 0.0)
     for i, a in enumerate(plausible):
         for b in plausible[:i]:
             pair_chi2[a, b] = pair_chi2[b, a] = chain.pair_chi2(loops[a], loops[b])
-    pair_bound = quantile(options.pair_confidence, 6)
-    agree = pair_chi2[np.ix_(plausible, plausible)] <= pair_bound
-    kept = sorted(plausible[k] for k in largest_clique(agree, options.exact_up_to))
-    return ConsistentLoops(tuple(kept), odometry_chi2, pair_chi2, odometry_bound, pair_bound)
+    agree = pair_chi2[np.ix_(plausible, plausible)] <= bound
+    kept = sorted(plausible[k] for k in largest_clique(agree, _EXACT_UP_TO))
+    return ConsistentLoops(tuple(kept), odometry_chi2, pair_chi2, bound)
 
 
 def _mahalanobis2(residual: Array, covariance: Array) -> float:

@@ -23,7 +23,7 @@ import numpy as np
 
 from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.graph import PoseGraph
-from toolkit.loops.pose_graph.options import RetractionOptions, SolverOptions
+from toolkit.loops.pose_graph.options import Kernel, PoseGraphOptions
 from toolkit.loops.pose_graph.solver import PoseGraphSolution, solve
 
 _log = logging.getLogger(__name__)
@@ -32,13 +32,8 @@ _log = logging.getLogger(__name__)
 class PoseGraphOptimiser:
     """Optimises pose graphs and retracts loops that contradict the rest."""
 
-    def __init__(
-        self,
-        solver: SolverOptions | None = None,
-        retraction: RetractionOptions | None = None,
-    ) -> None:
-        self.solver = solver or SolverOptions()
-        self.retraction = retraction or RetractionOptions()
+    def __init__(self, options: PoseGraphOptions | None = None) -> None:
+        self.options = options or PoseGraphOptions()
 
     def optimise(self, graph: PoseGraph) -> PoseGraphSolution:
         """Optimise the graph and retract inconsistent loops.
@@ -57,7 +52,7 @@ class PoseGraphOptimiser:
                 edge.first,
                 edge.second,
             )
-        solution = solve(graph.without(retracted), self.solver)
+        solution = solve(graph.without(retracted), self.options.kernel)
         used = [k for k in range(len(graph.edges)) if k not in retracted]
         weights = np.zeros(len(graph.edges))
         weights[used] = solution.weights
@@ -71,7 +66,7 @@ class PoseGraphOptimiser:
     def _retract(self, graph: PoseGraph) -> list[int]:
         """Indices of the loops to retract, worst first."""
         retracted: list[int] = []
-        while (worst := self._worst(_Trial.of(graph, retracted, self.solver))) is not None:
+        while (worst := self._worst(_Trial.of(graph, retracted, self.options.kernel))) is not None:
             retracted.append(worst)
         return retracted
 
@@ -90,7 +85,7 @@ class PoseGraphOptimiser:
 
     def _readmit(self, graph: PoseGraph, retracted: list[int]) -> list[int]:
         """Test each retracted loop again, best first; returns those that stay retracted."""
-        trial = _Trial.of(graph, retracted, self.solver)
+        trial = _Trial.of(graph, retracted, self.options.kernel)
         candidates = sorted(retracted, key=lambda k: trial.chi2[k]) if len(retracted) > 1 else []
         for index in candidates:
             again = trial.including(index)
@@ -101,12 +96,12 @@ class PoseGraphOptimiser:
     @property
     def _loop_bound(self) -> float:
         """Maximum chi-square that one loop may add to the sum."""
-        return quantile(self.retraction.confidence, 6)
+        return quantile(self.options.confidence, 6)
 
     def _plausible(self, trial: _Trial) -> bool:
         """Whether the chi-square sum is plausible for its degrees of freedom."""
         degrees = trial.degrees_of_freedom
-        return degrees == 0 or trial.total <= quantile(self.retraction.confidence, degrees)
+        return degrees == 0 or trial.total <= quantile(self.options.confidence, degrees)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,31 +111,31 @@ class _Trial:
     Attributes:
         graph: graph with all edges at the optimised poses.
         retracted: indices of the retracted edges.
-        solver: solver options.
+        kernel: robust kernel of loop edges.
         chi2: [E] chi-square of all edges.
         total: chi-square sum of the edges in use.
     """
 
     graph: PoseGraph
     retracted: tuple[int, ...]
-    solver: SolverOptions
+    kernel: Kernel
     chi2: np.ndarray
     total: float
 
     @classmethod
-    def of(cls, graph: PoseGraph, retracted: Collection[int], solver: SolverOptions) -> _Trial:
-        solution = solve(graph.without(retracted), solver, covariances=False)
+    def of(cls, graph: PoseGraph, retracted: Collection[int], kernel: Kernel) -> _Trial:
+        solution = solve(graph.without(retracted), kernel, covariances=False)
         chi2 = graph.chi2(solution.T_world_node)
         used = np.setdiff1d(np.arange(len(chi2)), list(retracted))
         solved = graph.at(solution.T_world_node)
-        return cls(solved, tuple(retracted), solver, chi2, float(chi2[used].sum()))
+        return cls(solved, tuple(retracted), kernel, chi2, float(chi2[used].sum()))
 
     def without(self, index: int) -> _Trial:
-        return _Trial.of(self.graph, (*self.retracted, index), self.solver)
+        return _Trial.of(self.graph, (*self.retracted, index), self.kernel)
 
     def including(self, index: int) -> _Trial:
         rest = tuple(k for k in self.retracted if k != index)
-        return _Trial.of(self.graph, rest, self.solver)
+        return _Trial.of(self.graph, rest, self.kernel)
 
     def removable_loops(self) -> list[int]:
         """Indices of loops in use whose removal keeps the graph connected."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError, ToolkitError
 from toolkit.loops.pose_graph.graph import PoseGraph
-from toolkit.loops.pose_graph.options import SolverOptions
+from toolkit.loops.pose_graph.options import Kernel
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,12 @@ _SWAP = np.array([3, 4, 5, 0, 1, 2])
 # Standard deviation (m, rad) of the prior on the fixed node, which removes the gauge freedom. Its
 # error is zero at the optimum; it only affects the covariances.
 _FIXED_SIGMA = 1e-6
+# Width of the robust kernels, in standard deviations. A correct edge of 6 degrees of freedom has
+# 2.4 on average.
+_KERNEL_WIDTH = 3.0
+_ITERATIONS = 100
+# Relative and absolute decrease of the error that ends the iterations.
+_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,26 +62,29 @@ class PoseGraphSolution:
 
 
 def solve(
-    graph: PoseGraph, options: SolverOptions | None = None, covariances: bool = True
+    graph: PoseGraph,
+    kernel: Kernel = "cauchy",
+    covariances: bool = True,
+    initialise: bool = False,
 ) -> PoseGraphSolution:
     """Minimise the chi-squares of all edges by Levenberg-Marquardt.
 
     Args:
         graph: graph to optimise.
-        options: solver options; default if None.
+        kernel: robust kernel of loop edges.
         covariances: whether to compute covariances; takes seconds for thousands of nodes.
+        initialise: start from the chordal initialisation instead of the current poses.
 
     Raises:
         DependencyError: GTSAM is not installed.
         ToolkitError: the system is singular to working precision.
     """
     gtsam = load_gtsam()
-    options = options or SolverOptions()
-    factors = _factors(gtsam, graph, options)
+    factors = _factors(gtsam, graph, kernel)
     initial = _values(gtsam, graph)
     try:
-        start = gtsam.InitializePose3.initialize(factors) if options.initialise else initial
-        optimizer = gtsam.LevenbergMarquardtOptimizer(factors, start, _parameters(gtsam, options))
+        start = gtsam.InitializePose3.initialize(factors) if initialise else initial
+        optimizer = gtsam.LevenbergMarquardtOptimizer(factors, start, _parameters(gtsam))
         values = optimizer.optimize()
         marginals = _covariances(gtsam, graph, factors, values) if covariances else None
     except RuntimeError as error:
@@ -92,23 +101,23 @@ def solve(
     return PoseGraphSolution(
         T_world_node=poses,
         chi2=chi2,
-        weights=np.where(robust, kernel_weights(chi2, options), 1.0),
+        weights=np.where(robust, kernel_weights(chi2, kernel), 1.0),
         covariances=marginals,
         error_before=float(factors.error(initial)),
         error_after=float(factors.error(values)),
         iterations=steps,
-        converged=steps < options.iterations,
+        converged=steps < _ITERATIONS,
     )
 
 
-def kernel_weights(chi2: Array, options: SolverOptions) -> Array:
+def kernel_weights(chi2: Array, kernel: Kernel) -> Array:
     """[E] robust kernel weights for chi-square values [E]."""
-    width2 = options.kernel_width**2
-    if options.kernel == "huber":
-        return np.minimum(1.0, options.kernel_width / np.sqrt(np.maximum(chi2, 1e-300)))
-    if options.kernel == "cauchy":
+    width2 = _KERNEL_WIDTH**2
+    if kernel == "huber":
+        return np.minimum(1.0, _KERNEL_WIDTH / np.sqrt(np.maximum(chi2, 1e-300)))
+    if kernel == "cauchy":
         return width2 / (width2 + chi2)
-    if options.kernel == "geman-mcclure":
+    if kernel == "geman-mcclure":
         return (width2 / (width2 + chi2)) ** 2
     return np.ones_like(chi2)
 
@@ -124,32 +133,30 @@ def load_gtsam() -> ModuleType:
     return gtsam
 
 
-def _factors(gtsam: ModuleType, graph: PoseGraph, options: SolverOptions) -> Any:
+def _factors(gtsam: ModuleType, graph: PoseGraph, kernel: Kernel) -> Any:
     factors = gtsam.NonlinearFactorGraph()
     fixed = gtsam.noiseModel.Isotropic.Sigma(6, _FIXED_SIGMA)
     pose = gtsam.Pose3(graph.T_world_node[graph.anchor])
     factors.add(gtsam.PriorFactorPose3(graph.anchor, pose, fixed))
-    kernel = _kernel(gtsam, options)
+    estimator = _estimator(gtsam, kernel)
     for edge in graph.edges:
         swapped = edge.information[np.ix_(_SWAP, _SWAP)]
         noise = gtsam.noiseModel.Gaussian.Information(swapped)
-        if edge.robust and kernel is not None:
-            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        if edge.robust and estimator is not None:
+            noise = gtsam.noiseModel.Robust.Create(estimator, noise)
         measured = gtsam.Pose3(edge.T_first_second)
         factors.add(gtsam.BetweenFactorPose3(edge.first, edge.second, measured, noise))
     return factors
 
 
-def _kernel(gtsam: ModuleType, options: SolverOptions) -> Any | None:
+def _estimator(gtsam: ModuleType, kernel: Kernel) -> Any | None:
     estimators = gtsam.noiseModel.mEstimator
     kinds = {
         "huber": estimators.Huber,
         "cauchy": estimators.Cauchy,
         "geman-mcclure": estimators.GemanMcClure,
     }
-    if options.kernel == "none":
-        return None
-    return kinds[options.kernel].Create(options.kernel_width)
+    return None if kernel == "none" else kinds[kernel].Create(_KERNEL_WIDTH)
 
 
 def _values(gtsam: ModuleType, graph: PoseGraph) -> Any:
@@ -159,11 +166,11 @@ def _values(gtsam: ModuleType, graph: PoseGraph) -> Any:
     return values
 
 
-def _parameters(gtsam: ModuleType, options: SolverOptions) -> Any:
+def _parameters(gtsam: ModuleType) -> Any:
     parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(options.iterations)
-    parameters.setRelativeErrorTol(options.tolerance)
-    parameters.setAbsoluteErrorTol(options.tolerance)
+    parameters.setMaxIterations(_ITERATIONS)
+    parameters.setRelativeErrorTol(_TOLERANCE)
+    parameters.setAbsoluteErrorTol(_TOLERANCE)
     return parameters
 
 

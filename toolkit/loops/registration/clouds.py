@@ -7,7 +7,7 @@ one thread, and its random generator is seeded before every use.
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.loops.registration.options import CloudOptions
 from toolkit.loops.registration.quality import check_alignment
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.registration.views import ViewRenderer
@@ -24,6 +23,13 @@ from toolkit.submaps.submap import Submap
 Array = NDArray[np.float64]
 
 
+# Points are the centres of Gaussians of this opacity, averaged over voxels of half this edge.
+_MIN_OPACITY, _VOXEL_M = 0.5, 0.05
+_HYPOTHESES = 50_000
+# Minimum fraction of the source's points that lie on the target's surface.
+_MIN_FITNESS = 0.1
+# Number of views of the source in which the result is checked.
+_VIEWS = 5
 # Minimum number of points of a cloud.
 _MIN_POINTS = 100
 # Radii in voxels, as in Open3D's examples.
@@ -39,7 +45,8 @@ class CloudRegistration:
     """Registers the point clouds of two submaps; see Registrar.
 
     Args:
-        options: default options if None.
+        search: global registration from FPFH features, by RANSAC or fast global registration.
+        icp: refinement.
         renderer: renders the views in which the result is checked; default renderer if None.
         seed: random seed of RANSAC and fast global registration.
 
@@ -49,12 +56,12 @@ class CloudRegistration:
 
     def __init__(
         self,
-        options: CloudOptions | None = None,
+        search: Literal["ransac", "fast"] = "ransac",
+        icp: Literal["point-to-plane", "coloured"] = "point-to-plane",
         renderer: ViewRenderer | None = None,
         seed: int = 0,
     ) -> None:
-        self.options = options or CloudOptions()
-        self.seed = seed
+        self.search, self.icp, self.seed = search, icp, seed
         self.renderer = renderer or ViewRenderer()
 
     def register(
@@ -62,9 +69,9 @@ class CloudRegistration:
     ) -> RegistrationResult:
         """See Registrar; with an initial pose, global registration is skipped."""
         o3d = open3d()
-        method = f"{self.options.icp} ICP"
+        method = f"{self.icp} ICP"
         if T_target_source is None:
-            method = f"FPFH {self.options.search} + {method}"
+            method = f"FPFH {self.search} + {method}"
         target_cloud, source_cloud = self._cloud(o3d, target), self._cloud(o3d, source)
         if min(len(target_cloud.points), len(source_cloud.points)) < _MIN_POINTS:
             return failed(method, "a submap has too few solid Gaussians", T_target_source)
@@ -76,8 +83,8 @@ class CloudRegistration:
         T = se3.orthonormalise(np.asarray(found.transformation))
         if len(found.correspondence_set) == 0:
             return failed(method, "the clouds have no point in common", T_target_source)
-        check = check_alignment(target, source, T, self.renderer, self.options.views)
-        enough = found.fitness >= self.options.min_fitness
+        check = check_alignment(target, source, T, self.renderer, _VIEWS)
+        enough = found.fitness >= _MIN_FITNESS
         return RegistrationResult(
             T_target_source=T,
             converged=bool(enough),
@@ -94,18 +101,18 @@ class CloudRegistration:
 
     def _cloud(self, o3d: ModuleType, submap: Submap) -> Any:
         """Centres of the opaque Gaussians with colours and normals, oriented to the cameras."""
-        opaque = submap.gaussians.select(submap.gaussians.opacities >= self.options.min_opacity)
+        opaque = submap.gaussians.select(submap.gaussians.opacities >= _MIN_OPACITY)
         cloud = o3d.geometry.PointCloud(
             o3d.utility.Vector3dVector(opaque.means.detach().numpy().astype(np.float64))
         )
         colours = opaque.colours.detach().clamp(0.0, 1.0).numpy().astype(np.float64)
         cloud.colors = o3d.utility.Vector3dVector(colours)
-        cloud = cloud.voxel_down_sample(self.options.voxel_m / 2.0)
+        cloud = cloud.voxel_down_sample(_VOXEL_M / 2.0)
         positions = [keyframe.T_map_camera[:3, 3] for keyframe in submap.keyframes]
         return self._with_normals(o3d, cloud, np.mean(positions, axis=0))
 
     def _with_normals(self, o3d: ModuleType, cloud: Any, camera_position: Array) -> Any:
-        radius = _NORMAL_RADIUS * self.options.voxel_m
+        radius = _NORMAL_RADIUS * _VOXEL_M
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius, 30))
         if len(cloud.points):
             cloud.orient_normals_towards_camera_location(camera_position)
@@ -113,13 +120,13 @@ class CloudRegistration:
 
     def _global_registration(self, o3d: ModuleType, target: Any, source: Any) -> Array:
         """Estimate T_target_source [4, 4] from FPFH features, without an initial pose."""
-        registration, voxel_m = o3d.pipelines.registration, self.options.voxel_m
+        registration, voxel_m = o3d.pipelines.registration, _VOXEL_M
         sampled = [cloud.voxel_down_sample(voxel_m) for cloud in (source, target)]
         search = o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_RADIUS * voxel_m, 100)
         features = [registration.compute_fpfh_feature(cloud, search) for cloud in sampled]
         distance = _MATCH_DISTANCE * voxel_m
         o3d.utility.random.seed(self.seed)
-        if self.options.search == "fast":
+        if self.search == "fast":
             option = registration.FastGlobalRegistrationOption(
                 use_absolute_scale=True, maximum_correspondence_distance=distance
             )
@@ -138,7 +145,7 @@ class CloudRegistration:
                     registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
                     registration.CorrespondenceCheckerBasedOnDistance(distance),
                 ],
-                registration.RANSACConvergenceCriteria(self.options.hypotheses, 0.999),
+                registration.RANSACConvergenceCriteria(_HYPOTHESES, 0.999),
             )
         return np.asarray(found.transformation, dtype=np.float64)
 
@@ -155,9 +162,9 @@ class CloudRegistration:
             registration.TransformationEstimationForColoredICP(),
         )
         stages = [(*planes, voxels) for voxels in _ICP_VOXELS]
-        if self.options.icp == "coloured":
+        if self.icp == "coloured":
             stages.append((*colours, _COLOURED_VOXELS))
-        T, voxel_m = np.array(start, dtype=np.float64), self.options.voxel_m
+        T, voxel_m = np.array(start, dtype=np.float64), _VOXEL_M
         for align, method, voxels in stages:
             try:
                 found = align(source, target, voxels * voxel_m, T, method, criteria)

@@ -14,12 +14,18 @@ from numpy.typing import NDArray
 from toolkit.alignment.data import ResidualScales
 from toolkit.alignment.matching import Offset, measure_offset
 from toolkit.loops.registration.motion_average import MotionAverage, average_motion
-from toolkit.loops.registration.options import CoarseOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.pooled import pooled_motion
 from toolkit.loops.registration.result import UNKNOWN, RegistrationResult, failed
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
+
+# Minimum number of keyframe pairs that agree.
+_MIN_AGREEING = 2
+# Maximum number of keyframe pairs whose feature matches are pooled if no pair determines its offset
+# alone. Where submaps overlap little, the most similar keyframes often show different places.
+_POOLED_PAIRS = 40
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ def descriptor_pairs(target: Submap, source: Submap, count: int) -> list[Keyfram
 def register_coarse(
     target: Submap,
     source: Submap,
-    options: CoarseOptions,
+    options: RegistrationOptions,
     generator: np.random.Generator,
     start: Array | None = None,
 ) -> CoarseRegistration:
@@ -97,7 +103,7 @@ def register_coarse(
                 break
     if average is None or len(average.inliers) < len(usable):
         average = _average(target, source, usable, options, start) if usable else None
-    if average is None or average.inliers.sum() < options.min_agreeing:
+    if average is None or average.inliers.sum() < _MIN_AGREEING:
         pooled = _pooled(target, source, options, generator)
         if pooled is not None:
             return pooled
@@ -107,7 +113,7 @@ def register_coarse(
     ranked = np.argsort(-average.weights, kind="stable")
     views = [usable[i][0].source for i in ranked if average.inliers[i]]
     offsets = [offset for _, offset in usable]
-    result = _result(average, offsets, tried, options)
+    result = _result(average, offsets, tried)
     return CoarseRegistration(result, list(dict.fromkeys(views)))
 
 
@@ -115,35 +121,35 @@ def _average(
     target: Submap,
     source: Submap,
     usable: list[tuple[KeyframePair, Offset]],
-    options: CoarseOptions,
+    options: RegistrationOptions,
     start: Array | None,
 ) -> MotionAverage:
     T_target_camera = np.array(
         [target.keyframes[p.target].T_map_camera @ z.T_first_second for p, z in usable]
     )
     T_source_camera = np.array([source.keyframes[p.source].T_map_camera for p, _ in usable])
-    return average_motion(T_target_camera, T_source_camera, options.average, start)
+    return average_motion(T_target_camera, T_source_camera, start, options.agree_within)
 
 
 def _pooled(
     target: Submap,
     source: Submap,
-    options: CoarseOptions,
+    options: RegistrationOptions,
     generator: np.random.Generator,
 ) -> CoarseRegistration | None:
     """A motion estimated from the features of many pairs together; no pair suffices alone."""
     if options.offsets == "none":
         return None
-    pairs = descriptor_pairs(target, source, options.pooled_pairs)
+    pairs = descriptor_pairs(target, source, _POOLED_PAIRS)
     keyframes = [(target.keyframes[p.target], source.keyframes[p.source]) for p in pairs]
-    found = pooled_motion(keyframes, options.matching, generator)
+    found = pooled_motion(keyframes, generator)
     if found is None:
         return None
     T_source_camera = np.array([keyframes[index][1].T_map_camera for index in found.pairs])
     T_target_camera = found.T_target_source @ T_source_camera
-    average = average_motion(T_target_camera, T_source_camera, options.average)
+    average = average_motion(T_target_camera, T_source_camera, agree_within=options.agree_within)
     unknown = Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
-    result = _result(average, [unknown] * len(found.pairs), len(pairs), options)
+    result = _result(average, [unknown] * len(found.pairs), len(pairs))
     views = [pairs[index].source for index in found.pairs]
     return CoarseRegistration(result, list(dict.fromkeys(views)))
 
@@ -152,20 +158,18 @@ def _offset(
     pair: KeyframePair,
     target: Submap,
     source: Submap,
-    options: CoarseOptions,
+    options: RegistrationOptions,
     generator: np.random.Generator,
 ) -> Offset | None:
     if options.offsets == "none":
         return Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
     first, second = target.keyframes[pair.target], source.keyframes[pair.source]
-    return measure_offset(first, second, options.matching, generator)
+    return measure_offset(first, second, generator)
 
 
-def _result(
-    average: MotionAverage, offsets: list[Offset], tried: int, options: CoarseOptions
-) -> RegistrationResult:
+def _result(average: MotionAverage, offsets: list[Offset], tried: int) -> RegistrationResult:
     agreeing = int(average.inliers.sum())
-    enough = agreeing >= options.min_agreeing
+    enough = agreeing >= _MIN_AGREEING
     kept = [offset for offset, agrees in zip(offsets, average.inliers, strict=True) if agrees]
     return RegistrationResult(
         T_target_source=average.T_target_source,

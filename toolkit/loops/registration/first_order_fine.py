@@ -18,8 +18,8 @@ from toolkit.features.sources import ViewDescriber
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.loops.registration.fine import FineRegistration, SourceView, TargetView
-from toolkit.loops.registration.options import FineOptions, FirstOrderFineOptions
+from toolkit.loops.registration.fine import DENSE, FineRegistration, SourceView, TargetView
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.view_features import ViewFeatures
 from toolkit.loops.registration.views import ViewRenderer
 from toolkit.rendering import RenderOutput, render
@@ -27,6 +27,14 @@ from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
 
+# Adam's rounds: each one starts at the best pose so far with lower learning rates, and ends after a
+# number of iterations without a relative decrease of the loss.
+_ITERATIONS = 150
+_TRANSLATION_RATE_M, _ROTATION_RATE_RAD = 0.005, 0.003
+_ROUNDS, _RATE_DECAY = 3, 0.2
+_PATIENCE, _MIN_GAIN = 8, 0.001
+# Minimum silhouette in both maps of the pixels compared.
+_MIN_SILHOUETTE = 0.9
 # Views with fewer common pixels are ignored.
 _MIN_PIXELS = 50
 # Fixed-point iterations of the residual scales.
@@ -44,7 +52,7 @@ class FirstOrderFineRegistration(FineRegistration):
 
     def __init__(
         self,
-        options: FineOptions | None = None,
+        options: RegistrationOptions | None = None,
         renderer: ViewRenderer | None = None,
         describer: ViewDescriber | None = None,
     ) -> None:
@@ -63,7 +71,7 @@ class FirstOrderFineRegistration(FineRegistration):
             (target.gaussians, source.gaussians),
             (cameras, T_source_camera),
             start,
-            self.options.first_order,
+            self.options,
             self.renderer.backend_name,
             self.view_features,
         )
@@ -75,7 +83,7 @@ class FirstOrderFineRegistration(FineRegistration):
 
     def _evaluate(self, pairs: list[Pair], T_target_source: Array) -> Estimate:
         """Compute the residual scales and the information at a fixed pose."""
-        options = replace(self.options.dense, iterations=1, exposure=False)
+        options = replace(DENSE, iterations=1, exposure=False)
         estimate = Estimate(T_target_source)
         for _ in range(_SCALE_ITERATIONS):
             moved = align(pairs, estimate, options, finest_only=True)
@@ -98,7 +106,7 @@ def descend(
     gaussians: tuple[GaussianCloud, GaussianCloud],
     views: tuple[list[Camera], list[Array]],
     start: Array,
-    options: FirstOrderFineOptions,
+    options: RegistrationOptions,
     backend_name: str = "auto",
     view_features: ViewFeatures | None = None,
 ) -> Descent:
@@ -123,24 +131,24 @@ def descend(
         target, cameras, T_source_camera, source_views, options, backend_name, view_features
     )
     best, best_T, steps, evaluations = float("inf"), start.copy(), 0, 0
-    for round_ in range(options.rounds):
-        decay = options.rate_decay**round_
-        adam = PoseAdam(options.translation_rate * decay, options.rotation_rate * decay)
+    for round_ in range(_ROUNDS):
+        decay = _RATE_DECAY**round_
+        adam = PoseAdam(_TRANSLATION_RATE_M * decay, _ROTATION_RATE_RAD * decay)
         T, without_gain, threshold = best_T, 0, float("inf")
-        while without_gain <= options.patience:
+        while without_gain <= _PATIENCE:
             # The loss is evaluated after each step and at the start.
             loss, gradient = objective(T)
             evaluations += 1
-            gained = loss < threshold * (1.0 - options.min_gain)
+            gained = loss < threshold * (1.0 - _MIN_GAIN)
             without_gain = 0 if gained else without_gain + 1
             threshold = loss if gained else threshold
             if loss < best:
                 best, best_T = loss, T
-            if steps == options.iterations or not np.isfinite(loss):
+            if steps == _ITERATIONS or not np.isfinite(loss):
                 break
             T = se3.orthonormalise(T @ se3.exp(adam.step(gradient)))
             steps += 1
-    converged = bool(steps < options.iterations and np.isfinite(best))
+    converged = bool(steps < _ITERATIONS and np.isfinite(best))
     return Descent(best_T, best, steps, len(cameras) * (evaluations + 1), converged)
 
 
@@ -153,7 +161,7 @@ class _Objective:
         cameras: list[Camera],
         T_source_camera: list[Array],
         source_views: list[RenderOutput],
-        options: FirstOrderFineOptions,
+        options: RegistrationOptions,
         backend_name: str,
         view_features: ViewFeatures | None,
     ) -> None:
@@ -199,8 +207,8 @@ class _Objective:
     def _loss(self, number: int, target: RenderOutput) -> Tensor | None:
         """Loss of one view over the pixels with a surface in both maps; None if too few."""
         source, options = self._source_views[number], self._options
-        mask = (target.silhouette.detach() > options.min_silhouette) & (
-            source.silhouette > options.min_silhouette
+        mask = (target.silhouette.detach() > _MIN_SILHOUETTE) & (
+            source.silhouette > _MIN_SILHOUETTE
         )
         if int(mask.sum()) < _MIN_PIXELS:
             return None

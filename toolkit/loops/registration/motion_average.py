@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.loops.registration.options import AverageOptions
 
 Array = NDArray[np.float64]
 
+# Standard deviations of a hypothesis's translation and rotation.
+SIGMA_M, SIGMA_RAD = 0.03, 0.02
+_UNITS = np.repeat([SIGMA_M, SIGMA_RAD], 3)
+_ITERATIONS = 30
 # Geman-McClure scale: squared residual (in squared standard deviations) at which the weight is 1/4.
 _SCALE = 9.0
 _MIN_STEP = 1e-8
@@ -44,8 +47,8 @@ class MotionAverage:
 def average_motion(
     T_target_camera: Array,
     T_source_camera: Array,
-    options: AverageOptions | None = None,
     start: Array | None = None,
+    agree_within: float = 4.0,
 ) -> MotionAverage:
     """The T with T T_source_camera_i closest to T_target_camera_i, robustly (G-5).
 
@@ -56,45 +59,38 @@ def average_motion(
     Args:
         T_target_camera, T_source_camera: [K, 4, 4], K > 0.
         start: [4, 4], a further initial value.
+        agree_within: maximum residual of an inlier, in standard deviations.
     """
-    options = options or AverageOptions()
     hypotheses = [a @ se3.inverse(b) for a, b in zip(T_target_camera, T_source_camera, strict=True)]
     starts = hypotheses if start is None else [*hypotheses, start]
-    costs = [_cost(_residuals(T, T_target_camera, T_source_camera, options)) for T in starts]
+    costs = [_cost(_residuals(T, T_target_camera, T_source_camera)) for T in starts]
     T = starts[int(np.argmin(costs))]
     to_camera = [se3.adjoint(se3.inverse(T_sc)) for T_sc in T_source_camera]
-    unit = _units(options)
     converged, steps = False, 0
     while True:
-        residuals = _residuals(T, T_target_camera, T_source_camera, options)
+        residuals = _residuals(T, T_target_camera, T_source_camera)
         weights = _weights(residuals)
         # log(E exp(Ad x)) = log(E) + J(log E) Ad x, in the residuals' units.
         J = [
-            _inverse_right_jacobian(r * unit) @ A / unit[:, None]
+            _inverse_right_jacobian(r * _UNITS) @ A / _UNITS[:, None]
             for r, A in zip(residuals, to_camera, strict=True)
         ]
         H = sum(w * j.T @ j for w, j in zip(weights, J, strict=True))
-        if converged or steps == options.iterations:
+        if converged or steps == _ITERATIONS:
             break
         g = sum(w * j.T @ r for w, j, r in zip(weights, J, residuals, strict=True))
         step = -np.linalg.lstsq(H, g, rcond=None)[0]
         T = se3.orthonormalise(T @ se3.exp(step))
         steps += 1
         converged = bool(np.linalg.norm(step) < _MIN_STEP)
-    inliers = np.linalg.norm(residuals, axis=1) < options.agree_within
+    inliers = np.linalg.norm(residuals, axis=1) < agree_within
     return MotionAverage(T, weights, inliers, np.asarray(H), steps, converged)
 
 
-def _units(options: AverageOptions) -> Array:
-    return np.repeat([options.sigma_translation_m, options.sigma_rotation_rad], 3)
-
-
-def _residuals(
-    T: Array, T_target_camera: Array, T_source_camera: Array, options: AverageOptions
-) -> Array:
+def _residuals(T: Array, T_target_camera: Array, T_source_camera: Array) -> Array:
     """[K, 6] in units of the sigmas."""
     found = se3.inverse(T_target_camera) @ T @ T_source_camera
-    return np.array([se3.log(E) for E in found]) / _units(options)
+    return np.array([se3.log(E) for E in found]) / _UNITS
 
 
 def _cost(residuals: Array) -> float:

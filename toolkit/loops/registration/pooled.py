@@ -12,8 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.matching import KeypointCache, Matched, match_features, rigid_fits
-from toolkit.alignment.options import MatchingOptions
+from toolkit.alignment.matching import (
+    HYPOTHESES,
+    MIN_MATCHES,
+    KeypointCache,
+    Matched,
+    match_features,
+    rigid_fits,
+)
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 
@@ -45,9 +51,7 @@ class PooledMotion:
 
 
 def pooled_motion(
-    pairs: Sequence[tuple[Keyframe, Keyframe]],
-    options: MatchingOptions,
-    generator: np.random.Generator,
+    pairs: Sequence[tuple[Keyframe, Keyframe]], generator: np.random.Generator
 ) -> PooledMotion | None:
     """Estimate T_target_source from the features of pairs of (target, source) keyframes.
 
@@ -56,25 +60,25 @@ def pooled_motion(
         that `measure_offset` requires.
     """
     keypoints = KeypointCache(2 * len(pairs))
-    found = [(i, match_features(*pair, options, keypoints)) for i, pair in enumerate(pairs)]
+    found = [(i, match_features(*pair, keypoints)) for i, pair in enumerate(pairs)]
     pool = [_PairMatches(index, matched, *pairs[index]) for index, matched in found if matched]
     first = np.concatenate([p.in_target for p in pool] or [np.zeros((0, 3))])
     second = np.concatenate([p.in_source for p in pool] or [np.zeros((0, 3))])
-    min_matches = _MATCHES_FACTOR * options.min_matches
+    min_matches = _MATCHES_FACTOR * MIN_MATCHES
     if len(first) < min_matches:
         return None
-    hypotheses = _HYPOTHESES_FACTOR * options.hypotheses
+    hypotheses = _HYPOTHESES_FACTOR * HYPOTHESES
     triples = np.argsort(generator.random((hypotheses, len(first))), axis=1)[:, :3]
     motions = rigid_fits(first[triples], second[triples])
-    inliers = np.concatenate([p.inliers(motions, options) for p in pool], axis=1)
+    inliers = np.concatenate([p.inliers(motions) for p in pool], axis=1)
     best = inliers[int(np.argmax(inliers.sum(axis=1)))]
     T = np.eye(4)
     for _ in range(_ROUNDS):
         if best.sum() < min_matches:
             return None
         T = rigid_fits(first[best][None], second[best][None])[0]
-        best = np.concatenate([p.inliers(T[None], options)[0] for p in pool])
-    counts = [int(p.inliers(T[None], options).sum()) for p in pool]
+        best = np.concatenate([p.inliers(T[None])[0] for p in pool])
+    counts = [int(p.inliers(T[None]).sum()) for p in pool]
     supporting = [p.index for p, n in zip(pool, counts, strict=True) if n >= _MIN_PAIR_INLIERS]
     if best.sum() < min_matches or len(supporting) < _MIN_PAIRS:
         return None
@@ -91,8 +95,6 @@ class _PairMatches:
         self.in_target = se3.transform_points(target.T_map_camera, matched.first)
         self.in_source = se3.transform_points(source.T_map_camera, matched.second)
 
-    def inliers(self, motions: Array, options: MatchingOptions) -> NDArray[np.bool_]:
+    def inliers(self, motions: Array) -> NDArray[np.bool_]:
         """Mask [H, n] of the matches that are inliers of motions T_target_source [H, 4, 4]."""
-        return self._matched.inliers(
-            self._T_camera_target @ motions @ self._T_source_camera, options
-        )
+        return self._matched.inliers(self._T_camera_target @ motions @ self._T_source_camera)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -10,22 +10,13 @@ from numpy.typing import NDArray
 
 from toolkit.loops.registration.coarse import CoarseRegistration, register_coarse
 from toolkit.loops.registration.fine import FineRegistration
-from toolkit.loops.registration.options import CoarseOptions, FineOptions
+from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.quality import check_alignment
 from toolkit.loops.registration.result import RegistrationResult
 from toolkit.loops.registration.views import ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class SgrOptions:
-    """Options of both stages, and the random seed of the coarse stage."""
-
-    coarse: CoarseOptions = field(default_factory=CoarseOptions)
-    fine: FineOptions = field(default_factory=FineOptions)
-    seed: int = 0
 
 
 class Refiner(Protocol):
@@ -47,17 +38,19 @@ class SemanticGuidedRegistration:
 
     Args:
         refiner: second stage, a FineRegistration by default.
+        seed: random seed of the coarse stage.
     """
 
     def __init__(
         self,
-        options: SgrOptions | None = None,
+        options: RegistrationOptions | None = None,
         renderer: ViewRenderer | None = None,
         refiner: Refiner | None = None,
+        seed: int = 0,
     ) -> None:
-        self.options = options or SgrOptions()
+        self.options, self.seed = options or RegistrationOptions(), seed
         self.renderer = renderer or ViewRenderer()
-        self.refiner = refiner or FineRegistration(self.options.fine, self.renderer)
+        self.refiner = refiner or FineRegistration(self.options, self.renderer)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -71,8 +64,8 @@ class SemanticGuidedRegistration:
     ) -> CoarseRegistration:
         """Run the coarse stage only."""
         # A new generator for every call, so that results do not depend on earlier calls.
-        generator = np.random.default_rng(self.options.seed)
-        return register_coarse(target, source, self.options.coarse, generator, T_target_source)
+        generator = np.random.default_rng(self.seed)
+        return register_coarse(target, source, self.options, generator, T_target_source)
 
     def refined(
         self,
@@ -101,7 +94,7 @@ class SemanticGuidedRegistration:
 
     def _views(self, target: Submap, source: Submap, start: Array, agreed: list[int]) -> list[int]:
         """The inlier keyframes of the coarse stage, then the keyframes with the largest overlap."""
-        count = self.options.fine.views
+        count = self.options.views
         more = views_of_overlap(target, source, start, count)
         return list(dict.fromkeys([*agreed, *more]))[:count]
 
@@ -110,10 +103,13 @@ class CoarseOnly:
     """Coarse registration without refinement, checked in rendered views; see Registrar."""
 
     def __init__(
-        self, options: SgrOptions | None = None, renderer: ViewRenderer | None = None
+        self,
+        options: RegistrationOptions | None = None,
+        renderer: ViewRenderer | None = None,
+        seed: int = 0,
     ) -> None:
         self.renderer = renderer or ViewRenderer()
-        self._sgr = SemanticGuidedRegistration(options, self.renderer)
+        self._sgr = SemanticGuidedRegistration(options, self.renderer, seed=seed)
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -123,7 +119,7 @@ class CoarseOnly:
         result = self._sgr.coarse(target, source, T_target_source).result
         if not result.converged:
             return result
-        views = self._sgr.options.fine.views
+        views = self._sgr.options.views
         check = check_alignment(target, source, result.T_target_source, self.renderer, views)
         return replace(
             result,

@@ -14,7 +14,6 @@ from toolkit.alignment.data import ResidualScales
 from toolkit.geometry import se3
 from toolkit.loops.registration.fine import FineRegistration
 from toolkit.loops.registration.motion_average import MotionAverage, average_motion
-from toolkit.loops.registration.options import AverageOptions
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.registration.views import views_of_overlap
 from toolkit.submaps.submap import Submap
@@ -27,15 +26,11 @@ class TwoWayRegistration:
 
     Args:
         fine: registers single views.
-        average: options of the robust mean.
     """
 
-    def __init__(
-        self, fine: FineRegistration | None = None, average: AverageOptions | None = None
-    ) -> None:
+    def __init__(self, fine: FineRegistration | None = None) -> None:
         self._fine = fine or FineRegistration()
         self.renderer, self.options = self._fine.renderer, self._fine.options
-        self._average = average or AverageOptions()
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -58,7 +53,9 @@ class TwoWayRegistration:
         in_source += [r.T_target_source @ T for r, T in zip(backward, target_poses, strict=True)]
         if not in_target:
             return failed("two-way", "no view could be placed in the other submap", start)
-        average = average_motion(np.array(in_target), np.array(in_source), self._average)
+        average = average_motion(
+            np.array(in_target), np.array(in_source), agree_within=self.options.agree_within
+        )
         renders = self.renderer.renders - before
         return self._result(average, [*forward, *backward], renders)
 

@@ -16,6 +16,8 @@ from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.submaps.submap import Submap
 
+# Minimum silhouette of pixels with a surface, and width above which images are halved.
+_MIN_SILHOUETTE, _MAX_WIDTH = 0.9, 400
 # Views with a smaller overlap are not used.
 _MIN_OVERLAP = 0.1
 
@@ -48,22 +50,14 @@ class ViewRenderer:
 
     Args:
         semantics: decodes the features of the submaps; None disables classes.
-        min_silhouette: minimum silhouette (0-1) of pixels with a surface.
-        max_width: maximum image width in pixels; wider images are halved.
     """
 
     def __init__(
-        self,
-        backend_name: str = "auto",
-        semantics: SemanticMapping | None = None,
-        min_silhouette: float = 0.9,
-        max_width: int = 400,
+        self, backend_name: str = "auto", semantics: SemanticMapping | None = None
     ) -> None:
         self.renders = 0
         self._backend = backend(backend_name)
         self._semantics = semantics if semantics is not None and semantics.channels else None
-        self._min_silhouette = min_silhouette
-        self._max_width = max_width
 
     @property
     def semantics(self) -> SemanticMapping | None:
@@ -78,7 +72,7 @@ class ViewRenderer:
     def camera_of(self, keyframe: Keyframe) -> Camera:
         """The keyframe's camera at the size of the renderings."""
         camera = keyframe.camera
-        while camera.width > self._max_width:
+        while camera.width > _MAX_WIDTH:
             camera = camera.halved()
         return camera
 
@@ -87,10 +81,10 @@ class ViewRenderer:
     ) -> SubmapView:
         """Render a submap and decode its classes."""
         self.renders += 1
-        options = RenderOptions(self._min_silhouette, features=self._semantics is not None)
+        options = RenderOptions(_MIN_SILHOUETTE, features=self._semantics is not None)
         T_camera_submap = se3.inverse(T_submap_camera)
         surface = render_surface(self._backend, submap.gaussians, camera, T_camera_submap, options)
-        level = view_level(surface, self._min_silhouette)
+        level = view_level(surface, _MIN_SILHOUETTE)
         if self._semantics is None:
             return SubmapView(level)
         class_ids = self._semantics.decode_view(surface).class_ids
@@ -102,7 +96,7 @@ class ViewRenderer:
         labels = None
         if self._semantics is not None and keyframe.labels is not None:
             labels = keyframe.labels.numpy()
-        while level.camera.width > self._max_width:
+        while level.camera.width > _MAX_WIDTH:
             level = halved(level)
             if labels is not None:
                 labels = labels[::2, ::2][: level.camera.height, : level.camera.width]

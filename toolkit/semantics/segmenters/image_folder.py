@@ -75,7 +75,7 @@ class LabelImageFolder:
         if not self._gaps:
             raise DatasetError(
                 f"{self._folder} has no label image for frame {frame.index}; add it, or set "
-                "--semantics.segmenter.images.gaps to treat such frames as void"
+                "--segmenter.images.gaps to treat such frames as void"
             )
         if not self._warned:
             _log.warning(

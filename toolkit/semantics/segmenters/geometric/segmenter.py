@@ -29,6 +29,9 @@ CLASS_NAMES: dict[int, str] = {
     OBJECT: "object",
 }
 
+# Maximum number of cells across the image in which surfaces are detected.
+_COLUMNS = 160
+
 
 class GeometricSegmenter:
     """Labels floor, walls, ceiling, horizontal surfaces (table tops, seats) and objects.
@@ -69,7 +72,7 @@ class GeometricSegmenter:
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
         """Class ids [H, W] by `CLASS_NAMES`, 0 where there is no depth."""
-        grid = surface_grid(frame.depth_m, frame.camera, self._options.columns)
+        grid = surface_grid(frame.depth_m, frame.camera, _COLUMNS)
         if not grid.oriented.any():
             return np.where(frame.depth_m > 0, OBJECT, 0).astype(np.int32)
         room = self._room if T_map_camera is not None else self._new_room()
