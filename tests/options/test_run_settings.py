@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-import yaml
 
 from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
-from toolkit.options import as_plain, nested_options
+from toolkit.options import nested_options
 from toolkit.runs.settings import (
     RunSettings,
     dump_settings,
     load_settings,
-    load_stored_settings,
 )
 from toolkit.tracking.options import TrackingOptions
 
@@ -68,14 +66,3 @@ def test_every_option_is_described_by_a_complete_phrase():
     for option in nested_options(RunSettings):
         assert option.description.endswith("."), option.key
         assert option.description[:1].isupper(), option.key
-
-
-def test_settings_of_older_runs_are_read_without_options_that_are_gone(tmp_path):
-    stored = as_plain(RunSettings(seed=3))
-    stored["tracking"]["health"]["max_residual_ratio"] = 4.0
-    stored["dataset"]["readout_ms"] = None
-    path = tmp_path / "config.yaml"
-    path.write_text(yaml.safe_dump(stored))
-    assert load_stored_settings(path) == RunSettings(seed=3)
-    with pytest.raises(SettingsError, match="readout_ms"):
-        load_settings(path)

@@ -165,21 +165,6 @@ def test_a_finished_run_is_its_main_part(divided):
     assert absolute_trajectory_error(run.trajectory, truth).rmse_m < 0.003
 
 
-def test_older_frames_files_have_one_part(divided, tmp_path):
-    run = tmp_path / "old"
-    shutil.copytree(divided[0], run)
-    frames = content(run, "frames.json")
-    for key in ("states", "parts"):
-        del frames[key]
-    for row in frames["submaps"]:
-        del row["part"]
-    (run / "frames.json").write_text(json.dumps(frames))
-    old = load_run(run)
-    assert len(old.parts) == 1 and sorted(old.submaps) == [0, 1, 2]
-    assert [s.index for s in old.states if s.state == "lost"] == LOST
-    assert old.separate_trajectories() == {}
-
-
 def test_the_viewer_marks_doubtful_and_interrupted_ways(divided):
     scene = read_scene(divided[0], ShownContent())
     # Neither the doubtful frame nor the lost ones have a pose.

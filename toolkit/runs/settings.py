@@ -110,24 +110,6 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
     return validated(RunSettings, overridden(values, _read(path)), str(path))
 
 
-def load_stored_settings(path: Path) -> RunSettings:
-    """Read the settings of a finished run, which an older version may have written.
-
-    Options that were removed since are ignored.
-
-    Raises:
-        SettingsError: the file is unreadable, a key is unknown, or a value invalid.
-    """
-    stored = _read(path)
-    health = stored.get("tracking", {}).get("health", {})
-    health.pop("max_residual_ratio", None)
-    dataset = stored.get("dataset", {})
-    if dataset.get("readout_ms", 0.0) is None:
-        del dataset["readout_ms"]  # was that of the kind of dataset, now estimated
-    values = overridden(as_plain(RunSettings()), stored)
-    return validated(RunSettings, values, str(path))
-
-
 def _read(path: Path) -> dict[str, Any]:
     """The keys and values of a YAML file."""
     try:

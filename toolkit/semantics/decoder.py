@@ -113,9 +113,7 @@ class NetworkDecoder:
         for kind, tensors in self._groups():
             for name in tensors:
                 tensors[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
-        replay = arrays_below(arrays, "replay/")
-        if replay:  # runs of older versions have no replay memory
-            self._memory.restore(replay)
+        self._memory.restore(arrays_below(arrays, "replay/"))
 
     def _groups(self) -> tuple[tuple[str, dict[str, Tensor]], ...]:
         return (

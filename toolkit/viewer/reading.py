@@ -72,7 +72,7 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
             {state.index for state in run.states if state.part != 0},
         ),
         keyframes=keyframes.keyframes,
-        camera=run.stored_camera or keyframes.camera,
+        camera=run.camera,
         loops=loops_between(
             run.folder.loops, {f.index: f.T_map_camera[:3, 3] for f in run.tracked}
         ),
@@ -83,7 +83,7 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
 
 def file_scene(path: Path, content: ShownContent) -> ViewerScene:
     """Describe a splat file, with classes if a taxonomy lies beside it."""
-    splats = read_splats(path, content.spz_axes)
+    splats = read_splats(path)
     shown = _file_splats(splats)
     tree = _tree_beside(path, splats.labels)
     if tree is None:
