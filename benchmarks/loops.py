@@ -280,7 +280,6 @@ class DescribedSequence:
         return LoopScore(
             accepted=len(pairs),
             correct=len(correct),
-            searched=len(self.truth),
             with_loop=int(self.truth.any(axis=1).sum()),
             found=len({query for query, _ in correct}),
             true_intervals=int(self.truth.sum()),

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import tyro
 
+from benchmarks.pose_graph_files import graph_of, read_pose_graph
 from benchmarks.recordings import Recording
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
-from toolkit.io.pose_graphs import read_pose_graph
-from toolkit.loops.pose_graph.files import graph_of
 from toolkit.loops.pose_graph.options import SolverOptions
 from toolkit.loops.pose_graph.solver import solve
 

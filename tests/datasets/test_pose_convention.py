@@ -11,7 +11,7 @@ import yaml
 from moving_room import CAMERA, exposed, pose
 
 from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.checks import check_recording
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.registry import describe
 from toolkit.errors import DatasetError
@@ -127,7 +127,7 @@ def settings_for(folder: Path, **dataset: str) -> RunSettings:
 
 
 def test_check_data_and_run_report_it(opengl_recording, tmp_path):
-    (fault,) = check_dataset("folder", opengl_recording).faults
+    (fault,) = check_recording(describe("folder", opengl_recording)).faults
     assert "OpenGL" in fault
     out = tmp_path / "run"
     with pytest.raises(DatasetError, match=r"OpenGL.*pose-convention correct"):

@@ -47,8 +47,8 @@ def full_content() -> ReportContent:
         lost_at_s=(1.05, 1.15),
         views=(ReportView("frame 3", image, image, depth_m, 0 * depth_m, 33.33),),
         stage_times=(
-            StageTime("mapping", 4, 2.0, 500.0, 600.0),
-            StageTime("tracking", 9, 1.0, 1, 2),
+            StageTime("mapping", 4, 2.0, 500.0),
+            StageTime("tracking", 9, 1.0, 1),
         ),
         settings="tracking:\n  iterations: 7\n",
         warnings=("2 of 32 frames have no pose",),

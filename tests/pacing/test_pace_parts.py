@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from simulated_clock import SimulatedClock
 
 from toolkit.exposure import IDENTITY
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps, StepCounts
-from toolkit.pacing.clock import MonotonicClock, SimulatedClock
+from toolkit.pacing.clock import MonotonicClock
 from toolkit.pacing.paced import outcome_of
 from toolkit.pacing.record import FrameDelay, PaceRecord, PaceSummary, count_of
 from toolkit.pacing.schedule import ArrivalSchedule

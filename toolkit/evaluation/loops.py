@@ -118,7 +118,6 @@ class LoopScore:
     Attributes:
         accepted: number of candidates accepted by the detector.
         correct: number of accepted candidates that are true loops.
-        searched: number of keyframes at which loops were searched.
         with_loop: number of searched keyframes with an earlier true loop.
         found: number of these with a correct candidate.
         true_intervals: number of pairs of intervals, or of frames, that form a true loop.
@@ -127,7 +126,6 @@ class LoopScore:
 
     accepted: int
     correct: int
-    searched: int
     with_loop: int
     found: int
     true_intervals: int
@@ -227,7 +225,6 @@ def score_loops(
     return LoopScore(
         accepted=len(pairs),
         correct=len(correct),
-        searched=len(queries),
         with_loop=len(with_loop),
         found=len(with_loop & {query for query, _ in correct}),
         true_intervals=int(truth.sum()),

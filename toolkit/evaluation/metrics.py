@@ -53,7 +53,6 @@ class ViewQuality:
     """Image and depth quality of one rendered view; None where a metric is not available.
 
     Attributes:
-        frame_index: index of the view's frame.
         psnr_db: over all pixels, in dB.
         psnr_measured_db, psnr_inferred_db: over the pixels with and without measured depth.
         psnr_one_gain_db: over all pixels, rendered at the gain and bias of the view only, without
@@ -64,7 +63,6 @@ class ViewQuality:
         depth_coverage: fraction of the pixels with measured depth that were compared, in [0, 1].
     """
 
-    frame_index: int
     psnr_db: float
     ssim: float | None
     ms_ssim: float | None
@@ -107,7 +105,6 @@ class RunCosts:
 
 
 def view_quality(
-    frame_index: int,
     rendered: tuple[NDArray[np.float32], NDArray[np.float32]],
     measured: tuple[NDArray[np.float32], NDArray[np.float32]],
     lpips: Lpips | None = None,
@@ -115,7 +112,6 @@ def view_quality(
     """Evaluate one view.
 
     Args:
-        frame_index: index of the view's frame.
         rendered: colour [H, W, 3] in [0, 1] and surface depth [H, W] in metres, 0 where no
             surface was rendered.
         measured: colour and depth of the frame, depth 0 where missing.
@@ -129,7 +125,6 @@ def view_quality(
     depth = depth_l1(depth_m, measured_depth_m)
     similarity, multi_scale = ssim_and_ms_ssim(rgb, true_rgb)
     return ViewQuality(
-        frame_index=frame_index,
         psnr_db=psnr_db(rgb, true_rgb),
         ssim=similarity,
         ms_ssim=multi_scale,

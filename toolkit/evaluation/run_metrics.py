@@ -330,7 +330,6 @@ def _quality(
         as_exposed(image, depth_m, view.frame, view.velocity) for image in (colour, one_gain)
     )
     quality = view_quality(
-        view.frame.index,
         (colour, depth_m),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,

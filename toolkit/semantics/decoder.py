@@ -91,7 +91,8 @@ class NetworkDecoder:
             np.log(len(logits))
         )
 
-    def _step(self, gradients: dict[str, Tensor], beta1: float = 0.9, beta2: float = 0.99) -> None:
+    def _step(self, gradients: dict[str, Tensor]) -> None:
+        beta1, beta2 = 0.9, 0.99
         self.steps += 1
         for name, gradient in gradients.items():
             first = self._first[name].mul_(beta1).add_(gradient, alpha=1 - beta1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +24,10 @@ _MIN_MATCHES = 7
 
 
 class FeatureProposals:
-    """Matches frames with the newest keyframes, and with those that look most similar.
+    """Matches frames with the newest keyframes, and with those that look most similar."""
 
-    Args:
-        matching: features and their matching.
-    """
-
-    def __init__(self, matching: MatchingOptions | None = None) -> None:
-        self._matching = replace(matching or MatchingOptions(), min_matches=_MIN_MATCHES)
+    def __init__(self) -> None:
+        self._matching = MatchingOptions(min_matches=_MIN_MATCHES)
         self._keypoints = KeypointCache(8)
 
     def poses(

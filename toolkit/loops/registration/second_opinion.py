@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,8 @@ from toolkit.submaps.submap import Submap
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class SecondOpinionOptions:
-    """Maximum difference of two poses; well above the errors of correct registrations."""
-
-    max_distance_m: float = 0.1
-    max_angle_rad: float = 0.07
+# Maximum difference of two poses; well above the errors of correct registrations.
+_MAX_DISTANCE_M, _MAX_ANGLE_RAD = 0.1, 0.07
 
 
 class SecondOpinion:
@@ -28,11 +24,8 @@ class SecondOpinion:
     If the second registrar does not converge, the result of the first one is returned.
     """
 
-    def __init__(
-        self, first: Registrar, second: Registrar, options: SecondOpinionOptions | None = None
-    ) -> None:
+    def __init__(self, first: Registrar, second: Registrar) -> None:
         self._first, self._second = first, second
-        self.options = options or SecondOpinionOptions()
 
     def register(
         self, target: Submap, source: Submap, T_target_source: Array | None = None
@@ -48,7 +41,7 @@ class SecondOpinion:
         T = se3.inverse(result.T_target_source) @ other.T_target_source
         distance_m = float(np.linalg.norm(T[:3, 3]))
         angle_rad = float(se3.rotation_angle_rad(T[:3, :3]))
-        if distance_m <= self.options.max_distance_m and angle_rad <= self.options.max_angle_rad:
+        if distance_m <= _MAX_DISTANCE_M and angle_rad <= _MAX_ANGLE_RAD:
             return replace(result, renders=renders)
         reason = f"{other.method} differs by {100 * distance_m:.0f} cm and {angle_rad:.2f} rad"
         return replace(result, converged=False, renders=renders, reason=reason)
