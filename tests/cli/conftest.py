@@ -44,7 +44,11 @@ def run(tmp_path, gaussians, recording) -> Path:
     folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))
     folder.write_map([(gaussians, None, None)])
     folder.write_json(folder.frames, frames_content(9, [0, 5], held_out=[4], lost=[9]))
-    folder.write_json(folder.metrics, {"tracking_ms_per_frame": 12.5, "psnr_db": 1.0})
+    metrics = {
+        "time": {"tracking_ms_per_frame": 12.5},
+        "images": {"mapped": {"psnr_db": 1.0}},
+    }
+    folder.write_json(folder.metrics, metrics)
     return folder.path
 
 

@@ -100,5 +100,5 @@ def test_a_recording_of_sparse_depth_is_tracked(sparse_recording, tmp_path):
     place = {"kind": "folder", "path": str(sparse_recording)}
     run(validated(RunSettings, {"dataset": place}), tmp_path / "run")
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert metrics["frames_lost"] == metrics["frames_doubtful"] == 0
-    assert metrics["ate_rmse_cm"] < 0.5
+    assert metrics["frames"]["lost"] == metrics["frames"]["doubtful"] == 0
+    assert metrics["trajectory"]["ate_rmse_cm"] < 0.5

@@ -73,10 +73,10 @@ def test_void_counts_in_the_coverage_alone():
     truth, predicted = np.array([0, 1, 1, 1]), np.array([1, 0, 1, 2])
     # Where there is no prediction, the confidence means nothing.
     result.add(truth, predicted, np.array([0.1, np.nan, 0.75, 0.75]))
-    metrics = calibration_metrics(result, "_unseen")
-    assert metrics["calibration_coverage_unseen_percent"] == pytest.approx(100.0 * 2 / 3)
-    assert metrics["ece_unseen_percent"] == pytest.approx(25.0)
-    assert metrics["confidence_mean_unseen_percent"] == pytest.approx(75.0)
+    metrics = calibration_metrics(result)
+    assert metrics["calibration_coverage_percent"] == pytest.approx(100.0 * 2 / 3)
+    assert metrics["ece_percent"] == pytest.approx(25.0)
+    assert metrics["confidence_mean_percent"] == pytest.approx(75.0)
 
 
 def test_without_pixels_there_is_nothing():

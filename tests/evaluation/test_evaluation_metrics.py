@@ -11,10 +11,11 @@ import pytest
 from toolkit.errors import FormatError
 from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import (
-    IMAGE_CONVENTIONS,
     RunCosts,
     ViewQuality,
     cost_metrics,
+    depth_metrics,
+    flattened,
     image_metrics,
     read_metrics,
     trajectory_metrics,
@@ -54,13 +55,13 @@ def test_trajectory_figures_are_in_centimetres_and_degrees() -> None:
     metrics = trajectory_metrics(straight_path(0.11, 2.0), straight_path(0.10, 1.0))
     assert metrics["rpe_rotation_deg"] == pytest.approx(1.0)
     assert metrics["rpe_translation_cm"] == pytest.approx(1.0, abs=0.01)
-    assert metrics["ate_alignment"] == "se3"
+    assert metrics["alignment"] == "se3"
     assert metrics["ate_pairs"] == 20
 
 
 def test_drift_of_a_monocular_path_is_measured_at_its_fitted_scale() -> None:
     metrics = trajectory_metrics(straight_path(0.05), straight_path(0.10), "sim3")
-    assert metrics["ate_scale"] == pytest.approx(2.0)
+    assert metrics["scale"] == pytest.approx(2.0)
     assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-9)
     assert metrics["rpe_translation_cm"] == pytest.approx(0.0, abs=1e-9)
 
@@ -74,13 +75,14 @@ def test_without_a_truth_errors_are_null_under_the_same_keys() -> None:
 
 
 def test_image_figures_are_means_over_the_views_that_have_them() -> None:
-    metrics = image_metrics([view(30.0, 0.8), view(40.0), view(35.0, 0.9, None)], "_unseen")
-    assert metrics["views_unseen"] == 3
-    assert metrics["psnr_unseen_db"] == pytest.approx(35.0)
-    assert metrics["ms_ssim_unseen"] == pytest.approx(0.85)
-    assert metrics["depth_l1_unseen_cm"] == pytest.approx(1.0)
-    assert metrics["depth_coverage_unseen_percent"] == pytest.approx(50.0)
-    assert metrics["lpips_unseen"] is None
+    views = [view(30.0, 0.8), view(40.0), view(35.0, 0.9, None)]
+    images, depth = image_metrics(views), depth_metrics(views)
+    assert images["views"] == 3
+    assert images["psnr_db"] == pytest.approx(35.0)
+    assert images["ms_ssim"] == pytest.approx(0.85)
+    assert images["lpips"] is None
+    assert depth["l1_cm"] == pytest.approx(1.0)
+    assert depth["coverage_percent"] == pytest.approx(50.0)
 
 
 def test_a_view_is_scored_on_colour_and_depth() -> None:
@@ -93,7 +95,7 @@ def test_a_view_is_scored_on_colour_and_depth() -> None:
 
 
 def test_times_are_per_frame_of_the_whole_run() -> None:
-    metrics = cost_metrics(COSTS)
+    metrics = cost_metrics(COSTS)["time"]
     assert metrics["tracking_ms_per_frame"] == 25.0
     assert metrics["mapping_ms_per_frame"] == 9.0
     assert metrics["other_ms_per_frame"] == 6.0
@@ -103,17 +105,18 @@ def test_times_are_per_frame_of_the_whole_run() -> None:
 
 def test_the_file_is_stable_and_turns_missing_numbers_into_null(tmp_path: Path) -> None:
     path = straight_path(0.1)
-    metrics = trajectory_metrics(path, path) | image_metrics([], "_unseen") | cost_metrics(COSTS)
-    metrics |= IMAGE_CONVENTIONS
-    metrics["strange"] = float("nan")
+    metrics = {
+        "trajectory": trajectory_metrics(path, path) | {"strange": float("nan")},
+        "images": {"unseen": image_metrics([])},
+        **cost_metrics(COSTS),
+    }
     write_metrics(tmp_path / "a.json", metrics)
     write_metrics(tmp_path / "b.json", dict(reversed(metrics.items())))
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
     stored = read_metrics(tmp_path / "a.json")
-    assert stored["strange"] is None
-    assert stored["psnr_unseen_db"] is None
-    assert stored["views_unseen"] == 0
-    assert all(not isinstance(value, (dict, list)) for value in stored.values())
+    assert stored["trajectory"]["strange"] is None
+    assert stored["images"]["unseen"]["psnr_db"] is None
+    assert flattened(stored)["images.unseen.views"] == 0
 
 
 @pytest.mark.parametrize("content", ["{", json.dumps([1, 2])])

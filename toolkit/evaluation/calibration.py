@@ -97,18 +97,13 @@ class Calibration:
         return float(self._pixels.sum() / self._labelled_pixels)
 
 
-def calibration_metrics(result: Calibration, suffix: str = "") -> Metrics:
-    """Compute ECE, mean confidence and coverage in percent; None without data.
-
-    Args:
-        result: calibration over all views of one group.
-        suffix: "" for mapped views, "_unseen" for views excluded from mapping.
-    """
+def calibration_metrics(result: Calibration) -> Metrics:
+    """Compute ECE, mean confidence and coverage of views in percent; None without data."""
     table = result.table
     total = int(table.pixels.sum())
     mean = np.nansum(table.confidence * table.pixels) / total if total else None
     values = {"ece": table.ece, "confidence_mean": mean, "calibration_coverage": result.coverage}
     return {
-        f"{name}{suffix}_percent": None if value is None else float(100.0 * value)
+        f"{name}_percent": None if value is None else float(100.0 * value)
         for name, value in values.items()
     }

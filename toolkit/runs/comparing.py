@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError
-from toolkit.evaluation.comparison import ComparedRun, flattened
-from toolkit.evaluation.metrics import read_metrics
+from toolkit.evaluation.comparison import ComparedRun
+from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.io.images import read_rgb
 from toolkit.options import as_plain
 from toolkit.runs.folder import RunFolder
@@ -43,7 +43,7 @@ def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
     return ComparedRun(
         name,
         flattened(settings),
-        read_metrics(folder.metrics),
+        flattened(read_metrics(folder.metrics)),
         folder.read_trajectory(),
         {file.name: _rgb(file) for file in sorted(folder.renders.glob("frame??????.png"))},
         report,

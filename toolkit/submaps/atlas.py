@@ -122,6 +122,10 @@ class Atlas:
         """White balance of a submap's keyframes by frame index, in order."""
         return self._submaps[number].keyframe_balances
 
+    def descriptors(self, number: int) -> NDArray[np.float32]:
+        """Descriptors [K, D] of a submap's keyframes so far."""
+        return self._submaps[number].descriptors
+
     def describe(self, descriptor: NDArray[np.float32]) -> None:
         """Append the descriptor [D] of the active submap's newest keyframe."""
         newest = self._submaps[-1]
