@@ -29,9 +29,6 @@ from toolkit.stages import Column
 
 COSTS = RunCosts(
     frames=10,
-    frames_lost=1,
-    keyframes=3,
-    gaussians=1000,
     columns_ms={Column.TRACKING: 250.0, Column.MAPPING: 90.0},
     refinement_ms=None,
     online_ms=400.0,
