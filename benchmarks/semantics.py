@@ -144,7 +144,9 @@ def room_targets(rows: Rows) -> list[Target]:
     targets = []
     for row, bound in (("one-hot", 95), ("binary", 93)):
         mapped = median(row, "semantics.mapped.miou_percent")
-        refined, unrefined = (lost(row, f"miou_unseen{kind}_percent") for kind in ("_refined", ""))
+        refined, unrefined = (
+            lost(row, f"semantics.{views}.miou_percent") for views in ("unseen_refined", "unseen")
+        )
         targets += [
             Target(f"{row}, mIoU of mapped views in %", mapped, at_least=bound),
             Target(f"{row}, less on unseen views, poses refined, points", refined, at_most=3),

@@ -110,7 +110,8 @@ def targets(rows: Rows) -> list[Target]:
     """What the default settings should reach."""
     median = median_of(rows)
     times = [
-        median(GIVEN, f"{stage}_ms_per_frame") for stage in ("tracking", "mapping", "refinement")
+        median(GIVEN, f"time.{stage}_ms_per_frame")
+        for stage in ("tracking", "mapping", "refinement")
     ]
     frames = median(GIVEN, "frames.total")
     minutes = None

@@ -84,9 +84,9 @@ def test_a_level_is_scored_as_its_groups_are(seed, level):
     appears = np.setdiff1d(np.union1d(truth[kept], predicted[kept]), [-1])
     metrics = segmentation_metrics(evaluated(pairs))
     expected = jaccard_score(truth[kept], predicted[kept], labels=appears, average="macro")
-    assert metrics[f"miou_level_{level}_percent"] == pytest.approx(100.0 * expected)
+    assert metrics[f"level_{level}"]["miou_percent"] == pytest.approx(100.0 * expected)
     right = (truth == predicted)[kept].mean()
-    assert metrics[f"accuracy_level_{level}_percent"] == pytest.approx(100.0 * right)
+    assert metrics[f"level_{level}"]["accuracy_percent"] == pytest.approx(100.0 * right)
 
 
 def test_figures_per_class_are_those_of_torchmetrics():
